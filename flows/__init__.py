@@ -1,0 +1,21 @@
+"""The chains of tasks, and the `hfb` command line.
+
+Prefect and MLflow read their settings when they are imported, so what this project wants of them is said here,
+before any module of this package can import them. What the user has set is left alone.
+"""
+
+import os
+
+_SETTINGS = {
+    # nothing is reported to anybody
+    "DO_NOT_TRACK": "true",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    # the temporary server may take long to start the first time, on a slow or busy machine
+    "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
+    "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
+    "GIT_PYTHON_REFRESH": "quiet",
+}
+for _name, _value in _SETTINGS.items():
+    os.environ.setdefault(_name, _value)

@@ -1,0 +1,182 @@
+"""The `hfb` command line: results on standard output, everything else on standard error.
+
+Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the user gave cannot be used;
+130 interrupted. Nothing heavy is imported before it is known what is to be done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+from flows import summary
+from flows.options import add_config_flags, run_config
+from hfb import __version__
+from hfb.errors import InputError
+
+Chain = Callable[[], dict[str, Any]]
+_DONE, _FAILED, _UNUSABLE, _INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in words
+    signal.signal(signal.SIGTERM, _end_orderly)
+    try:
+        given = _parser().parse_args(words)
+        given.run(given)
+        return _DONE
+    except InputError as error:
+        return _complain(str(error), as_json, _UNUSABLE)
+    except KeyboardInterrupt:
+        return _complain("interrupted; the same command goes on from here", as_json, _INTERRUPTED)
+    except Exception as error:
+        return _complain(_unexpected(error), as_json, _FAILED)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see `{self.prog} --help`")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser("hfb", description="Human from Blur: how a person moved during one exposure.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"hfb {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    fit = _command(commands, "fit", _fit, "blurred pictures of a static camera -> a moving body")
+    fit.add_argument("frames", nargs="+", type=Path, metavar="FRAME", help="blurred picture; several are one problem")
+    fit.add_argument("--background", required=True, type=Path, metavar="PLATE", help="the same view without the person")
+    fit.add_argument("--clip", type=Path, metavar="clip.toml", help="camera and exposure of the recording")
+    add_config_flags(fit)
+
+    demo = _command(commands, "demo", _demo, "the whole chain on an example with known truth")
+    add_config_flags(demo)
+
+    models = _command(commands, "models", _models, "the pose networks: what is there, and get the rest", seeded=True)
+    models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
+
+    runs = _command(commands, "runs", _runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    runs.add_argument("--port", type=int, default=5000, help="[5000]")
+    return parser
+
+
+def _command(commands: Any, name: str, run: Any, what: str, seeded: bool = False) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
+    command.set_defaults(run=run, began=time.perf_counter())
+    command.add_argument("--out", type=Path, metavar="DIR", help="where results go")
+    command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
+    if seeded:  # where the configuration's own --seed is not offered; every command takes one
+        command.add_argument("--seed", type=int, help=argparse.SUPPRESS)
+    command.add_argument("--json", action="store_true", help="the last line on standard output is one JSON object")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--verbose", action="store_true", help="Prefect's and MLflow's own messages too")
+    return command
+
+
+def _fit(given: argparse.Namespace) -> None:
+    from tasks.inputs import take_inputs
+
+    config = run_config(given)
+    out = given.out or Path("runs") / given.frames[0].stem
+    take_inputs(given.frames, given.background, config, given.clip)  # what is missing is said at once
+
+    def load() -> Chain:
+        from flows.fit_image import fit_image
+
+        return lambda: fit_image(given.frames, given.background, out, config, given.clip)
+
+    result = _through_prefect(given, out, load)
+    _report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
+
+
+def _demo(given: argparse.Namespace) -> None:
+    config = run_config(given)
+    out = given.out or Path("runs/demo")
+
+    def load() -> Chain:
+        from flows.demo import fit_example, make_example
+
+        example = make_example(out, config.seed)
+        return lambda: fit_example(example, out, config)
+
+    result = _through_prefect(given, out, load)
+    _report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+
+
+def _models(given: argparse.Namespace) -> None:
+    raise InputError("not here yet")
+
+
+def _runs(given: argparse.Namespace) -> None:
+    from tasks import tracking
+
+    command = tracking.pages_command(given.port)
+    url = f"http://127.0.0.1:{given.port}"
+    print(json.dumps({"url": url, "command": command}) if given.json else f"{url}  (Ctrl-C ends it)", flush=True)
+    os.execve(command[0], command, {**os.environ, **tracking.SMALL_SERVER})
+
+
+def _through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
+    """Start the server, load and prepare while it starts, then run the chain."""
+    from flows.surroundings import PrefectServer, keep_log
+    from flows.workplace import check_writable
+    from tasks import progress, tracking
+
+    keep_log(given.verbose)
+    check_writable(out)
+    tracking.check_store(tracking.tracking_uri())
+    with progress.showing(progress.display_for(sys.stderr, given.quiet)):
+        with progress.step("libraries"):
+            server = PrefectServer()
+        chain = load()
+        with progress.step("Prefect and MLflow"):
+            tracking.open_store()
+            server.wait()
+        return chain()
+
+
+def _report(
+    given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
+) -> None:
+    result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
+    if given.json:
+        print(json.dumps({key: result.get(key) for key in keys}))
+    elif not given.quiet:
+        from tasks import tracking
+
+        local = not tracking.on_server(tracking.tracking_uri())
+        print(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None))
+
+
+def _complain(message: str, as_json: bool, code: int) -> int:
+    print(f"hfb: {message}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"error": message}))
+    return code
+
+
+def _unexpected(error: Exception) -> str:
+    from flows.surroundings import log_path
+
+    logging.getLogger("hfb").exception("unexpected")
+    where = f"the log is {log_path()}" if logging.getLogger().handlers else "no log was kept"
+    reason = str(error).strip().splitlines()
+    return f"unexpected {type(error).__name__}{': ' + reason[0] if reason else ''}; {where}"
+
+
+def _end_orderly(signum: int, _frame: object) -> NoReturn:
+    raise SystemExit(128 + signum)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

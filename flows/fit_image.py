@@ -1,0 +1,96 @@
+"""One blurred picture, or several of one static camera, to one moving body."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+
+from flows.workplace import publish, workplace
+from hfb.config import RunConfig
+from tasks import progress, tracking
+from tasks.evaluate import evaluate
+from tasks.first_body import first_body, given_body
+from tasks.fit_motion import fit_motion
+from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
+from tasks.inputs import Inputs, input_hashes, take_inputs
+from tasks.matte import matte
+from tasks.prepare import prepare
+from tasks.record import record
+from tasks.strip import strip
+from tasks.task import code_version
+
+
+@flow(name="fit-image", persist_result=False)
+def fit_image(
+    frames: list[Path],
+    background: Path,
+    out: Path,
+    config: RunConfig,
+    clip: Path | None = None,
+    truth: Path | None = None,
+    first_bodies: list[Path] | None = None,
+) -> dict[str, Any]:
+    """Matte, first body, fitted motion, evaluation, strip; recorded in MLflow, published in ``out``.
+
+    Args:
+        truth: a synthetic case's truth.npz; adds errors against it to the result.
+        first_bodies: one first-body file per frame, instead of estimating them.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+    """
+    inputs = take_inputs(frames, background, config, clip, truth, first_bodies)
+    with workplace(out) as folder:
+        scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
+        numbers = range(len(scene.frames))
+        mattes = tuple(matte(scene, index, config.matting, folder) for index in numbers)
+        if inputs.first_bodies:
+            firsts = tuple(given_body(file) for file in inputs.first_bodies)
+        else:
+            firsts = tuple(first_body(scene, index, mattes, inputs.body, config.init, folder) for index in numbers)
+        fitted = fit_motion(
+            scene, mattes, firsts, inputs.body, inputs.pose_prior, config.fit, config.seed, folder
+        )  # fmt: skip
+        scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
+        picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
+        result = _result(out, config, inputs, firsts, fitted, scores)
+        try:
+            run = record(inputs, config, mattes, fitted, scores, picture, result)
+            result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
+        except tracking.StoreLost as lost:
+            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
+        files: dict[str, FileHandle] = {
+            "motion.npz": fitted.motion, "texture.png": fitted.texture_picture, "strip.png": picture,
+            **{f"matte_{index}.png": one for index, one in enumerate(mattes)},
+        }  # fmt: skip
+        publish(out, {name: file.path for name, file in files.items()}, result)
+    return result
+
+
+def _result(
+    out: Path,
+    config: RunConfig,
+    inputs: Inputs,
+    firsts: tuple[FirstBodyHandle, ...],
+    fitted: FitHandle,
+    scores: ScoresHandle,
+) -> dict[str, Any]:
+    """result.json: scores and times, where things are, and what they were made from."""
+    return {
+        **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
+        "fit_seconds": round(fitted.seconds, 3),
+        "out": str(out.resolve()),
+        "strip": str(out.resolve() / "strip.png"),
+        "mlflow_run_id": None,
+        "mlflow_link": None,
+        "first_bodies": [first.source for first in firsts],
+        "inputs": input_hashes(inputs),
+        "config": config.model_dump(mode="json"),
+        "code": code_version(),
+    }

@@ -1,0 +1,103 @@
+"""Options of a run from four places: flag over --config file over preset over default.
+
+The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it
+costs nothing to import: `hfb --help` has to answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hfb.config import RunConfig, preset
+from hfb.errors import InputError
+from hfb.toml_file import read_toml, to_record
+
+_PREFIX = "config:"
+_DEFAULT_PRESET = RunConfig().preset
+
+
+def add_config_flags(parser: argparse.ArgumentParser) -> None:
+    """One flag per key of the configuration; nothing is set unless the user gives it."""
+    group = parser.add_argument_group(
+        "options of the method", f"defaults are those of --preset {_DEFAULT_PRESET}; a flag wins over --config"
+    )
+    shown = preset(_DEFAULT_PRESET)
+    for name, field, default in _keys(shown):
+        spellings = list(dict.fromkeys([f"--{name}", f"--{name.replace('_', '-')}"]))
+        choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else None
+        described = (field.description or "").replace("%", "%%")
+        group.add_argument(
+            *spellings,
+            dest=_PREFIX + name,
+            default=argparse.SUPPRESS,
+            metavar="|".join(choices) if choices else name.rpartition(".")[2].upper(),
+            help=described if default is None else f"{described} [{_shown(default)}]".strip(),
+        )
+
+
+def run_config(given: argparse.Namespace) -> RunConfig:
+    """The configuration that flags, --config file and preset make together.
+
+    Raises:
+        InputError: an unknown key or an impossible value, named with where it came from.
+    """
+    path: Path | None = given.config
+    from_file = read_toml(path) if path else {}
+    to_record(RunConfig, from_file, str(path))
+    from_flags = _nested({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
+    to_record(RunConfig, from_flags, "options")
+    name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
+    merged = _merged(_merged(preset(name).model_dump(), from_file), from_flags)
+    return to_record(RunConfig, merged, "options")
+
+
+def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo, Any]]:
+    for name, field in type(record).model_fields.items():
+        value = getattr(record, name)
+        if isinstance(value, BaseModel):
+            yield from _keys(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, field, value
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        stages = [{key: value for key, value in one.model_dump(exclude_defaults=True).items()} for one in default]
+        return json.dumps(stages).replace("%", "%%")
+    return str(default)
+
+
+def _nested(flags: Mapping[str, str]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for key, text in flags.items():
+        *path, name = key.removeprefix(_PREFIX).split(".")
+        inner = content
+        for part in path:
+            inner = inner.setdefault(part, {})
+        inner[name] = _parsed(key.removeprefix(_PREFIX), text)
+    return content
+
+
+def _parsed(key: str, text: str) -> Any:
+    """Numbers and names are pydantic's to read; a list of records, such as fit.stages, comes as JSON."""
+    if not text.startswith(("[", "{")):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"options: {key} is not valid JSON: {error}") from error
+
+
+def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        old = merged.get(key)
+        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged

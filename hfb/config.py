@@ -1,0 +1,139 @@
+"""Every option of a run, as frozen records: what is not written here cannot influence a result.
+
+Light to import (pydantic only): the command line builds its flags from these records.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Record(BaseModel):
+    """Frozen, and an unknown key is an error: a typo never passes silently."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class BodyConfig(Record):
+    """Which body model is fitted."""
+
+    model: Path | None = Field(None, description="a SMPL .npz or .pkl file; the embedded body when not given")
+
+
+class CameraConfig(Record):
+    """The pinhole camera; a calibration in clip.toml wins over the guess."""
+
+    focal_px: float | None = Field(None, gt=0, description="focal length [px]; the picture's diagonal when not given")
+
+
+class ExposureConfig(Record):
+    """When light was collected. Seconds scale the result's times; ratios matter to the fit of several frames."""
+
+    seconds: float | None = Field(None, gt=0, description="exposure time [s]; the whole frame interval when not given")
+    fps: float = Field(30.0, gt=0, description="frames per second")
+    light: Literal["linear", "srgb"] = Field(
+        "linear", description="the light in which blur is an average; real cameras average linear light"
+    )
+
+
+class MattingConfig(Record):
+    """How the person's share of each pixel is found."""
+
+    method: Literal["known-background"] = Field("known-background", description="matting method")
+
+
+class InitConfig(Record):
+    """How the first, static body is found."""
+
+    method: Literal["auto", "mediapipe", "matte"] = Field(
+        "auto", description="auto: the pose networks where `hfb models` fetched them, else the matte alone"
+    )
+
+
+class Weights(Record):
+    """Weights of eq. (11), in the paper's order. The paper does not publish its own."""
+
+    image: float = Field(1.0, ge=0, description="w_I, image formation")
+    matte: float = Field(1.0, ge=0, description="w_alpha, matting")
+    texture: float = Field(0.0, ge=0, description="w_S, surface texture smoothness")
+    pose: float = Field(0.0, ge=0, description="w_P, pose prior")
+    shape: float = Field(0.0, ge=0, description="w_beta, shape")
+    motion: float = Field(0.0, ge=0, description="w_C, polynomial coefficients")
+    background: float = Field(0.0, ge=0, description="w_B, background")
+    boundary: float = Field(1.0, ge=0, description="continuity between neighbouring frames")
+
+
+class Stage(Record):
+    """A stretch of iterations at one picture size."""
+
+    size_px: int = Field(ge=16, description="longer side of the region of interest [px]")
+    iterations: int = Field(ge=0)
+    learning_rate: float = Field(0.01, gt=0)
+    cosine: bool = Field(False, description="let the learning rate fall to a twentieth along a half cosine")
+
+
+class FitConfig(Record):
+    """The optimisation."""
+
+    subframes: int = Field(8, ge=2, le=64, description="N, sub-frames per exposure")
+    degree: int = Field(2, ge=1, le=6, description="d, degree of the motion polynomials")
+    rotation: Literal["quaternion", "axis-angle"] = Field("quaternion", description="the 4 dof of a rotation")
+    silhouette: Literal["coverage", "dibr"] = Field("coverage", description="exact pixel share, or DIB-R's soft mask")
+    rasterizer: Literal["cpu", "reference"] = Field("cpu", description="numba kernels, or the readable torch truth")
+    texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
+    weights: Weights = Weights()
+    stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
+    origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
+    shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
+    texture_rate: float = Field(1.0, gt=0, description="learning rate of the texture, times the stage's")
+    adam_epsilon: float = Field(1e-8, gt=0, description="Adam's epsilon; larger holds what the picture does not show")
+    root_kick: float = Field(0.0, ge=0, description="first root velocity [m per exposure], leaves the saddle at rest")
+    threads: int = Field(1, ge=1, description="threads of one fit; the result does not depend on it")
+
+
+class PriorConfig(Record):
+    """Which poses count as likely."""
+
+    pose: Path | None = Field(None, description="SMPLify's GMM or a VPoser checkpoint; our anatomical prior when not given")
+
+
+class RunConfig(Record):
+    """Everything one command needs besides its files."""
+
+    preset: Literal["paper", "best"] = Field("best", description="paper: the faithful method; best: what measured best")
+    seed: int = Field(0, ge=0)
+    body: BodyConfig = BodyConfig()
+    camera: CameraConfig = CameraConfig()
+    exposure: ExposureConfig = ExposureConfig()
+    matting: MattingConfig = MattingConfig()
+    init: InitConfig = InitConfig()
+    prior: PriorConfig = PriorConfig()
+    fit: FitConfig = FitConfig()
+
+
+_PAPER = FitConfig(
+    degree=2,
+    rotation="axis-angle",
+    silhouette="dibr",
+    origin=0.0,
+    stages=(Stage(size_px=256, iterations=200, learning_rate=0.01),),
+    shape_rate=1.0,
+    weights=Weights(image=1, matte=1, texture=0.1, pose=0.001, shape=0.001, motion=0.001, background=0.01, boundary=1),
+)
+_BEST = FitConfig(
+    root_kick=0.05,
+    stages=(
+        Stage(size_px=64, iterations=60),
+        Stage(size_px=128, iterations=70),
+        Stage(size_px=256, iterations=70, cosine=True),
+    ),
+    weights=Weights(image=1, matte=1, pose=0.002, shape=0.002, motion=0.001, boundary=1),
+)
+
+
+def preset(name: Literal["paper", "best"]) -> RunConfig:
+    """All options of a preset: ``paper`` is the faithful method, ``best`` what measured best."""
+    return RunConfig(preset=name, fit=_PAPER if name == "paper" else _BEST)

@@ -1,0 +1,167 @@
+"""How far a motion is from the truth, and a picture from the one it explains.
+
+Joints are SMPL's 24 in metres, camera coordinates; R counts sub-frames, frame after frame. Everything is computed
+in float64, errors are in millimetres.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hfb.body.skeleton import H36M_14
+from hfb.evaluate.alignment import align_similarity, rotate_sequence
+from hfb.shapes import Array, Bool, Float
+
+_PELVIS = 0
+
+Metric = Callable[[Array, Array], float]
+
+
+def mpjpe_mm(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
+) -> float:
+    """Mean per joint position error [mm], the pelvis (joint 0) centred, after one rotation of the whole sequence.
+
+    The one rotation (Kabsch, no scale, over all joints of all sub-frames) aligns the predicted sequence's axes with
+    the truth's, as the paper does; it is no rotation per sub-frame, so a wrong turn within the sequence counts.
+
+    Args:
+        joints: over which the mean is taken (the alignment uses all); every joint when not given.
+    """
+    return _mean_mm(_aligned_residual(predicted, truth), joints)
+
+
+def pa_mpjpe_mm(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
+) -> float:
+    """MPJPE [mm] after a similarity (rotation, translation, scale) per sub-frame, of the chosen joints."""
+    chosen = slice(None) if joints is None else list(joints)
+    source, target = _float64(predicted)[:, chosen], _float64(truth)[:, chosen]
+    return _mean_mm(align_similarity(source, target) - target, None)
+
+
+def in_plane_depth_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> tuple[float, float]:
+    """MPJPE's residuals split along the camera's axes: mean length across the view (x, y), mean |z| along it [mm]."""
+    residual = _aligned_residual(predicted, truth)
+    return 1000 * float(np.linalg.norm(residual[..., :2], axis=-1).mean()), 1000 * float(abs(residual[..., 2]).mean())
+
+
+def reverse_time(joints: Float[Array, "R J 3"], frames: int = 1) -> Float[Array, "R J 3"]:
+    """The same poses with the sub-frames of every frame in the opposite order.
+
+    A uniform exposure looks the same either way: this is what one frame cannot tell.
+    """
+    return joints.reshape(frames, -1, *joints.shape[1:])[:, ::-1].reshape(joints.shape)
+
+
+def wrong_direction(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1, metric: Metric = mpjpe_mm
+) -> Bool[Array, "T"]:
+    """Per frame: would the prediction be nearer to the truth, by this metric, with its time reversed?"""
+    pairs = zip(np.split(predicted, frames), np.split(truth, frames), strict=True)
+    return np.array([metric(one[::-1], other) < metric(one, other) for one, other in pairs])
+
+
+def better_of_both(
+    metric: Metric, predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1
+) -> float:
+    """The metric of the prediction with every frame turned to the direction of time that suits it better."""
+    turned = np.repeat(wrong_direction(predicted, truth, frames, metric), len(predicted) // frames)
+    return metric(np.where(turned[:, None, None], reverse_time(predicted, frames), predicted), truth)
+
+
+@dataclass(frozen=True)
+class MotionErrors:
+    """What a results table needs of one clip; all lengths in mm.
+
+    Attributes:
+        mpjpe_mm, pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        mpjpe_14_mm, pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        better_mpjpe_mm, better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        in_plane_mm, depth_mm: MPJPE's residuals across and along the view.
+        wrong_direction: share of frames that would be nearer to the truth with their time reversed.
+    """
+
+    mpjpe_mm: float
+    pa_mpjpe_mm: float
+    mpjpe_14_mm: float
+    pa_mpjpe_14_mm: float
+    better_mpjpe_mm: float
+    better_pa_mpjpe_mm: float
+    in_plane_mm: float
+    depth_mm: float
+    wrong_direction: float
+
+
+def motion_errors(predicted: Float[Array, "R 24 3"], truth: Float[Array, "R 24 3"], frames: int = 1) -> MotionErrors:
+    """All motion metrics of one clip of `frames` frames with R / frames sub-frames each."""
+    in_plane, depth = in_plane_depth_mm(predicted, truth)
+    return MotionErrors(
+        mpjpe_mm=mpjpe_mm(predicted, truth),
+        pa_mpjpe_mm=pa_mpjpe_mm(predicted, truth),
+        mpjpe_14_mm=mpjpe_mm(predicted, truth, H36M_14),
+        pa_mpjpe_14_mm=pa_mpjpe_mm(predicted, truth, H36M_14),
+        better_mpjpe_mm=better_of_both(mpjpe_mm, predicted, truth, frames),
+        better_pa_mpjpe_mm=better_of_both(pa_mpjpe_mm, predicted, truth, frames),
+        in_plane_mm=in_plane,
+        depth_mm=depth,
+        wrong_direction=float(wrong_direction(predicted, truth, frames).mean()),
+    )
+
+
+def blur_rate(silhouettes: Float[Array, "S H W"]) -> float:
+    """|union of R_S(i)| / |R_S(1)| - 1, the union being the pixelwise maximum: 0 for a body at rest.
+
+    Of one frame; the rate of a clip is the mean over its frames.
+
+    Raises:
+        ValueError: the first silhouette is empty.
+    """
+    first = _float64(silhouettes[0]).sum()
+    if first <= 0:
+        raise ValueError("the blur rate is undefined: the first sub-frame's silhouette is empty")
+    return float(_float64(silhouettes.max(0)).sum() / first - 1)
+
+
+def soft_iou(alpha: Float[Array, "H W"], matte: Float[Array, "H W"]) -> float:
+    """sum min / sum max of two mattes, the paper's IoU: 1 only where they agree. Two empty ones agree."""
+    covered = _float64(np.maximum(alpha, matte)).sum()
+    return float(_float64(np.minimum(alpha, matte)).sum() / covered) if covered > 0 else 1.0
+
+
+def silhouette_iou(predicted: Float[Array, "S H W"], truth: Float[Array, "S H W"]) -> float:
+    """IoU of rendered against true silhouettes, sub-frame by sub-frame; their mean."""
+    return float(np.mean([soft_iou(one, other) for one, other in zip(predicted, truth, strict=True)]))
+
+
+def psnr_db(
+    predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
+) -> float:
+    """Peak signal-to-noise ratio [dB] of pictures in [0, 1]; infinite where they are equal.
+
+    Args:
+        mask: weight per pixel, such as the matte; the whole picture when not given, or when it is empty.
+    """
+    squared = ((_float64(predicted) - _float64(truth)) ** 2).mean(-1)
+    weighted = mask is not None and mask.sum() > 0
+    error = float(np.average(squared, weights=_float64(mask)) if weighted and mask is not None else squared.mean())
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def _float64(values: Array) -> Array:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _aligned_residual(predicted: Array, truth: Array) -> Array:
+    """predicted - truth, both centred on the pelvis, the prediction turned by one rotation."""
+    source, target = _float64(predicted), _float64(truth)
+    source = source - source[:, _PELVIS : _PELVIS + 1]
+    target = target - target[:, _PELVIS : _PELVIS + 1]
+    return rotate_sequence(source, target) - target
+
+
+def _mean_mm(residual: Array, joints: Sequence[int] | None) -> float:
+    chosen = slice(None) if joints is None else list(joints)
+    return 1000 * float(np.linalg.norm(residual[:, chosen], axis=-1).mean())

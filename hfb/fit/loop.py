@@ -1,0 +1,159 @@
+"""The optimisation: Adam through the stages of a schedule, keeping the best iterate."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+
+from hfb.body.model import Body
+from hfb.config import FitConfig, Stage
+from hfb.fit.variables import Variables, start_variables
+from hfb.initialize.first_body import FirstBody
+from hfb.losses.texture import TexelNeighbours, texel_neighbours
+from hfb.motion.sampled import SampledMotion, sample_motion
+from hfb.motion.trajectory import Trajectory
+from hfb.objective import Objective
+from hfb.observation import Observation
+from hfb.priors.pose import PosePrior
+from hfb.render.rasterizer import Rasterizer, make_rasterizer
+from hfb.render.texture import fill_texture_gutter, texel_faces
+from hfb.shapes import Float, Tensor
+
+Progress = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted motion and how it was found.
+
+    Attributes:
+        texture: linear light, the atlas' gutter filled.
+        trajectory: the best iterate's polynomials.
+        history: one value per iteration for every unweighted term and the weighted ``total``.
+        best_iteration: the iteration that was kept, counted through all stages.
+        seconds: wall time of the fit alone.
+    """
+
+    motion: SampledMotion
+    texture: Float[Tensor, "A A 3"]
+    trajectory: Trajectory
+    history: dict[str, list[float]]
+    best_iteration: int
+    seconds: float
+
+
+def fit(
+    observation: Observation,
+    first_bodies: Sequence[FirstBody],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    on_progress: Progress | None = None,
+) -> FitResult:
+    """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
+
+    Args:
+        on_progress: called after every iteration with (iterations done, of how many, total loss).
+
+    Raises:
+        InputError: all mattes are empty.
+        FloatingPointError: the loss is no longer a number; the message names the first term that is not.
+    """
+    if len(first_bodies) != observation.mattes.shape[0]:
+        raise ValueError(f"{len(first_bodies)} first bodies for {observation.mattes.shape[0]} frames")
+    started = time.perf_counter()
+    rasterizer = make_rasterizer(config.silhouette, config.rasterizer, config.threads)
+    variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed))
+    window = observation.cropped(*observation.region())
+    texels = _texels(body, config) if config.weights.texture > 0 else None
+    history: dict[str, list[float]] = {}
+    stages = [stage for stage in config.stages if stage.iterations > 0]
+    total = sum(stage.iterations for stage in stages)
+    best, best_iteration, done = variables.copy(), 0, 0
+    with _one_torch_thread():
+        for stage in stages:
+            objective = Objective(
+                window.resized(stage.size_px), body, rasterizer, pose_prior, config.weights, config.subframes, texels
+            )
+            best_loss = math.inf  # losses of different picture sizes do not compare
+            for loss, terms, iterate in _iterations(objective, variables, config, stage):
+                for name, value in {"total": loss, **terms}.items():
+                    history.setdefault(name, []).append(value)
+                if loss < best_loss:
+                    best, best_loss, best_iteration = iterate(), loss, done
+                done += 1
+                if on_progress:
+                    on_progress(done, total, loss)
+            _restore(variables, best)
+    return _result(best, observation, body, config, history, best_iteration, time.perf_counter() - started)
+
+
+def _iterations(
+    objective: Objective, variables: Variables, config: FitConfig, stage: Stage
+) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
+    """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
+    optimizer = torch.optim.Adam(variables.groups(config, stage), eps=config.adam_epsilon)
+    base = [group["lr"] for group in optimizer.param_groups]
+    for iteration in range(stage.iterations):
+        if stage.cosine:
+            share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2
+            for group, rate in zip(optimizer.param_groups, base, strict=True):
+                group["lr"] = rate * share
+        optimizer.zero_grad()
+        terms = objective.terms(variables.trajectory, variables.betas, variables.texture)
+        loss = objective.total(terms)
+        values = {name: float(value) for name, value in terms.items()}
+        if not math.isfinite(float(loss)):
+            broken = [name for name, value in values.items() if not math.isfinite(value)]
+            raise FloatingPointError(f"the loss is not a number any more at iteration {iteration}: {broken}")
+        yield float(loss), values, variables.copy
+        loss.backward()
+        optimizer.step()
+        with torch.no_grad():
+            variables.texture.clamp_(0, 1)
+
+
+def _restore(variables: Variables, best: Variables) -> None:
+    with torch.no_grad():
+        variables.trajectory.rotation.copy_(best.trajectory.rotation)
+        variables.trajectory.translation.copy_(best.trajectory.translation)
+        variables.betas.copy_(best.betas)
+        variables.texture.copy_(best.texture)
+
+
+def _texels(body: Body, config: FitConfig) -> TexelNeighbours:
+    return texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, config.texture_px))
+
+
+def _result(
+    best: Variables,
+    observation: Observation,
+    body: Body,
+    config: FitConfig,
+    history: dict[str, list[float]],
+    best_iteration: int,
+    seconds: float,
+) -> FitResult:
+    with torch.no_grad():
+        shaped = body.shape(best.betas)
+    motion = sample_motion(
+        best.trajectory, shaped, best.betas, config.subframes, observation.exposure_s, observation.interval_s,
+        observation.camera.matrix(),
+    )  # fmt: skip
+    texture = fill_texture_gutter(best.texture, texel_faces(body.mesh, config.texture_px))
+    return FitResult(motion, texture, best.trajectory, history, best_iteration, seconds)
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """One thread of torch: faster beside other fits, and sums come out the same on every machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,69 @@
+"""What is free in a fit, and where it starts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from hfb.config import FitConfig, Stage
+from hfb.initialize.first_body import FirstBody
+from hfb.motion.clock import next_opening
+from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest
+from hfb.observation import Observation
+from hfb.shapes import Float, Tensor
+
+
+@dataclass(frozen=True)
+class Variables:
+    """The free parameters of one fit: leaf tensors that an optimiser changes in place."""
+
+    trajectory: Trajectory
+    betas: Float[Tensor, "10"]
+    texture: Float[Tensor, "A A 3"]
+
+    def groups(self, config: FitConfig, stage: Stage) -> list[dict]:
+        """Adam's parameter groups with their learning rates."""
+        rate = stage.learning_rate
+        return [
+            {"params": [self.trajectory.rotation, self.trajectory.translation], "lr": rate},
+            {"params": [self.betas], "lr": rate * config.shape_rate},
+            {"params": [self.texture], "lr": rate * config.texture_rate},
+        ]
+
+    def copy(self) -> "Variables":
+        """A snapshot that later steps leave alone."""
+        trajectory = self.trajectory.with_coefficients(
+            self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
+        )
+        return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone())
+
+
+def start_variables(
+    first_bodies: Sequence[FirstBody], observation: Observation, config: FitConfig, generator: torch.Generator
+) -> Variables:
+    """A body at rest per frame (moving towards its neighbours' where there are several), one shape, one texture.
+
+    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse,
+    and a body at rest is the saddle between the two: the root gets a small velocity in a random direction.
+    """
+    poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)
+    translations = torch.stack([first.translation for first in first_bodies]).to(observation.mattes)
+    betas = torch.stack([first.betas for first in first_bodies]).to(observation.mattes).mean(0)
+    trajectory = trajectory_at_rest(poses, translations, config.degree, config.rotation, config.origin)
+    trajectory = move_towards_neighbours(trajectory, next_opening(observation.exposure_s, observation.interval_s))
+    if len(first_bodies) == 1 and config.rotation == "quaternion":
+        direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
+        trajectory.translation[0, 1, :3] += config.root_kick * direction.to(trajectory.translation)
+    texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
+    leaves = Variables(trajectory, betas, texture).copy()
+    for leaf in (leaves.trajectory.rotation, leaves.trajectory.translation, leaves.betas, leaves.texture):
+        leaf.requires_grad_(True)
+    return leaves
+
+
+def mean_foreground(observation: Observation) -> Float[Tensor, "3"]:
+    """The person's mean colour, linear light: eq. (1) solved for one colour, weighted by the mattes."""
+    alpha = observation.mattes[..., None]
+    foreground = observation.frames_linear - (1 - alpha) * observation.plate_linear
+    colour = (alpha * foreground).sum((0, 1, 2)) / (alpha * alpha).sum((0, 1, 2)).clamp_min(1e-6)
+    return colour.clamp(0.0, 1.0)

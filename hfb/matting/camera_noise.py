@@ -1,0 +1,60 @@
+"""How frame and plate differ where nobody is: a small exposure gain, and noise."""
+
+import cv2
+import numpy as np
+
+from hfb.photometry import linear_to_srgb
+from hfb.shapes import Array, Bool, Float
+
+_LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit pictures, plus compression that leaves flat areas untouched
+_MOST_NOISE = 12 / 255
+
+
+def exposure_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "3"]:
+    """Per channel, what the plate is multiplied with to match the frame's background (0.8 to 1.25).
+
+    The median ratio over the pixels that differ least, found again three times: the person and clipped
+    or black pixels stay out.
+    """
+    usable = (
+        (plate_linear > 0.01).all(-1) & (plate_linear < 0.9).all(-1) & (frame_linear < 0.95).all(-1)
+    ) & (frame_linear > 0.005).all(-1)
+    if usable.sum() < 100:
+        return np.ones(3, np.float32)
+    frame, plate = frame_linear[usable], plate_linear[usable]
+    gain = np.ones(3, np.float32)
+    for _ in range(3):
+        distance = np.abs(np.log(plate * gain / frame)).max(-1)
+        near = distance <= 1.5 * np.median(distance)
+        gain = np.clip(np.median(frame[near] / plate[near], axis=0), 0.8, 1.25).astype(np.float32)
+    return gain
+
+
+def noise_srgb(
+    difference_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"], empty: Bool[Array, "H W"]
+) -> Float[Array, "H W"]:
+    """Standard deviation of `frame - plate` in sRGB per pixel: a floor, and a share of the plate's local contrast.
+
+    The second part is what tiny camera shake, resampling and compression do to edges and texture.
+
+    Args:
+        empty: where certainly nobody is (the fit's sample).
+    """
+    gray = cv2.GaussianBlur(plate_srgb.mean(-1), (0, 0), 0.7)
+    contrast = cv2.blur(np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8, (3, 3))
+    sample, edges = np.abs(difference_srgb[empty]).mean(-1), contrast[empty]
+    if sample.size < 100:
+        return np.full(gray.shape, 3 * _LEAST_NOISE, np.float32)
+    # mean |d| of a normal variable is 0.8 sigma; the upper quantile in place of the mean covers heavy tails
+    smooth = edges <= np.quantile(edges, 0.5)
+    floor = float(np.clip(np.quantile(sample[smooth], 0.7) / 0.9, _LEAST_NOISE, _MOST_NOISE))
+    excess = np.maximum(sample[~smooth] / 0.8 - floor, 0) if (~smooth).any() else np.zeros(1)
+    share = float(np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])) if (~smooth).any() else 1, 1e-4), 0, 0.6))
+    return np.asarray(np.hypot(floor, share * contrast), np.float32)
+
+
+def noise_linear(sigma_srgb: Float[Array, "H W"], level_linear: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
+    """The same noise in linear light: sigma times the slope of the sRGB curve at the pixel's level."""
+    level = linear_to_srgb(np.maximum(level_linear, 0))
+    slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
+    return np.asarray(sigma_srgb[..., None] * slope, np.float32)

@@ -1,0 +1,193 @@
+"""A matte from one frame and the clean background: alpha = <I - B, F - B> / |F - B|^2, F unknown but smooth.
+
+Blur is a mixture of light, so everything is computed in linear light: I = alpha F + (1 - alpha) B. Two kinds of
+evidence are joined, each with the precision that the camera's noise leaves it:
+
+- colour: the share of the way from B to the nearby body colour F, which is found again in each round from the
+  pixels that look most opaque;
+- texture: in a small window with nearly constant alpha and F the frame is a line over the plate,
+  I = (1 - alpha) B + const, so the slope says how much background shines through, whatever F is.
+
+Where neither says anything (clothes of the background's colour) a membrane fills in from around. A shadow is a
+pixel that a darker background explains and no body colour does.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from hfb.matting.camera_noise import noise_linear, noise_srgb
+from hfb.matting.diffusion import smooth_where_unsure, spread_colours
+from hfb.photometry import linear_to_srgb
+from hfb.shapes import Array, Bool, Float, Shaped
+
+_ROUNDS = 6
+_STIFFNESS = 40.0
+_MOST_PRECISE = 4000.0
+_COLOUR_SPREAD = 0.25  # body colours vary by this share around their smooth mean
+_DARK_SPREAD = 0.02  # and by this much light however dark they are
+_WINDOW_RADIUS_PX = 4
+_SMALLEST_COLOUR_PATCH_PX = 8
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one frame says before any body colour is known; all in units of the noise where not said otherwise."""
+
+    frame: Float[Array, "H W 3"]  # linear
+    plate: Float[Array, "H W 3"]  # linear, the frame's exposure
+    noise: Float[Array, "H W 3"]  # standard deviation of frame - plate, linear
+    difference: Float[Array, "H W 3"]  # (frame - plate) / noise
+    change: Float[Array, "H W"]  # mean square of `difference` around a pixel; 1 where nothing moved
+    body: Bool[Array, "H W"]  # where the main moving thing was seen at all
+    texture_alpha: Float[Array, "H W"]
+    texture_precision: Float[Array, "H W"]
+    shadow_misfit: Float[Array, "H W"]  # squared distance to the nearest darkened plate colour
+
+
+def gather_evidence(
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], empty: Bool[Array, "H W"] | None = None
+) -> Evidence:
+    """Measure the noise, find what changed. The plate already has the frame's exposure.
+
+    Args:
+        empty: pixels that are known to show background only; the least changed 60 % when not given.
+    """
+    plate_srgb = linear_to_srgb(plate_linear)
+    difference_srgb = (linear_to_srgb(frame_linear) - plate_srgb).astype(np.float32)
+    magnitude = cv2.GaussianBlur(np.abs(difference_srgb).max(-1), (0, 0), 2)
+    if empty is None:
+        empty = magnitude <= np.quantile(magnitude, 0.6)
+    for _ in range(2):
+        noise = noise_linear(noise_srgb(difference_srgb, plate_srgb, empty), np.maximum(plate_linear, frame_linear))
+        difference = (frame_linear - plate_linear) / noise
+        change = cv2.GaussianBlur((difference**2).mean(-1), (0, 0), 1.5)
+        body = main_change(change)
+        away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
+        empty = away if away.mean() > 0.05 else empty
+    alpha, precision = texture_evidence(frame_linear, plate_linear, noise)
+    misfit = shadow_misfit(frame_linear, plate_linear, noise)
+    return Evidence(frame_linear, plate_linear, noise, difference, change, body, alpha, precision, misfit)
+
+
+def main_change(change: Float[Array, "H W"], threshold: float = 6.0) -> Bool[Array, "H W"]:
+    """The changed pixels of the largest thing that changed, with the pieces close to it.
+
+    Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth
+    of the main one's longer side belongs to it if it holds a hundredth of its energy. A second person, a waving
+    tree and speckles do not.
+    """
+    seen = cv2.morphologyEx((change > threshold).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    joined = cv2.dilate(seen, _disc(0.005 * max(seen.shape)))
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(joined)
+    if count < 2:
+        return np.zeros(seen.shape, bool)
+    energy = np.bincount(labels.ravel(), weights=(np.minimum(change, 400) * seen).ravel(), minlength=count)
+    energy[0] = 0
+    main = int(energy.argmax())
+    reach = 0.1 * max(boxes[main, cv2.CC_STAT_WIDTH], boxes[main, cv2.CC_STAT_HEIGHT])
+    kept = labels == main
+    for _ in range(3):  # a shoe may hang on a shin that hangs on the thigh
+        near = np.unique(labels[cv2.distanceTransform(1 - kept.astype(np.uint8), cv2.DIST_L2, 3) < reach])
+        kept = np.isin(labels, [label for label in near if energy[label] >= 0.01 * energy[main]])
+    return kept & (seen > 0)
+
+
+def _disc(radius: float) -> Shaped[Array, "d d"]:
+    side = 2 * max(1, round(radius)) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
+
+
+def texture_evidence(
+    frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    """1 - slope of the frame over the plate in each window, and how precise that is."""
+    side = 2 * _WINDOW_RADIUS_PX + 1
+
+    def mean(x: np.ndarray) -> np.ndarray:
+        return cv2.blur(x, (side, side), borderType=cv2.BORDER_REFLECT_101)
+
+    unit = mean(noise).mean(-1, keepdims=True)
+    i, b = frame / unit, plate / unit
+    mean_i, mean_b = mean(i), mean(b)
+    covariance = (mean(i * b) - mean_i * mean_b).sum(-1)
+    variance_b = np.maximum((mean(b * b) - mean_b**2).sum(-1), 1e-6)
+    variance_i = np.maximum((mean(i * i) - mean_i**2).sum(-1), 0)
+    # Noise in the plate itself flattens the slope; texture hardly above it says nothing.
+    slope = covariance / np.maximum(variance_b - 3, 0.3 * variance_b)
+    misfit = np.maximum(variance_i - slope * covariance, 0) / 3
+    precision = 0.1 * side**2 * np.maximum(variance_b - 9, 0) / (1 + misfit)
+    return np.clip(1 - slope, 0, 1).astype(np.float32), np.minimum(precision, _MOST_PRECISE).astype(np.float32)
+
+
+def shadow_misfit(
+    frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
+) -> Float[Array, "H W"]:
+    """How badly `k B` with 0.45 <= k <= 1.1 explains the pixel, in squared noise units."""
+    i, b = frame / noise, plate / noise
+    share = np.clip((i * b).sum(-1) / np.maximum((b * b).sum(-1), 1e-6), 0.45, 1.1)
+    return cv2.GaussianBlur(((i - share[..., None] * b) ** 2).sum(-1), (0, 0), 1.0)
+
+
+def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
+    """Alternate between the body's smooth colours and the matte that they imply."""
+    seen = cv2.morphologyEx(evidence.body.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    inside = cv2.distanceTransform(seen, cv2.DIST_L2, 3)
+    outside = _far_from(evidence.body)
+    presence = np.clip(evidence.change / 16, 0, 1) * np.clip(inside / 6, 0, 1)
+    not_shadow = np.clip(evidence.shadow_misfit / 30, 0.05, 1)
+    weights = np.clip(inside / 10, 0, 1) ** 3 * presence * not_shadow + 1e-7
+    alpha = np.zeros_like(weights)
+    for _ in range(_ROUNDS):
+        colours = spread_colours(evidence.frame, weights.astype(np.float32), _SMALLEST_COLOUR_PATCH_PX)
+        share, value, precision, shadow = colour_evidence(evidence, colours, alpha)
+        texture = evidence.texture_precision * (1 - shadow) * (evidence.change > 4)
+        total = precision + texture + outside
+        joint = (value * precision + evidence.texture_alpha * texture) / total
+        alpha = np.clip(smooth_where_unsure(joint.astype(np.float32), total.astype(np.float32), _STIFFNESS), 0, 1)
+        opaque = _opaqueness(evidence, colours, share, alpha, texture)
+        weights = opaque**8 * presence * (1 - shadow) * (0.1 + 0.9 * not_shadow) + 1e-7
+    return alpha
+
+
+def colour_evidence(
+    evidence: Evidence, colours: Float[Array, "H W 3"], alpha: Float[Array, "H W"]
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
+    """The share <I-B, F-B> / |F-B|^2 unclipped, alpha by it, its precision, and how much of a pixel is a shadow."""
+    direction = (colours - evidence.plate) / evidence.noise
+    length = np.maximum((direction**2).sum(-1), 1e-6)
+    share = (evidence.difference * direction).sum(-1) / length
+    value = np.clip(share, 0, 1)
+    misfit = ((evidence.difference - value[..., None] * direction) ** 2).sum(-1)
+    # The body's colour varies around F: what that does to the share, relative to the distance from B to F.
+    spread = ((_COLOUR_SPREAD * colours + _DARK_SPREAD) ** 2).sum(-1)
+    spread = spread / np.maximum(((colours - evidence.plate) ** 2).sum(-1), 1e-6)
+    likely = np.maximum(value, alpha)
+    variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread
+    misfit = cv2.GaussianBlur(misfit, (0, 0), 1.0)
+    shadow = 1 / (1 + (evidence.shadow_misfit + 6) ** 2 / (0.25 * misfit + 1e-3) ** 2)
+    value = value * (1 - shadow)
+    return share, value, np.minimum(1 / variance, _MOST_PRECISE), shadow
+
+
+def _opaqueness(
+    evidence: Evidence,
+    colours: Float[Array, "H W 3"],
+    share: Float[Array, "H W"],
+    alpha: Float[Array, "H W"],
+    texture: Float[Array, "H W"],
+) -> Float[Array, "H W"]:
+    """Which pixels show the body's own colour: those beyond F as seen from B most of all (the blend is in between)."""
+    contrast = (((colours - evidence.plate) / evidence.noise) ** 2).sum(-1)
+    trust = contrast / (contrast + 100)
+    opaque = trust * np.clip(share, 0, 1.4) + (1 - trust) * alpha
+    trust = texture / (texture + 100)
+    return np.minimum(opaque, 1.4 * (1 - trust) + trust * (evidence.texture_alpha + 0.1))
+
+
+def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
+    """Precision of "nobody is here" that grows away from what was seen; gaps of some 4 % of the picture count as inside."""
+    closed = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.02 * max(body.shape)))
+    distance = cv2.distanceTransform(1 - closed, cv2.DIST_L2, 3)
+    return (1000 * np.clip((distance - 2) / 6, 0, 1)).astype(np.float32)

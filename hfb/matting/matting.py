@@ -1,0 +1,152 @@
+"""The person's share of each pixel, from a frame and the clean background: one Protocol, one default."""
+
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from hfb.config import MattingConfig
+from hfb.errors import InputError
+from hfb.matting.camera_noise import exposure_gain
+from hfb.matting.known_background import Evidence, gather_evidence, main_change, solve_matte
+from hfb.shapes import Array, Bool, Float
+
+_DETECTION_PX = 480
+_SOLUTION_PX = 640
+_LEAST_SHARE = 2e-4  # of the picture's area; less is no person
+_MOST_SHARE = 0.75
+
+
+class Matting(Protocol):
+    """alpha of eq. (1): what share of the exposure a pixel saw the person."""
+
+    def __call__(
+        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
+    ) -> Float[Array, "H W"]:
+        """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
+        ...
+
+
+def make_matting(config: MattingConfig) -> Matting:
+    """The matting method that the configuration names."""
+    if config.method == "known-background":
+        return KnownBackground()
+    raise ValueError(f"unknown matting method {config.method}")
+
+
+class KnownBackground:
+    """Colour and texture against the plate (see known_background.py): offline, no network, about a second."""
+
+    def __call__(
+        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
+    ) -> Float[Array, "H W"]:
+        """Find the person at a small size, solve around them at up to 640 px, put the matte into the whole frame."""
+        frame = np.clip(frame_linear, 0, None).astype(np.float32)
+        check_sizes(frame, plate_linear)
+        small_frame, small_plate = shrink(frame, _DETECTION_PX), shrink(plate_linear, _DETECTION_PX)
+        gain = exposure_gain(small_frame, small_plate)
+        found = gather_evidence(small_frame, np.clip(small_plate * gain, 0, 1))
+        _check_presence(found)
+        height, width = frame.shape[:2]
+        scale = np.array([height, width]) / found.body.shape
+        top, left, bottom, right = _scaled_box(matte_region(found.body.astype(np.float32), margin=0.3), scale, height, width)
+        inner = (slice(top, bottom), slice(left, right))
+        near_frame = shrink(frame[inner], _SOLUTION_PX)
+        near_plate = np.clip(shrink(plate_linear[inner], _SOLUTION_PX) * gain, 0, 1)
+        empty = _empty_around(found.body, scale, (height, width), inner, near_frame.shape[:2])
+        alpha = clean(solve_matte(gather_evidence(near_frame, near_plate, empty)))
+        matte = np.zeros((height, width), np.float32)
+        size = (right - left, bottom - top)
+        matte[inner] = cv2.resize(alpha, size, interpolation=cv2.INTER_LINEAR)
+        if matte.sum() < _LEAST_SHARE * matte.size:
+            raise _nobody()
+        return matte
+
+
+def check_sizes(frame: Float[Array, "..."], plate: Float[Array, "..."]) -> None:
+    """One sentence where the plate can't belong to the frame."""
+    if frame.shape != plate.shape:
+        (h, w), (ph, pw) = frame.shape[:2], plate.shape[:2]
+        raise InputError(
+            f"the frame has {w} x {h} pixels and the background plate {pw} x {ph}; "
+            "give a plate from the same camera in the same size."
+        )
+
+
+def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: float = 0.1) -> tuple[int, int, int, int]:
+    """(top, left, bottom, right) of the box around the matte, ends exclusive, inside the picture.
+
+    Args:
+        margin: added on each side, as a share of the box's longer side.
+        threshold: alpha above which a pixel counts.
+
+    Raises:
+        InputError: nothing is above the threshold.
+    """
+    rows, columns = np.flatnonzero((matte > threshold).any(1)), np.flatnonzero((matte > threshold).any(0))
+    if not rows.size:
+        raise _nobody()
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    extra = round(margin * max(bottom - top, right - left))
+    height, width = matte.shape
+    return max(0, int(top) - extra), max(0, int(left) - extra), min(height, int(bottom) + extra), min(width, int(right) + extra)
+
+
+def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """Drop specks and haze that hang apart from the body; pull 0.02..0.98 to 0..1."""
+    alpha = np.clip((alpha - 0.02) / 0.96, 0, 1).astype(np.float32)
+    keep = main_change(100 * alpha, threshold=12.0)
+    reach = 2 * max(1, round(0.008 * max(alpha.shape))) + 1
+    near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
+    return alpha * cv2.blur(near.astype(np.float32), (3, 3))
+
+
+def shrink(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
+    """Area average to at most `longer_px` on the longer side; smaller pictures stay."""
+    height, width = picture.shape[:2]
+    scale = longer_px / max(height, width)
+    if scale >= 1:
+        return np.asarray(picture, np.float32)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_AREA)
+
+
+def _check_presence(found: Evidence) -> None:
+    if found.body.mean() < _LEAST_SHARE:
+        raise _nobody()
+    if (found.change > 6).mean() > _MOST_SHARE:
+        raise InputError(
+            "the frame differs from the background plate nearly everywhere; "
+            "check that the plate is of the same scene, camera position and exposure."
+        )
+
+
+def _nobody() -> InputError:
+    return InputError(
+        "no person was found: the frame does not differ from the background plate; "
+        "give a plate without the person, and a frame with them."
+    )
+
+
+def _scaled_box(
+    box: tuple[int, int, int, int], scale: Float[Array, "2"], height: int, width: int
+) -> tuple[int, int, int, int]:
+    top, left, bottom, right = box
+    return (
+        int(top * scale[0]), int(left * scale[1]),
+        min(height, int(np.ceil(bottom * scale[0]))), min(width, int(np.ceil(right * scale[1]))),
+    )  # fmt: skip
+
+
+def _empty_around(
+    body: Bool[Array, "h w"],
+    scale: Float[Array, "2"],
+    full: tuple[int, int],
+    inner: tuple[slice, slice],
+    size: tuple[int, int],
+) -> Bool[Array, "a b"]:
+    """The detection's "nobody here", cut and scaled to the solution's grid."""
+    away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
+    rows = ((inner[0].start + (np.arange(size[0]) + 0.5) * (inner[0].stop - inner[0].start) / size[0]) / scale[0]).astype(int)
+    columns = ((inner[1].start + (np.arange(size[1]) + 0.5) * (inner[1].stop - inner[1].start) / size[1]) / scale[1]).astype(int)
+    return away[np.ix_(np.clip(rows, 0, body.shape[0] - 1), np.clip(columns, 0, body.shape[1] - 1))]

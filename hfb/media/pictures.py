@@ -1,0 +1,130 @@
+"""Still pictures in and out: float32 RGB in [0, 1], sRGB as stored, upright."""
+
+import io
+import struct
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image, ImageOps, TiffImagePlugin, UnidentifiedImageError
+
+from hfb.errors import InputError
+from hfb.media.atomic import write_bytes_atomic
+from hfb.shapes import Array, Float, Shaped
+
+PIXEL_LIMIT = 100_000_000
+_BYTE_LIMIT = 1 << 30
+_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
+_KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"
+_ORIENTATION_TAG, _BITS_TAG = 0x0112, 258
+
+
+def read_picture_srgb(path: Path) -> Float[Array, "H W 3"]:
+    """Read a picture of 8 or 16 bits per channel.
+
+    Gray becomes RGB, an alpha channel is dropped, the camera's EXIF rotation is applied.
+
+    Raises:
+        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+    """
+    data = _read_bytes(Path(path))
+    image = _open(path, data)
+    if _bits_per_channel(image, data) > 8:
+        pixels, full = _decode_deep(path, data, image.getexif().get(_ORIENTATION_TAG, 1)), 65535
+    elif image.mode in ("I", "F"):
+        raise InputError(f"{path}: its pixels are 32-bit numbers, not a photograph; save it with 8 or 16 bits.")
+    else:
+        pixels, full = np.asarray(ImageOps.exif_transpose(image).convert("RGB")), 255
+    return np.ascontiguousarray(pixels, np.float32) / np.float32(full)
+
+
+def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) -> None:
+    """Write RGB values in [0, 1] (clipped, rounded to nearest) as an 8 or 16 bit PNG, atomically."""
+    _write_levels(Path(path), picture_srgb[..., ::-1], bits)
+
+
+def write_matte(path: Path, matte: Float[Array, "H W"]) -> None:
+    """Write a matte in [0, 1] as a 16-bit gray PNG (steps of 1/65535), atomically."""
+    _write_levels(Path(path), matte, 16)
+
+
+def read_matte(path: Path) -> Float[Array, "H W"]:
+    """Read a matte: the mean of the channels of any picture that `read_picture_srgb` takes, its values as they are."""
+    return read_picture_srgb(path).mean(-1, dtype=np.float32)
+
+
+def _write_levels(path: Path, values: Float[Array, "..."], bits: int) -> None:
+    if bits not in (8, 16):
+        raise ValueError(f"a PNG holds 8 or 16 bits per channel, not {bits}")
+    full = (1 << bits) - 1
+    levels = np.round(np.clip(values, 0, 1).astype(np.float64) * full)
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(levels, np.uint8 if bits == 8 else np.uint16))
+    if not done:
+        raise OSError(f"{path}: the picture could not be encoded")
+    write_bytes_atomic(path, encoded.tobytes())
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > _BYTE_LIMIT:
+            raise InputError(f"{path}: {size >> 20} MiB is too large for a picture; give {_KINDS}.")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the path.") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; give the picture's file.") from None
+    except PermissionError:
+        raise InputError(f"{path}: may not be read; check its permissions.") from None
+    if not data:
+        raise InputError(f"{path}: the file is empty; export or copy the picture again.")
+    return data
+
+
+def _open(path: Path, data: bytes) -> Image.Image:
+    """Decode with Pillow: unlike OpenCV it refuses a truncated file instead of filling it with gray."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # our own pixel limit below is stricter than Pillow's error
+            image = Image.open(io.BytesIO(data), formats=_FORMATS)
+            if image.width * image.height > PIXEL_LIMIT:
+                raise _too_large(path, f"{image.width} x {image.height} pixels")
+            image.load()
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{path}: is not a picture; give {_KINDS}.") from None
+    except Image.DecompressionBombError:
+        raise _too_large(path, "it") from None
+    except (OSError, SyntaxError, ValueError, struct.error, EOFError, MemoryError) as error:
+        raise InputError(f"{path}: the picture is truncated or damaged ({error}); export or copy it again.") from None
+    return image
+
+
+def _too_large(path: Path, what: str) -> InputError:
+    return InputError(f"{path}: {what} is over the limit of {PIXEL_LIMIT // 1_000_000} megapixels; make it smaller.")
+
+
+def _bits_per_channel(image: Image.Image, data: bytes) -> int:
+    """The file's own depth; Pillow's mode hides it for 16-bit RGB."""
+    if image.format == "PNG":
+        return data[24]  # the IHDR chunk's bit depth
+    if isinstance(image, TiffImagePlugin.TiffImageFile):
+        bits = image.tag_v2.get(_BITS_TAG, 8)
+        bits = max(bits) if isinstance(bits, tuple) else int(bits)
+        return 16 if bits == 16 else 8
+    return 8
+
+
+def _decode_deep(path: Path, data: bytes, orientation: int) -> Shaped[Array, "H W 3"]:
+    """16-bit pixels through OpenCV (Pillow has no 16-bit RGB), turned upright."""
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if pixels is None or pixels.dtype != np.uint16:
+        raise InputError(f"{path}: this kind of 16-bit picture can't be read; save it as a PNG.")
+    pixels = pixels[..., ::-1]
+    if orientation in (2, 4, 5, 7):  # mirrored kinds: undo the mirror, then turn like the plain kinds
+        pixels = pixels[:, ::-1]
+    quarter_turns = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}.get(orientation, 0)
+    return np.rot90(pixels, quarter_turns)

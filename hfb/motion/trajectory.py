@@ -1,0 +1,112 @@
+"""Polynomial motion: matrix C of the paper, one polynomial of degree d per degree of freedom."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+
+from hfb.rotations import (
+    axis_angle_to_matrix,
+    axis_angle_to_quaternion,
+    in_hemisphere_of,
+    normalize_quaternion,
+    quaternion_to_matrix,
+)
+from hfb.shapes import Float, Tensor
+
+RotationKind = Literal["quaternion", "axis-angle"]
+
+# Axis + angle is singular at angle 0, where the axis has no effect: start at least this far from it [rad].
+_SMALLEST_START_ANGLE = 0.05
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Polynomials in u - origin for 24 rotations and one translation, per frame.
+
+    ``quaternion``: 4 dof per rotation, normalised after evaluation (never singular); the translation is
+    plain xyz [m] and its fourth column unused. ``axis-angle``, the paper's: axis (3) and angle (1) per
+    rotation; the translation is anchor + direction (3) * distance (1).
+
+    Attributes:
+        rotation: coefficients, the constants first.
+        translation: coefficients, the constants first.
+        anchor: where distances of the ``axis-angle`` kind are measured from [m].
+        origin: the u at which all higher terms vanish (0: start of the exposure, 0.5: its middle).
+    """
+
+    rotation: Float[Tensor, "T D1 24 4"]
+    translation: Float[Tensor, "T D1 4"]
+    anchor: Float[Tensor, "T 3"]
+    kind: RotationKind = "quaternion"
+    origin: float = 0.0
+
+    def with_coefficients(
+        self, rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor, "T D1 4"]
+    ) -> "Trajectory":
+        """The same kind of motion with other coefficients."""
+        return replace(self, rotation=rotation, translation=translation)
+
+    def at(self, u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
+        """Rotations (root: body to camera; joints: relative to their parents) and translations [m] at u."""
+        powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype)
+        curve = torch.einsum("sd,tdjc->tsjc", powers, self.rotation)
+        path = torch.einsum("sd,tdc->tsc", powers, self.translation)
+        if self.kind == "quaternion":
+            return quaternion_to_matrix(normalize_quaternion(curve)), path[..., :3]
+        axis_angle = _unit(curve[..., :3]) * curve[..., 3:]
+        return axis_angle_to_matrix(axis_angle), self.anchor[:, None] + _unit(path[..., :3]) * path[..., 3:]
+
+    def higher_coefficients(self) -> Float[Tensor, "n"]:
+        """All coefficients but the constants: what L_C holds small."""
+        return torch.cat([self.rotation[:, 1:].flatten(), self.translation[:, 1:].flatten()])
+
+
+def _unit(vector: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+    return vector * ((vector * vector).sum(-1, keepdim=True) + 1e-12).rsqrt()
+
+
+def trajectory_at_rest(
+    poses: Float[Tensor, "T 24 3"],
+    translations: Float[Tensor, "T 3"],
+    degree: int,
+    kind: RotationKind = "quaternion",
+    origin: float = 0.0,
+) -> Trajectory:
+    """The start of a fit: constants from a static body per frame, all other coefficients zero.
+
+    Args:
+        poses: axis-angle [rad], the root first.
+        translations: SMPL's translation in camera coordinates [m].
+    """
+    frames = poses.shape[0]
+    rotation = poses.new_zeros(frames, degree + 1, 24, 4)
+    translation = poses.new_zeros(frames, degree + 1, 4)
+    if kind == "quaternion":
+        constants = axis_angle_to_quaternion(poses)
+        for frame in range(1, frames):
+            constants[frame] = in_hemisphere_of(constants[frame], constants[frame - 1])
+        rotation[:, 0] = constants
+        translation[:, 0, :3] = translations
+    else:
+        angle = poses.norm(dim=-1, keepdim=True)
+        rotation[:, 0, :, :3] = torch.where(angle > 1e-6, poses / angle.clamp_min(1e-6), poses.new_tensor([1.0, 0, 0]))
+        rotation[:, 0, :, 3:] = angle.clamp_min(_SMALLEST_START_ANGLE)
+        translation[:, 0, 0] = 1.0
+    return Trajectory(rotation, translation, translations.clone(), kind, origin)
+
+
+def move_towards_neighbours(trajectory: Trajectory, interval_u: float) -> Trajectory:
+    """First velocities of several frames: central differences of the neighbouring frames' constants.
+
+    Args:
+        interval_u: time from one frame to the next in units of the exposure.
+    """
+    frames = trajectory.rotation.shape[0]
+    if frames < 2 or trajectory.kind != "quaternion":
+        return trajectory
+    rotation, translation = trajectory.rotation.clone(), trajectory.translation.clone()
+    for coefficients in (rotation, translation):
+        constants = coefficients[:, 0]
+        coefficients[:, 1] = torch.gradient(constants, spacing=interval_u, dim=0)[0]
+    return trajectory.with_coefficients(rotation, translation)

@@ -1,0 +1,93 @@
+"""The joint loss, eq. (11): the only place that knows weights.
+
+A term with weight zero is not computed.
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+from hfb.body.model import Body
+from hfb.config import Weights
+from hfb.formation import compose
+from hfb.losses.image import image_loss
+from hfb.losses.matting import matting_loss
+from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss
+from hfb.losses.texture import TexelNeighbours, texture_smoothness
+from hfb.motion.boundary import boundary_loss
+from hfb.motion.clock import next_opening, subframe_clock
+from hfb.motion.trajectory import Trajectory
+from hfb.observation import Observation
+from hfb.priors.pose import PosePrior
+from hfb.render.rasterizer import Rasterizer
+from hfb.rotations import matrix_to_axis_angle
+from hfb.shapes import Float, Tensor
+
+
+@dataclass(frozen=True)
+class Objective:
+    """How well a body, its motion and its texture explain an observation.
+
+    Attributes:
+        texels: neighbourhoods for L_S; needed only where its weight is positive.
+    """
+
+    observation: Observation
+    body: Body
+    rasterizer: Rasterizer
+    pose_prior: PosePrior
+    weights: Weights
+    subframes: int
+    texels: TexelNeighbours | None = None
+
+    def terms(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The unweighted terms with a positive weight, named as in `Weights`."""
+        weights, seen = self.weights, self.observation
+        shaped = self.body.shape(betas)
+        rotations, translations = trajectory.at(subframe_clock(self.subframes, betas.dtype))
+        frames = rotations.shape[0]
+        posed = shaped.pose(rotations.flatten(0, 1), translations.flatten(0, 1))
+        vertices = posed.vertices.unflatten(0, (frames, self.subframes))
+        terms: dict[str, Tensor] = {}
+
+        per_frame = [self._picture_terms(frame, vertices[frame], texture) for frame in range(frames)]
+        for name in per_frame[0]:
+            terms[name] = torch.stack([one[name] for one in per_frame]).mean()
+        if weights.texture > 0 and self.texels is not None:
+            terms["texture"] = texture_smoothness(texture, self.texels)
+        if weights.pose > 0:
+            terms["pose"] = pose_loss(self.pose_prior, matrix_to_axis_angle(rotations[:, :, 1:]).flatten(0, 1))
+        if weights.shape > 0:
+            terms["shape"] = shape_loss(betas)
+        if weights.motion > 0:
+            terms["motion"] = polynomial_loss(trajectory.higher_coefficients()) / frames
+        if weights.boundary > 0 and frames > 1:
+            terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
+        return terms
+
+    def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
+        """What one frame's picture and matte say: the image, matting and background terms."""
+        weights, seen = self.weights, self.observation
+        mesh, camera, matte = self.body.mesh, seen.camera, seen.mattes[frame]
+        terms = {}
+        if weights.background > 0:  # the only term that needs every sub-frame's own picture
+            pictures = self.rasterizer.render(vertices, texture, camera, mesh)
+            terms["background"] = background_loss(seen.plate_linear, pictures)
+            mean = pictures.mean(0)
+        elif weights.image > 0:
+            mean = self.rasterizer.render_mean(vertices, texture, camera, mesh)
+        else:
+            alpha = self.rasterizer.silhouette_mean(vertices, camera, mesh)
+            return {"matte": matting_loss(alpha, matte)}
+        if weights.image > 0:
+            image = compose(mean, seen.plate_linear)
+            terms["image"] = image_loss(image, seen.frames_linear[frame], matte.sum())
+        if weights.matte > 0:
+            terms["matte"] = matting_loss(mean[..., 3], matte)
+        return terms
+
+    def total(self, terms: dict[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
+        """The weighted sum of the terms."""
+        return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum()

@@ -1,0 +1,49 @@
+"""sRGB and linear light, exactly as IEC 61966-2-1 has it.
+
+A sensor averages linear light, picture files hold sRGB. Blurring sRGB values instead of light is off by up to
+48/255, and an alpha of 0.5 then reads as 0.705.
+"""
+
+from typing import overload
+
+import numpy as np
+import torch
+
+from hfb.shapes import Array, Float, Tensor
+
+_ENCODED_KNEE = 0.04045
+_LINEAR_KNEE = 0.0031308
+
+
+@overload
+def srgb_to_linear(encoded: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]: ...
+@overload
+def srgb_to_linear(encoded: Float[Array, "*n"]) -> Float[Array, "*n"]: ...
+def srgb_to_linear(encoded: Tensor | Array) -> Tensor | Array:
+    """Decode sRGB values to linear light: c / 12.92 up to 0.04045, ((c + 0.055) / 1.055)^2.4 above.
+
+    Values below 0 and above 1 follow the same two pieces; the type (torch or numpy, 32 or 64 bit) is kept.
+    Differentiable with a finite gradient everywhere, 0 included.
+    """
+    # The power branch is evaluated above its knee only: the other branch's gradient would be NaN times zero.
+    if isinstance(encoded, torch.Tensor):
+        power = ((encoded.clamp_min(_ENCODED_KNEE) + 0.055) / 1.055) ** 2.4
+        return torch.where(encoded <= _ENCODED_KNEE, encoded / 12.92, power)
+    power_numpy = ((np.maximum(encoded, _ENCODED_KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(encoded <= _ENCODED_KNEE, encoded / 12.92, power_numpy)
+
+
+@overload
+def linear_to_srgb(linear: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]: ...
+@overload
+def linear_to_srgb(linear: Float[Array, "*n"]) -> Float[Array, "*n"]: ...
+def linear_to_srgb(linear: Tensor | Array) -> Tensor | Array:
+    """Encode linear light as sRGB: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above.
+
+    The inverse of `srgb_to_linear` but for the standard's own rounding of the two knees (below 1e-7).
+    """
+    if isinstance(linear, torch.Tensor):
+        power = 1.055 * linear.clamp_min(_LINEAR_KNEE) ** (1 / 2.4) - 0.055
+        return torch.where(linear <= _LINEAR_KNEE, linear * 12.92, power)
+    power_numpy = 1.055 * np.maximum(linear, _LINEAR_KNEE) ** (1 / 2.4) - 0.055
+    return np.where(linear <= _LINEAR_KNEE, linear * 12.92, power_numpy)

@@ -1,0 +1,104 @@
+"""Choosing a pose prior, and reading users' files without running any code in them."""
+
+import zipfile
+from collections import OrderedDict
+from collections.abc import Mapping
+from pathlib import Path
+from pickle import UnpicklingError
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
+
+from hfb.body.pickles import read_untrusted_pickle
+from hfb.errors import InputError
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.priors.gmm import GmmPrior
+from hfb.priors.pose import PosePrior
+from hfb.priors.vposer import VPoserPrior
+from hfb.shapes import Array
+
+_ACCEPTED = "give SMPLify's gmm_08.pkl or a VPoser v1 or v2 snapshot (.pt, .ckpt, .safetensors or .npz)"
+# What a torch file from before the zip format begins with: a pickled magic number.
+_LEGACY_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+
+
+def load_pose_prior(path: Path | None) -> PosePrior:
+    """The anatomical prior, or the one in a user's file; what a file holds is told from its content, not its name.
+
+    Args:
+        path: SMPLify's mixture or a VPoser checkpoint.
+
+    Raises:
+        InputError: no such file, or neither of these.
+    """
+    if path is None:
+        return AnatomicalPrior()
+    if not path.is_file():
+        raise InputError(f"{path}: no such file with a pose prior; {_ACCEPTED}, or nothing for the built-in one")
+    contents = _read(path)
+    covariances = contents.get("covars", contents.get("covariances"))
+    if "means" in contents and "weights" in contents and covariances is not None:
+        parts = (contents["means"], covariances, contents["weights"])
+        return GmmPrior(*(_numbers(part, path) for part in parts), source=str(path))
+    state = {name: torch.from_numpy(_numbers(value, path)) for name, value in contents.items()}
+    return VPoserPrior.from_state(state, str(path))
+
+
+def _numbers(values: object, path: Path) -> Array:
+    """An array or a tensor as a float64 array."""
+    try:
+        return np.array(values.detach().cpu() if isinstance(values, torch.Tensor) else values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: holds something other than numbers; {_ACCEPTED}") from error
+
+
+def _read(path: Path) -> Mapping[str, object]:
+    """A file's arrays by name, whatever container they are in."""
+    with path.open("rb") as file:
+        head = file.read(32)
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                is_torch = any(name.endswith("data.pkl") for name in archive.namelist())
+            return _read_torch(path) if is_torch else _read_npz(path)
+        if head.startswith(_LEGACY_TORCH):
+            return _read_torch(path)
+        if head[8:9] == b"{":
+            return load_file(path)
+    except (ValueError, OSError, RuntimeError, UnpicklingError, SafetensorError) as error:
+        raise InputError(f"{path}: this file is damaged, or holds more than arrays; {_ACCEPTED}") from error
+    return _mixture(read_untrusted_pickle(path))
+
+
+def _read_npz(path: Path) -> Mapping[str, object]:
+    with np.load(path, allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+class _Ignored:
+    """Stands for whatever a training run left in its checkpoint beside the weights; holds state, runs nothing."""
+
+    def __new__(cls, *_args: object, **_kwargs: object) -> OrderedDict:  # type: ignore[misc]
+        return OrderedDict()
+
+
+def _read_torch(path: Path) -> Mapping[str, object]:
+    """The tensors of a checkpoint, by torch's own restricted reader.
+
+    VPoser v2 comes as a Lightning checkpoint with objects of its training run in it: their classes are replaced by
+    `_Ignored` instead of being imported.
+    """
+    unknown = get_unsafe_globals_in_checkpoint(path) if zipfile.is_zipfile(path) else []
+    with safe_globals([(_Ignored, name) for name in unknown]):
+        loaded = torch.load(path, map_location="cpu", weights_only=True)
+    state = loaded.get("state_dict", loaded) if isinstance(loaded, dict) else {}
+    return {str(name): value for name, value in state.items() if isinstance(value, torch.Tensor)}
+
+
+def _mixture(pickled: object) -> Mapping[str, object]:
+    """A mixture's arrays from SMPLify's dictionary, or from a pickled scikit-learn GMM (any version)."""
+    fields = pickled if isinstance(pickled, dict) else getattr(pickled, "state", {})
+    return {str(name).rstrip("_"): value for name, value in fields.items()}

@@ -1,0 +1,278 @@
+"""The fast rasteriser: compiled kernels behind torch operators (visible to autograd, torch.compile and export).
+
+Each operator draws all sub-frames and averages them on the way, one body at a time in a fixed order, so the
+result has the same bits for any number of threads.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import torch
+
+from hfb.body.mesh import Mesh
+from hfb.render import kernels
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import NEAR_M
+from hfb.render.threads import run_tasks
+from hfb.shapes import Array, Float, Tensor
+
+TEXTURE_GROUPS = 8  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
+
+
+@torch.library.custom_op("hfb::draw", mutates_args=())
+def draw(
+    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    mean: bool, threads: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    """Pictures (1 or S, H, W, 4) and what the way back needs: projected vertices, outlines, pixels, codes,
+    windings, and per body the ends of its stretch in these lists."""
+    faces, uv_faces, edge_vertices, edge_faces = _indices(topology)
+    corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
+    view = np.asarray(lens)
+    count = corners.shape[0]
+
+    def task(s: int) -> tuple[Array, ...]:
+        return kernels.draw_body(
+            corners[s], view, faces, coordinates, uv_faces, edge_vertices, edge_faces, colours
+        )
+
+    bodies = run_tasks(task, count, threads)
+    pictures = _pictures(count, mean, view, vertices.dtype, 4)
+    scale = colours.dtype.type(1 / count if mean else 1)
+    for s, body in enumerate(bodies):
+        kernels.add_picture(body[2], body[5], scale, pictures[0 if mean else s].reshape(-1, 4))
+    return torch.from_numpy(pictures), *_join(bodies, 5)
+
+
+def _indices(topology: Sequence[Tensor]) -> tuple[Array, Array, Array, Array]:
+    """Faces, their texture corners, edges, and the edges' faces; unsigned but for the last, where -1 is none.
+
+    Unsigned because numba tests every signed index for being negative.
+    """
+    faces, uv_faces, edge_vertices, edge_faces = (table.numpy() for table in topology)
+    return faces.view(np.uint32), uv_faces.view(np.uint32), edge_vertices.view(np.uint32), edge_faces
+
+
+def _pictures(count: int, mean: bool, view: Array, dtype: torch.dtype, channels: int) -> Array:
+    width, height = int(view[5]), int(view[6])
+    return np.zeros((1 if mean else count, height, width, channels), np.float64 if dtype == torch.float64 else np.float32)
+
+
+def _join(bodies: list[tuple[Array, ...]], parts: int) -> list[Tensor]:
+    """The bodies' lists end to end, and (outline, pixel) ends per body."""
+    ends = np.cumsum([[len(body[1]), len(body[2])] for body in bodies], 0)
+    joined = [np.stack([body[0] for body in bodies])]
+    joined += [np.concatenate([body[1] for body in bodies]).view(np.int32)]
+    joined += [np.concatenate([body[part] for body in bodies]) for part in range(2, parts)]
+    return [torch.from_numpy(part) for part in (*joined, ends)]
+
+
+@draw.register_fake
+def _(vertices, texture, uv, topology, lens, mean, threads):
+    context = torch.library.get_ctx()
+    edges, pixels = context.new_dynamic_size(), context.new_dynamic_size()
+    count, vertex_count = vertices.shape[:2]
+    whole = {"dtype": torch.int32, "device": vertices.device}
+    return (
+        vertices.new_empty(1 if mean else count, int(lens[6]), int(lens[5]), 4),
+        vertices.new_empty(count, vertex_count, 3, dtype=torch.float64),
+        torch.empty(edges, 3, **whole),
+        torch.empty(pixels, **whole),
+        torch.empty(pixels, **whole),
+        vertices.new_empty(pixels, dtype=torch.float64),
+        torch.empty(count, 2, dtype=torch.int64, device=vertices.device),
+    )
+
+
+@torch.library.custom_op("hfb::draw_gradient", mutates_args=())
+def draw_gradient(
+    pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
+    lens: Sequence[float], kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    faces, uv_faces, _, _ = _indices(topology)
+    projected, outlines, pixels, codes, windings, ends = (part.numpy() for part in kept)
+    outlines = outlines.view(np.uint32)
+    corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
+    given = pictures.detach().contiguous().numpy()
+    count, mean = corners.shape[0], given.shape[0] != corners.shape[0]
+    groups = min(count, TEXTURE_GROUPS)
+    gradient = np.empty_like(corners) if of_vertices else np.empty((count, 0, 3), corners.dtype)
+    partial = np.zeros((groups, *(colours.shape if of_texture else (0, 0, 3))), colours.dtype)
+    scale = corners.dtype.type(1 / count if mean else 1)
+    view = np.asarray(lens)
+
+    def task(group: int) -> None:
+        for s in range(group * count // groups, (group + 1) * count // groups):
+            e, p = (slice(ends[s - 1, k] if s else 0, ends[s, k]) for k in (0, 1))
+            kernels.draw_body_gradient(
+                corners[s], view, faces, coordinates, uv_faces, colours,
+                projected[s], outlines[e], pixels[p], codes[p], windings[p],
+                given[0 if mean else s].reshape(-1, 4), scale, gradient[s], partial[group],
+            )  # fmt: skip
+
+    run_tasks(task, groups, threads)
+    return torch.from_numpy(gradient), torch.from_numpy(partial.sum(0))
+
+
+@draw_gradient.register_fake
+def _(pictures, vertices, texture, uv, topology, lens, kept, of_vertices, of_texture, threads):
+    gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(vertices.shape[0], 0, 3)
+    return gradient, torch.empty_like(texture) if of_texture else texture.new_empty(0, 0, 3)
+
+
+def _keep_draw(ctx, inputs, output) -> None:
+    vertices, texture, uv, topology, lens, mean, threads = inputs
+    ctx.save_for_backward(vertices, texture, uv, *topology, *output[1:])
+    ctx.lens, ctx.threads = lens, threads
+    ctx.set_materialize_grads(False)
+
+
+def _draw_backward(ctx, of_pictures, *_):
+    if of_pictures is None:
+        return None, None, None, [None] * 4, None, None, None
+    vertices, texture, uv, *tables = ctx.saved_tensors
+    of_vertices, of_texture = ctx.needs_input_grad[:2]
+    by_vertices, by_texture = draw_gradient(
+        of_pictures, vertices, texture, uv, tables[:4], ctx.lens, tables[4:], of_vertices, of_texture, ctx.threads
+    )
+    return (
+        by_vertices if of_vertices else None, by_texture if of_texture else None, None, [None] * 4, None, None, None
+    )  # fmt: skip
+
+
+draw.register_autograd(_draw_backward, setup_context=_keep_draw)
+
+
+@torch.library.custom_op("hfb::cover", mutates_args=())
+def cover(
+    vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], mean: bool, threads: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Silhouettes (1 or S, H, W) and what the way back needs, as `draw` but without colours."""
+    faces, _, edge_vertices, edge_faces = _indices(topology)
+    corners, view = vertices.detach().numpy(), np.asarray(lens)
+    count = corners.shape[0]
+
+    def task(s: int) -> tuple[Array, ...]:
+        return kernels.cover_body(corners[s], view, faces, edge_vertices, edge_faces)
+
+    bodies = run_tasks(task, count, threads)
+    pictures = _pictures(count, mean, view, vertices.dtype, 1)[..., 0]
+    for s, body in enumerate(bodies):
+        kernels.add_silhouette(body[2], body[3], 1 / count if mean else 1.0, pictures[0 if mean else s].reshape(-1))
+    return torch.from_numpy(pictures), *_join(bodies, 4)
+
+
+@cover.register_fake
+def _(vertices, topology, lens, mean, threads):
+    context = torch.library.get_ctx()
+    edges, pixels = context.new_dynamic_size(), context.new_dynamic_size()
+    count, vertex_count = vertices.shape[:2]
+    whole = {"dtype": torch.int32, "device": vertices.device}
+    return (
+        vertices.new_empty(1 if mean else count, int(lens[6]), int(lens[5])),
+        vertices.new_empty(count, vertex_count, 3, dtype=torch.float64),
+        torch.empty(edges, 3, **whole),
+        torch.empty(pixels, **whole),
+        vertices.new_empty(pixels, dtype=torch.float64),
+        torch.empty(count, 2, dtype=torch.int64, device=vertices.device),
+    )
+
+
+@torch.library.custom_op("hfb::cover_gradient", mutates_args=())
+def cover_gradient(
+    pictures: Tensor, vertices: Tensor, lens: Sequence[float], kept: Sequence[Tensor], threads: int
+) -> Tensor:
+    """Gradient of the vertices (S, V, 3)."""
+    projected, outlines, pixels, windings, ends = (part.numpy() for part in kept)
+    outlines = outlines.view(np.uint32)
+    corners, view = vertices.detach().numpy(), np.asarray(lens)
+    given = pictures.detach().contiguous().numpy()
+    count, mean = corners.shape[0], given.shape[0] != corners.shape[0]
+    gradient = np.empty_like(corners)
+
+    def task(s: int) -> None:
+        e, p = (slice(ends[s - 1, k] if s else 0, ends[s, k]) for k in (0, 1))
+        kernels.cover_body_gradient(
+            corners[s], view, projected[s], outlines[e], pixels[p], windings[p],
+            given[0 if mean else s].reshape(-1), 1 / count if mean else 1.0, gradient[s],
+        )  # fmt: skip
+
+    run_tasks(task, count, threads)
+    return torch.from_numpy(gradient)
+
+
+@cover_gradient.register_fake
+def _(pictures, vertices, lens, kept, threads):
+    return torch.empty_like(vertices)
+
+
+def _keep_cover(ctx, inputs, output) -> None:
+    vertices, _, lens, _, threads = inputs
+    ctx.save_for_backward(vertices, *output[1:])
+    ctx.lens, ctx.threads = lens, threads
+    ctx.set_materialize_grads(False)
+
+
+def _cover_backward(ctx, of_pictures, *_):
+    if of_pictures is None:
+        return None, [None] * 4, None, None, None
+    vertices, *kept = ctx.saved_tensors
+    return cover_gradient(of_pictures, vertices, ctx.lens, kept, ctx.threads), [None] * 4, None, None, None
+
+
+cover.register_autograd(_cover_backward, setup_context=_keep_cover)
+
+
+class CpuRasterizer:
+    """The Protocol of `hfb.render.rasterizer` by compiled kernels, in float32 or float64 (kernels add in float64)."""
+
+    def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1) -> None:
+        self.silhouette = silhouette
+        self.threads = threads
+        self._tables: tuple[Mesh, Tensor, list[Tensor]] | None = None
+
+    def _of_mesh(self, mesh: Mesh) -> tuple[Tensor, list[Tensor]]:
+        """Texture coordinates in float64 and index tables in int32, kept for the mesh used last."""
+        tables = self._tables
+        if tables is None or tables[0] is not mesh:
+            index = [mesh.faces, mesh.uv_faces, mesh.edge_vertices, mesh.edge_faces]
+            whole = [table.to(torch.int32).contiguous() for table in index]
+            tables = self._tables = (mesh, mesh.uv.detach().double().contiguous(), whole)
+        return tables[1], tables[2]
+
+    def _draw(self, vertices: Tensor, texture: Tensor | None, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Tensor:
+        uv, topology = self._of_mesh(mesh)
+        lens = lens_of(camera)
+        vertices = vertices.contiguous()
+        if texture is None:
+            alpha = cover(vertices, topology, lens, mean, self.threads)[0]
+            return torch.cat([alpha.new_zeros(*alpha.shape, 3), alpha[..., None]], -1)
+        # A fourth channel of ones: four at a time suit the processor, and the fourth is the silhouette itself.
+        texture = torch.nn.functional.pad(texture.to(vertices.dtype), (0, 1), value=1.0)
+        return draw(vertices, texture, uv, topology, lens, mean, self.threads)[0]
+
+    def render(
+        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+    ) -> Float[Tensor, "S H W 4"]:
+        """One picture per sub-frame: R_S R_F and R_S."""
+        return self._draw(vertices, texture, camera, mesh, False)
+
+    def render_mean(
+        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+    ) -> Float[Tensor, "H W 4"]:
+        """Mean of `render` over the sub-frames, without holding the single pictures."""
+        return self._draw(vertices, texture, camera, mesh, True)[0]
+
+    def silhouette_mean(
+        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
+    ) -> Float[Tensor, "H W"]:
+        """Mean of R_S over the sub-frames."""
+        _, topology = self._of_mesh(mesh)
+        return cover(vertices.contiguous(), topology, lens_of(camera), True, self.threads)[0][0]
+
+
+def lens_of(camera: PinholeCamera) -> list[float]:
+    """What the kernels take of a camera."""
+    return [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, float(camera.width), float(camera.height)]

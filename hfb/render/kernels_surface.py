@@ -1,0 +1,248 @@
+"""Compiled parts: which face is seen at each pixel's centre, its texture colour, and the way back.
+
+The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body
+but the pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the
+body's colour, and the colour is continuous as the outline passes the centre.
+"""
+
+import numpy as np
+from numba import njit
+
+from hfb.render.kernels_outline import INLINE, LOOP, closest_parameter
+
+NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
+ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
+
+
+@njit(**LOOP)
+def fill_depth(projected, faces, front, box, nearest, code):
+    """Z-buffer of the front faces over the region: 1/z (0: none) in `nearest`, the face in `code`."""
+    left, top, right, bottom = box[0], box[1], box[2], box[3]
+    for f in range(faces.shape[0]):
+        if not front[f]:
+            continue
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
+        x2, y2 = projected[k, 0], projected[k, 1]
+        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
+        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
+        if c_from > c_to:
+            continue
+        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
+        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
+        if r_from > r_to:
+            continue
+        inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+        b1_x, b1_y = (y2 - y0) * inverse, (x0 - x2) * inverse
+        b2_x, b2_y = (y0 - y1) * inverse, (x1 - x0) * inverse
+        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
+        for r in range(r_from, r_to + 1):
+            py = r + 0.5 - y0
+            for c in range(c_from, c_to + 1):
+                px = c + 0.5 - x0
+                b1 = px * b1_x + py * b1_y
+                b2 = px * b2_x + py * b2_y
+                b0 = 1.0 - b1 - b2
+                if b0 >= ON_EDGE and b1 >= ON_EDGE and b2 >= ON_EDGE:
+                    depth = b0 * z0 + b1 * z1 + b2 * z2
+                    if depth > nearest[r - top, c - left]:
+                        nearest[r - top, c - left] = depth
+                        code[r - top, c - left] = f
+
+
+@njit(**INLINE)
+def corner_of(faces, f, vertex):
+    """Which corner (0, 1, 2) of face f the vertex is."""
+    if faces[f, 0] == vertex:
+        return 0
+    return 1 if faces[f, 1] == vertex else 2
+
+
+@njit(**INLINE)
+def face_point(px, py, projected, i, j, k):
+    """Barycentric coordinates of a pixel position in face (i, j, k) on the screen, and the slopes of the last two."""
+    x0, y0 = projected[i, 0], projected[i, 1]
+    ax, ay = projected[j, 0] - x0, projected[j, 1] - y0
+    bx, by = projected[k, 0] - x0, projected[k, 1] - y0
+    inverse = 1.0 / (ax * by - bx * ay)
+    b1_x, b1_y, b2_x, b2_y = by * inverse, -bx * inverse, -ay * inverse, ax * inverse
+    b1 = (px - x0) * b1_x + (py - y0) * b1_y
+    b2 = (px - x0) * b2_x + (py - y0) * b2_y
+    return 1.0 - b1 - b2, b1, b2, b1_x, b1_y, b2_x, b2_y
+
+
+@njit(**INLINE)
+def uv_of_face(px, py, projected, faces, uv, uv_faces, f):
+    """Texture coordinates seen at a pixel position of face f: perspective-correct."""
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    b0, b1, b2, _, _, _, _ = face_point(px, py, projected, i, j, k)
+    w0, w1, w2 = b0 * projected[i, 2], b1 * projected[j, 2], b2 * projected[k, 2]
+    scale = 1.0 / (w0 + w1 + w2)
+    a, b, c = uv_faces[f, 0], uv_faces[f, 1], uv_faces[f, 2]
+    return (
+        (w0 * uv[a, 0] + w1 * uv[b, 0] + w2 * uv[c, 0]) * scale,
+        (w0 * uv[a, 1] + w1 * uv[b, 1] + w2 * uv[c, 1]) * scale,
+    )
+
+
+@njit(**INLINE)
+def uv_of_edge(px, py, projected, faces, uv, uv_faces, edge):
+    """Texture coordinates at the point of an outline edge (from, to, front face) closest to a pixel position."""
+    start, end, f = edge[0], edge[1], edge[2]
+    x0, y0 = projected[start, 0], projected[start, 1]
+    t = closest_parameter(px, py, x0, y0, projected[end, 0] - x0, projected[end, 1] - y0)
+    i, j = uv_faces[f, corner_of(faces, f, start)], uv_faces[f, corner_of(faces, f, end)]
+    w0, w1 = (1.0 - t) * projected[start, 2], t * projected[end, 2]
+    scale = 1.0 / (w0 + w1)
+    return (w0 * uv[i, 0] + w1 * uv[j, 0]) * scale, (w0 * uv[i, 1] + w1 * uv[j, 1]) * scale
+
+
+@njit(**INLINE)
+def texel_cell(coordinate, size):
+    """First texel, share of the next one, and whether the coordinate lies between texel centres (not clamped)."""
+    position = coordinate * size - 0.5
+    inside = 0.0 < position < size - 1.0
+    position = min(max(position, 0.0), size - 1.0)
+    texel = min(np.uint32(position), np.uint32(max(size, 2) - 2))
+    return texel, position - texel, inside
+
+
+@njit(**LOOP)
+def shade(pixels, codes, windings, n, width, outline, projected, faces, uv, uv_faces, texture, colours):
+    """Fill `colours` (n, 4): coverage times the texture (bilinear, clamped at its border), whose 4th channel is 1."""
+    size = texture.shape[0]
+    step = min(size - 1, 1)
+    row = 0
+    for m in range(n):
+        while pixels[m] >= (row + 1) * width:
+            row += 1
+        code = codes[m]
+        px, py = pixels[m] - row * width + 0.5, row + 0.5
+        alpha = min(np.float64(windings[m]), 1.0)
+        if code >= 0:
+            u, v = uv_of_face(px, py, projected, faces, uv, uv_faces, np.uint32(code))
+        elif code != NOTHING:
+            u, v = uv_of_edge(px, py, projected, faces, uv, uv_faces, outline[np.uint32(~code)])
+        else:
+            colours[m, 0], colours[m, 1], colours[m, 2], colours[m, 3] = 0.0, 0.0, 0.0, alpha
+            continue
+        c, fc, _ = texel_cell(u, size)
+        r, fr, _ = texel_cell(v, size)
+        c1, r1 = c + step, r + step
+        w10, w11 = texture.dtype.type(fr * (1.0 - fc) * alpha), texture.dtype.type(fr * fc * alpha)
+        w00, w01 = texture.dtype.type((1.0 - fr) * (1.0 - fc) * alpha), texture.dtype.type((1.0 - fr) * fc * alpha)
+        for q in range(4):
+            colours[m, q] = (
+                w00 * texture[r, c, q] + w01 * texture[r, c1, q] + w10 * texture[r1, c, q] + w11 * texture[r1, c1, q]
+            )
+
+
+@njit(**INLINE)
+def dot4(g, texture, r, c):
+    """Inner product of four channels with a texel."""
+    return g[0] * texture[r, c, 0] + g[1] * texture[r, c, 1] + g[2] * texture[r, c, 2] + g[3] * texture[r, c, 3]
+
+
+@njit(**INLINE)
+def add4(weight, g, texture, r, c):
+    """Add four weighted channels to a texel."""
+    texture[r, c, 0] += weight * g[0]
+    texture[r, c, 1] += weight * g[1]
+    texture[r, c, 2] += weight * g[2]
+    texture[r, c, 3] += weight * g[3]
+
+
+@njit(**INLINE)
+def sample_gradient(u, v, texture, alpha, g, texture_gradient):
+    """alpha * (g . texture(u, v)) differentiated by alpha, u and v; adds the texture's own gradient.
+
+    An empty `texture_gradient` leaves that one out.
+    """
+    size = texture.shape[0]
+    step = min(size - 1, 1)
+    c, fc, c_inside = texel_cell(u, size)
+    r, fr, r_inside = texel_cell(v, size)
+    c1, r1 = c + step, r + step
+    t00 = dot4(g, texture, r, c)
+    t01 = dot4(g, texture, r, c1)
+    t10 = dot4(g, texture, r1, c)
+    t11 = dot4(g, texture, r1, c1)
+    if texture_gradient.shape[0] > 0:
+        w10, w11 = texture.dtype.type(fr * (1.0 - fc) * alpha), texture.dtype.type(fr * fc * alpha)
+        w00, w01 = texture.dtype.type((1.0 - fr) * (1.0 - fc) * alpha), texture.dtype.type((1.0 - fr) * fc * alpha)
+        add4(w00, g, texture_gradient, r, c)
+        add4(w01, g, texture_gradient, r, c1)
+        add4(w10, g, texture_gradient, r1, c)
+        add4(w11, g, texture_gradient, r1, c1)
+    above, below = t00 + fc * (t01 - t00), t10 + fc * (t11 - t10)
+    slope_u = alpha * size * ((1.0 - fr) * (t01 - t00) + fr * (t11 - t10)) if c_inside else 0.0
+    slope_v = alpha * size * (below - above) if r_inside else 0.0
+    return above + fr * (below - above), slope_u, slope_v
+
+
+@njit(**INLINE)
+def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, texture_gradient, gradient):
+    """Way back of one pixel that shows face f: returns the pull on alpha, adds those on the corners.
+
+    A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of
+    its 1/z by e shifts u by b (u_corner - u) e / (sum b / z).
+    """
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    b0, b1, b2, b1_x, b1_y, b2_x, b2_y = face_point(px, py, projected, i, j, k)
+    z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
+    a, b, c = uv_faces[f, 0], uv_faces[f, 1], uv_faces[f, 2]
+    u0, v0, u1, v1, u2, v2 = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
+    w0, w1, w2 = b0 * z0, b1 * z1, b2 * z2
+    scale = 1.0 / (w0 + w1 + w2)
+    u, v = (w0 * u0 + w1 * u1 + w2 * u2) * scale, (w0 * v0 + w1 * v1 + w2 * v2) * scale
+    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, g, texture_gradient)
+    if gradient.shape[0] == 0:
+        return of_alpha
+    slope_u, slope_v = slope_u * scale, slope_v * scale
+    d0 = slope_u * (u0 - u) + slope_v * (v0 - v)
+    d1 = slope_u * (u1 - u) + slope_v * (v1 - v)
+    d2 = slope_u * (u2 - u) + slope_v * (v2 - v)
+    at_0, at_1, at_2 = d0 * z0, d1 * z1, d2 * z2
+    slope_x = (at_1 - at_0) * b1_x + (at_2 - at_0) * b2_x
+    slope_y = (at_1 - at_0) * b1_y + (at_2 - at_0) * b2_y
+    gradient[i, 0] -= b0 * slope_x
+    gradient[i, 1] -= b0 * slope_y
+    gradient[i, 2] += b0 * d0
+    gradient[j, 0] -= b1 * slope_x
+    gradient[j, 1] -= b1 * slope_y
+    gradient[j, 2] += b1 * d1
+    gradient[k, 0] -= b2 * slope_x
+    gradient[k, 1] -= b2 * slope_y
+    gradient[k, 2] += b2 * d2
+    return of_alpha
+
+
+@njit(**INLINE)
+def edge_gradient(px, py, projected, faces, uv, uv_faces, edge, texture, alpha, g, texture_gradient, gradient):
+    """Way back of one rim pixel: returns the pull on alpha, adds those on the two ends of its outline edge."""
+    start, end, f = edge[0], edge[1], edge[2]
+    x0, y0 = projected[start, 0], projected[start, 1]
+    dx, dy = projected[end, 0] - x0, projected[end, 1] - y0
+    t = closest_parameter(px, py, x0, y0, dx, dy)
+    i, j = uv_faces[f, corner_of(faces, f, start)], uv_faces[f, corner_of(faces, f, end)]
+    z0, z1 = projected[start, 2], projected[end, 2]
+    scale = 1.0 / ((1.0 - t) * z0 + t * z1)
+    share = t * z1 * scale
+    u = uv[i, 0] + share * (uv[j, 0] - uv[i, 0])
+    v = uv[i, 1] + share * (uv[j, 1] - uv[i, 1])
+    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, g, texture_gradient)
+    if gradient.shape[0] == 0:
+        return of_alpha
+    # d share / dt = z0 z1 scale^2
+    difference = (slope_u * (uv[j, 0] - uv[i, 0]) + slope_v * (uv[j, 1] - uv[i, 1])) * scale * scale
+    gradient[start, 2] -= (1.0 - t) * t * z1 * difference
+    gradient[end, 2] += (1.0 - t) * t * z0 * difference
+    if 0.0 < t < 1.0:
+        pull = z0 * z1 * difference / (dx * dx + dy * dy)
+        # t = (p - p0).d / d.d: its derivatives by p0 and p1 at fixed p.
+        rx, ry = px - x0, py - y0
+        gradient[start, 0] += pull * (2.0 * t * dx - dx - rx)
+        gradient[start, 1] += pull * (2.0 * t * dy - dy - ry)
+        gradient[end, 0] += pull * (rx - 2.0 * t * dx)
+        gradient[end, 1] += pull * (ry - 2.0 * t * dy)
+    return of_alpha

@@ -1,0 +1,69 @@
+"""TOML into frozen records, with errors that name the entry and the fix."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from hfb.errors import InputError
+
+RecordT = TypeVar("RecordT", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        InputError: the file is missing or no TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a TOML file: it is not text in UTF-8") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not valid TOML: {error}") from error
+
+
+def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> RecordT:
+    """Validate plain content; ``source`` says in the message where it came from.
+
+    Raises:
+        InputError: an entry is unknown or impossible; the sentence names the first one.
+    """
+    try:
+        return record.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{source}: {_sentence(error.errors()[0], record)}") from error
+
+
+def _sentence(error: ErrorDetails, record: type[BaseModel]) -> str:
+    name = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        known = _names(record)
+        close = difflib.get_close_matches(name, known, n=1) or [k for k in known if k.endswith("." + name)][:1]
+        return f"unknown option {name}" + (f"; did you mean {close[0]}?" if close else "")
+    reason = error["msg"].removeprefix("Value error, ")
+    if not name:
+        return reason
+    given = error["input"]
+    return f"{name}: {reason}" + ("" if isinstance(given, dict) else f" (given: {given!r})")
+
+
+def _names(record: type[BaseModel], prefix: str = "") -> list[str]:
+    names = []
+    for name, field in record.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            names += _names(inner, f"{prefix}{name}.")
+        else:
+            names.append(prefix + name)
+    return names

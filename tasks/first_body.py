@@ -1,0 +1,38 @@
+"""The static body that the fit of a frame starts from."""
+
+from pathlib import Path
+
+from hfb.config import InitConfig
+from hfb.export.motion_file import write_arrays
+from hfb.initialize.initializer import make_initializer
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
+from tasks.scene import first_body_arrays, load_chosen_body, load_first_body, load_observation
+from tasks.task import task
+
+
+@task("first body")
+def first_body(
+    clip: ClipHandle,
+    index: int,
+    mattes: tuple[FileHandle, ...],
+    body: FileHandle | None,
+    config: InitConfig,
+    folder: Path,
+) -> FirstBodyHandle:
+    """Estimate the body of one frame.
+
+    Raises:
+        InputError: no person was found.
+    """
+    seen = load_observation(clip, mattes)
+    found = make_initializer(config)(
+        seen.frames_linear[index], seen.plate_linear, seen.mattes[index], seen.camera, load_chosen_body(body)
+    )
+    path = folder / f"first_body_{index}.npz"
+    write_arrays(path, first_body_arrays(found))
+    return FirstBodyHandle.of(path, source=found.source)
+
+
+def given_body(file: FileHandle) -> FirstBodyHandle:
+    """A first body that the caller brought."""
+    return FirstBodyHandle(**file.model_dump(), source=load_first_body(file).source)

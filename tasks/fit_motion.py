@@ -1,0 +1,54 @@
+"""The fit: from a static body per frame to the motion during each exposure."""
+
+import json
+from pathlib import Path
+
+from hfb.config import FitConfig
+from hfb.export.motion_file import save_motion, write_arrays
+from hfb.fit.loop import fit
+from hfb.media.atomic import write_bytes_atomic
+from hfb.media.pictures import write_png
+from hfb.priors.load import load_pose_prior
+from tasks import progress
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle
+from tasks.scene import load_chosen_body, load_first_body, load_observation
+from tasks.task import task
+
+
+@task("fit")
+def fit_motion(
+    clip: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    first_bodies: tuple[FirstBodyHandle, ...],
+    body: FileHandle | None,
+    pose_prior: FileHandle | None,
+    config: FitConfig,
+    seed: int,
+    folder: Path,
+) -> FitHandle:
+    """Minimise eq. (11); leaves the motion, the texture and every term's history."""
+    observation, model = load_observation(clip, mattes), load_chosen_body(body)
+    result = fit(
+        observation,
+        [load_first_body(first) for first in first_bodies],
+        model,
+        config,
+        seed,
+        load_pose_prior(pose_prior.path if pose_prior else None),
+        on_progress=lambda done, total, loss: progress.advance(done, total, f"loss {loss:.4f}"),
+    )
+    paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
+    save_motion(paths[0], result.motion, model.betas_space)
+    write_arrays(paths[1], {"texture": result.texture.numpy()})
+    write_png(paths[2], observation.to_srgb(result.texture).numpy())
+    write_bytes_atomic(paths[3], json.dumps(result.history).encode())
+    motion, texture, texture_picture, history = (FileHandle.of(path) for path in paths)
+    return FitHandle(
+        motion=motion,
+        texture=texture,
+        texture_picture=texture_picture,
+        history=history,
+        seconds=result.seconds,
+        best_iteration=result.best_iteration,
+        loss=result.history["total"][result.best_iteration],
+    )

@@ -1,0 +1,23 @@
+"""The person's share of each pixel."""
+
+from pathlib import Path
+
+from hfb.config import MattingConfig
+from hfb.matting.matting import make_matting
+from hfb.media.pictures import write_matte
+from tasks.handles import ClipHandle, FileHandle
+from tasks.scene import load_picture
+from tasks.task import task
+
+
+@task("matte")
+def matte(clip: ClipHandle, index: int, config: MattingConfig, folder: Path) -> FileHandle:
+    """The matte of one frame, as a 16-bit picture.
+
+    Raises:
+        InputError: nothing differs from the background.
+    """
+    alpha = make_matting(config)(load_picture(clip.frames[index], clip), load_picture(clip.background, clip))
+    path = folder / f"matte_{index}.png"
+    write_matte(path, alpha)
+    return FileHandle.of(path)

@@ -1,0 +1,66 @@
+"""The user's pictures: are they pictures, do they fit together, and how were they taken."""
+
+import math
+from pathlib import Path
+
+from hfb.clip import Clip
+from hfb.config import CameraConfig, ExposureConfig
+from hfb.errors import InputError
+from hfb.media.pictures import read_picture_srgb
+from tasks.handles import ClipHandle, FileHandle
+from tasks.task import task
+
+_DEFAULT_FPS = 30.0
+
+
+@task("pictures")
+def prepare(
+    frames: tuple[FileHandle, ...], background: FileHandle, clip: Clip, camera: CameraConfig, exposure: ExposureConfig
+) -> ClipHandle:
+    """Check frames and plate against each other, and settle camera and clock.
+
+    What an option says wins over clip.toml, which wins over a guess.
+
+    Raises:
+        InputError: a file is no picture, or its size is not the plate's.
+    """
+    height, width = _size(background.path)
+    for frame in frames:
+        if _size(frame.path) != (height, width):
+            other = " x ".join(map(str, _size(frame.path)[::-1]))
+            raise InputError(
+                f"{frame.path} is {other} px and the background {background.path} {width} x {height} px: "
+                "give a background of the same camera at the same size"
+            )
+    interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
+    exposure_s = exposure.seconds or clip.exposure.exposure_s(interval_s) or interval_s
+    if len(frames) > 1 and exposure_s > interval_s * 1.001:
+        raise InputError(
+            f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "
+            "give the true fps or exposure time"
+        )
+    return ClipHandle(
+        frames=frames,
+        background=background,
+        height=height,
+        width=width,
+        K=_calibration(camera, clip, height, width),
+        exposure_s=exposure_s,
+        interval_s=interval_s,
+        transfer=clip.transfer,
+        light=exposure.light,
+    )
+
+
+def _size(picture: Path) -> tuple[int, int]:
+    height, width = read_picture_srgb(picture).shape[:2]
+    return height, width
+
+
+def _calibration(
+    camera: CameraConfig, clip: Clip, height: int, width: int
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    if camera.focal_px is None and clip.camera.K is not None:
+        return clip.camera.K
+    focal_px = camera.focal_px or clip.camera.focal_px or math.hypot(height, width)
+    return (focal_px, 0.0, width / 2), (0.0, focal_px, height / 2), (0.0, 0.0, 1.0)

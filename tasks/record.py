@@ -1,0 +1,51 @@
+"""The run in MLflow: what went in, how it went, what came out."""
+
+import json
+from typing import Any
+
+from hfb.config import Record, RunConfig
+from tasks import tracking
+from tasks.handles import FileHandle, FitHandle, ScoresHandle, digest
+from tasks.inputs import Inputs, input_hashes
+from tasks.task import code_version, task
+
+
+class RunHandle(Record):
+    """A recorded run."""
+
+    run_id: str
+    link: str
+
+
+@task("record in MLflow", cached=False)
+def record(
+    inputs: Inputs,
+    config: RunConfig,
+    mattes: tuple[FileHandle, ...],
+    fit: FitHandle,
+    scores: ScoresHandle,
+    strip: FileHandle,
+    result: dict[str, Any],
+) -> RunHandle:
+    """Find or create the run of these inputs, options and code, and log everything into it.
+
+    Raises:
+        tracking.StoreLost: the store cannot be reached; the result itself does not depend on it.
+    """
+    params = {
+        **config.model_dump(mode="json"),
+        "input": input_hashes(inputs),
+        "clip": inputs.clip.model_dump(mode="json"),
+    }
+    key = digest([params, code_version()])
+    histories = {f"loss/{term}": values for term, values in json.loads(fit.history.path.read_text()).items()}
+    final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
+    timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}
+    tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset}
+    with tracking.recorded_run(inputs.frames[0].path.stem, key, params, tags) as run:
+        tracking.log_histories(run, histories | final | timing)
+        pictures = {matte.path: "intermediate" for matte in mattes}
+        tracking.log_files(run, {strip.path: None, fit.motion.path: None, fit.texture_picture.path: None} | pictures)
+        tracking.log_dict(run, result, "result.json")
+        tracking.log_dict(run, config.model_dump(mode="json"), "config.json")
+        return RunHandle(run_id=run.run_id, link=tracking.link(run))

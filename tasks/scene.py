@@ -1,0 +1,68 @@
+"""From handles to what the method works on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hfb.body.assets import load_body
+from hfb.body.model import Body
+from hfb.initialize.first_body import FirstBody
+from hfb.media.pictures import read_matte, read_picture_srgb
+from hfb.observation import Observation
+from hfb.photometry import linear_to_srgb, srgb_to_linear
+from hfb.render.camera import PinholeCamera
+from tasks.handles import ClipHandle, FileHandle
+
+
+def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
+    """A picture (H, W, 3) in the light in which the clip's blur is an average."""
+    stored = torch.from_numpy(read_picture_srgb(picture.path))
+    if clip.transfer == clip.light:
+        return stored
+    return srgb_to_linear(stored) if clip.light == "linear" else linear_to_srgb(stored)
+
+
+def load_camera(clip: ClipHandle) -> PinholeCamera:
+    return PinholeCamera.from_matrix(torch.tensor(clip.K, dtype=torch.float64), clip.height, clip.width)
+
+
+def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observation:
+    """The whole clip with its mattes."""
+    return Observation(
+        frames_linear=torch.stack([load_picture(frame, clip) for frame in clip.frames]),
+        plate_linear=load_picture(clip.background, clip),
+        mattes=torch.from_numpy(np.stack([read_matte(matte.path) for matte in mattes])),
+        camera=load_camera(clip),
+        exposure_s=clip.exposure_s,
+        interval_s=clip.interval_s,
+        light=clip.light,
+    )
+
+
+def load_chosen_body(body: FileHandle | None) -> Body:
+    """The user's body model, or the embedded one."""
+    return load_body(body.path if body else None)
+
+
+def load_texture(texture: FileHandle) -> Tensor:
+    """The fitted texture (A, A, 3), in the clip's light."""
+    with np.load(texture.path, allow_pickle=False) as file:
+        return torch.from_numpy(file["texture"])
+
+
+def first_body_arrays(first: FirstBody) -> dict[str, np.ndarray]:
+    """The members of a first-body file."""
+    return {
+        "pose": first.pose.double().numpy(),
+        "translation": first.translation.double().numpy(),
+        "betas": first.betas.double().numpy(),
+        "source": np.array(first.source),
+    }
+
+
+def load_first_body(first: FileHandle) -> FirstBody:
+    with np.load(first.path, allow_pickle=False) as file:
+        numbers = {name: torch.from_numpy(file[name]).float() for name in ("pose", "translation", "betas")}
+        return FirstBody(**numbers, source=str(file["source"]))

@@ -1,0 +1,109 @@
+"""The project's own ``@task``: Prefect's, with a cache key that means something and a result that is checked.
+
+The key is task name + digests of the inputs + the options that the task takes + the version of the code.
+Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it, ``TASK_SOURCE`` does
+not see an edit in a called library. A task therefore takes handles and the records of options that matter to
+it, never the whole configuration; the folder it writes to does not count.
+
+Results are kept as JSON, since a handle is a few lines. A cache hit alone does not notice that the file behind
+a handle is gone or damaged, so every result's files are verified, and a stale one is made again.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, ParamSpec, Protocol, TypeVar, cast
+
+import prefect
+from prefect.cache_policies import NO_CACHE
+from prefect.context import TaskRunContext
+
+import hfb
+import tasks
+from tasks import progress
+from tasks.handles import StaleFile, digest, files_in
+
+_log = logging.getLogger(__name__)
+P = ParamSpec("P")
+R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+
+
+class Step(Protocol[P, R_co]):
+    """A task of this project; ``fn`` is the bare function, which needs no server."""
+
+    fn: Callable[P, R_co]
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co: ...
+
+
+def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, R]]:
+    """Make a function of handles and options a task.
+
+    Args:
+        label: what a person reads while it runs.
+        cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
+    """
+
+    def decorate(function: Callable[P, R]) -> Step[P, R]:
+        step: Any = prefect.task(
+            function,
+            name=function.__name__,
+            persist_result=cached,
+            result_serializer="json",
+            **({"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}),
+        )
+
+        @functools.wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            with progress.step(label) as shown:
+                state = step(*args, **kwargs, return_state=True)
+                result = state.result()
+                shown.reused = state.name == "Cached"
+                try:
+                    _verify(result)
+                except StaleFile as stale:
+                    _log.warning("%s: made again, since %s", label, stale)
+                    shown.reused = False
+                    result = step.with_options(refresh_cache=True)(*args, **kwargs)
+                    _verify(result)
+                return cast(R, result)
+
+        call.fn = function  # type: ignore[attr-defined]
+        return cast(Step[P, R], call)
+
+    return decorate
+
+
+def cache_key(name: str, parameters: dict[str, Any]) -> str:
+    """Task name, and a hash of everything that can change its result."""
+    inputs = {key: digest(value) for key, value in sorted(parameters.items()) if not isinstance(value, Path)}
+    return f"hfb-{name}-{digest([name, inputs, code_version()])[:40]}"
+
+
+@functools.cache
+def code_version() -> str:
+    """The version, a hash of every source and data file of the method and the tasks, and what they compute with."""
+    content = hashlib.sha256()
+    for package in (hfb, tasks):
+        root = Path(cast(str, package.__file__)).parent
+        for path in sorted(root.rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts:
+                content.update(str(path.relative_to(root)).encode() + b"\0")
+                content.update(hashlib.sha256(path.read_bytes()).digest())
+    libraries = ",".join(f"{name}={version(name)}" for name in ("numpy", "numba", "torch"))
+    return f"{hfb.__version__}+{content.hexdigest()[:16]};{libraries}"
+
+
+def _cache_key(context: TaskRunContext, parameters: dict[str, Any]) -> str:
+    return cache_key(context.task.name, parameters)
+
+
+def _verify(result: object) -> None:
+    for file in files_in(result):
+        file.verify()

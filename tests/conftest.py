@@ -1,0 +1,19 @@
+"""Shapes in the types are enforced under test: every hfb module but the compiled kernels is checked at run time."""
+
+import os
+import pkgutil
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import hfb  # noqa: E402  (after the thread count, which torch reads once)
+from jaxtyping import install_import_hook  # noqa: E402
+
+import tests.typechecking  # noqa: E402, F401  (the hook finds the checker as an attribute of `tests`)
+
+_LEAVES = [
+    module.name
+    for module in pkgutil.walk_packages([str(Path(hfb.__file__).parent)], "hfb.")
+    if not module.ispkg and "kernels" not in module.name
+]
+install_import_hook(_LEAVES, "tests.typechecking.checked")
