@@ -69,8 +69,7 @@ def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
 
 def _shown(default: Any) -> str:
     if isinstance(default, tuple):
-        stages = [{key: value for key, value in one.model_dump(exclude_defaults=True).items()} for one in default]
-        return json.dumps(stages).replace("%", "%%")
+        return json.dumps([one.model_dump(exclude_defaults=True) for one in default]).replace("%", "%%")
     return str(default)
 
 

@@ -110,7 +110,7 @@ def _end_with_this_process(server_pid: int) -> None:
 
     The watcher reads a pipe that only this process holds open; the read ends when the process does.
     """
-    reading, writing = os.pipe()
+    reading, _stays_open = os.pipe()
     subprocess.Popen(
         ["/bin/sh", "-c", f"read -r _; kill {server_pid} 2>/dev/null"],
         stdin=reading,

@@ -1,7 +1,7 @@
 """A run's folder: one worker at a time, results that appear together or not at all, nothing left after an error.
 
-    OUT/motion.npz strip.png texture.png matte_0.png ... result.json    the latest finished result
-    OUT/intermediate/                                                   what tasks leave for each other
+OUT/motion.npz strip.png texture.png matte_0.png ... result.json    the latest finished result
+OUT/intermediate/                                                   what tasks leave for each other
 """
 
 from __future__ import annotations
@@ -76,5 +76,5 @@ def publish(out: Path, files: Mapping[str, Path], result: Mapping[str, Any]) -> 
     for stale in out.glob("matte_*.png"):  # an earlier result may have had more frames
         stale.unlink()
     for name in (*files, "result.json"):
-        os.replace(staging / name, out / name)
+        (staging / name).replace(out / name)
     staging.rmdir()

@@ -17,7 +17,8 @@ def matte(clip: ClipHandle, index: int, config: MattingConfig, folder: Path) -> 
     Raises:
         InputError: nothing differs from the background.
     """
-    alpha = make_matting(config)(load_picture(clip.frames[index], clip), load_picture(clip.background, clip))
+    frame, plate = load_picture(clip.frames[index], clip), load_picture(clip.background, clip)
+    alpha = make_matting(config)(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
     write_matte(path, alpha)
     return FileHandle.of(path)

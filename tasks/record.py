@@ -44,8 +44,8 @@ def record(
     tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset}
     with tracking.recorded_run(inputs.frames[0].path.stem, key, params, tags) as run:
         tracking.log_histories(run, histories | final | timing)
-        pictures = {matte.path: "intermediate" for matte in mattes}
-        tracking.log_files(run, {strip.path: None, fit.motion.path: None, fit.texture_picture.path: None} | pictures)
+        tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path])
+        tracking.log_files(run, [matte.path for matte in mattes], folder="mattes")
         tracking.log_dict(run, result, "result.json")
         tracking.log_dict(run, config.model_dump(mode="json"), "config.json")
         return RunHandle(run_id=run.run_id, link=tracking.link(run))

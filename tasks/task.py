@@ -31,15 +31,14 @@ from tasks.handles import StaleFile, digest, files_in
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
-R_co = TypeVar("R_co", covariant=True)
 
 
-class Step(Protocol[P, R_co]):
+class Step(Protocol[P, R]):
     """A task of this project; ``fn`` is the bare function, which needs no server."""
 
-    fn: Callable[P, R_co]
+    fn: Callable[P, R]
 
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co: ...
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R: ...
 
 
 def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, R]]:
@@ -51,13 +50,8 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
     """
 
     def decorate(function: Callable[P, R]) -> Step[P, R]:
-        step: Any = prefect.task(
-            function,
-            name=function.__name__,
-            persist_result=cached,
-            result_serializer="json",
-            **({"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}),
-        )
+        caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
+        step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(function)
 
         @functools.wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -136,10 +136,10 @@ def log_histories(run: Run, histories: Mapping[str, Sequence[float]]) -> None:
         client.log_batch(run.run_id, metrics=metrics[start : start + _METRICS_PER_BATCH], synchronous=True)
 
 
-def log_files(run: Run, files: Mapping[Path, str | None]) -> None:
-    """Artifacts: each file, and the folder of the run it belongs into."""
+def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> None:
+    """Files as artifacts, in a folder of the run."""
     client = _client(run.uri)
-    for path, folder in files.items():
+    for path in files:
         client.log_artifact(run.run_id, str(path), artifact_path=folder)
 
 

@@ -10,7 +10,7 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 _KNOWN = [(0.0, 0.0), (0.02, 0.02 / 12.92), (0.04045, 0.04045 / 12.92), (0.5, (0.555 / 1.055) ** 2.4), (1.0, 1.0)]
 
 
-@pytest.mark.parametrize("encoded, linear", _KNOWN)
+@pytest.mark.parametrize(("encoded", "linear"), _KNOWN)
 def test_the_standards_values(encoded, linear):
     assert srgb_to_linear(np.array([encoded]))[0] == pytest.approx(linear, abs=1e-12)
     assert srgb_to_linear(torch.tensor([encoded], dtype=torch.float64)).item() == pytest.approx(linear, abs=1e-12)
@@ -37,4 +37,6 @@ def test_gradients_are_finite_and_right_at_and_beyond_both_ends(convert):
     values = torch.tensor([-0.1, 0.0, 1e-9, 0.002, 0.3, 1.0, 1.2], dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(convert, (values,))
     convert(values).sum().backward()
-    assert values.grad is not None and torch.isfinite(values.grad).all() and (values.grad > 0).all()
+    assert values.grad is not None
+    assert torch.isfinite(values.grad).all()
+    assert (values.grad > 0).all()

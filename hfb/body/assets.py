@@ -1,4 +1,4 @@
-"""Body models from files: the embedded default."""
+"""Body models by what the user gave: a SMPL file of theirs, or nothing, which is the embedded body."""
 
 import json
 from functools import lru_cache
@@ -11,6 +11,7 @@ import torch
 from hfb.body.mesh import make_mesh
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT
+from hfb.body.smpl_file import read_smpl
 
 
 @lru_cache(maxsize=1)
@@ -54,5 +55,9 @@ def load_default_body(dtype: torch.dtype = torch.float32) -> Body:
 
 
 def load_body(path: Path | None, dtype: torch.dtype = torch.float32) -> Body:
-    """The user's SMPL file, or the embedded body for None."""
-    return load_default_body(dtype)
+    """The user's SMPL file (.npz, or .pkl whose code is not run), or the embedded body for None.
+
+    Raises:
+        InputError: the file is missing, damaged, or not SMPL; the text names the fix.
+    """
+    return load_default_body(dtype) if path is None else read_smpl(path).to(dtype)

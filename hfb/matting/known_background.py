@@ -28,6 +28,7 @@ _MOST_PRECISE = 4000.0
 _COLOUR_SPREAD = 0.25  # body colours vary by this share around their smooth mean
 _DARK_SPREAD = 0.02  # and by this much light however dark they are
 _WINDOW_RADIUS_PX = 4
+_LEAST_TEXTURE = 27.0  # summed variance of the plate in a window, in units of the noise
 _SMALLEST_COLOUR_PATCH_PX = 8
 
 
@@ -44,6 +45,7 @@ class Evidence:
     texture_alpha: Float[Array, "H W"]
     texture_precision: Float[Array, "H W"]
     shadow_misfit: Float[Array, "H W"]  # squared distance to the nearest darkened plate colour
+    shadow_depth: Float[Array, "H W"]  # |1 - k| of that colour
 
 
 def gather_evidence(
@@ -67,8 +69,8 @@ def gather_evidence(
         away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
         empty = away if away.mean() > 0.05 else empty
     alpha, precision = texture_evidence(frame_linear, plate_linear, noise)
-    misfit = shadow_misfit(frame_linear, plate_linear, noise)
-    return Evidence(frame_linear, plate_linear, noise, difference, change, body, alpha, precision, misfit)
+    misfit, depth = shadow_evidence(frame_linear, plate_linear, noise)
+    return Evidence(frame_linear, plate_linear, noise, difference, change, body, alpha, precision, misfit, depth)
 
 
 def main_change(change: Float[Array, "H W"], threshold: float = 6.0) -> Bool[Array, "H W"]:
@@ -117,17 +119,18 @@ def texture_evidence(
     # Noise in the plate itself flattens the slope; texture hardly above it says nothing.
     slope = covariance / np.maximum(variance_b - 3, 0.3 * variance_b)
     misfit = np.maximum(variance_i - slope * covariance, 0) / 3
-    precision = 0.1 * side**2 * np.maximum(variance_b - 9, 0) / (1 + misfit)
+    precision = 0.1 * side**2 * np.maximum(variance_b - _LEAST_TEXTURE, 0) / (1 + misfit)
     return np.clip(1 - slope, 0, 1).astype(np.float32), np.minimum(precision, _MOST_PRECISE).astype(np.float32)
 
 
-def shadow_misfit(
+def shadow_evidence(
     frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
-) -> Float[Array, "H W"]:
-    """How badly `k B` with 0.45 <= k <= 1.1 explains the pixel, in squared noise units."""
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    """How badly `k B` with 0.45 <= k <= 1.1 explains the pixel (squared, in noise), and how far that k is from 1."""
     i, b = frame / noise, plate / noise
     share = np.clip((i * b).sum(-1) / np.maximum((b * b).sum(-1), 1e-6), 0.45, 1.1)
-    return cv2.GaussianBlur(((i - share[..., None] * b) ** 2).sum(-1), (0, 0), 1.0)
+    misfit = cv2.GaussianBlur(((i - share[..., None] * b) ** 2).sum(-1), (0, 0), 1.0)
+    return misfit, np.abs(cv2.GaussianBlur(share, (0, 0), 1.0) - 1)
 
 
 def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
@@ -137,24 +140,62 @@ def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
     outside = _far_from(evidence.body)
     presence = np.clip(evidence.change / 16, 0, 1) * np.clip(inside / 6, 0, 1)
     not_shadow = np.clip(evidence.shadow_misfit / 30, 0.05, 1)
-    weights = np.clip(inside / 10, 0, 1) ** 3 * presence * not_shadow + 1e-7
+    # A faint even darkening or brightening is the person's light and shade in the room.
+    faint = np.exp(-evidence.shadow_misfit / 12) * np.clip((0.2 - evidence.shadow_depth) / 0.08, 0, 1)
+    texture = evidence.texture_precision * (1 - faint) * (evidence.change > 4)
+    size = np.sqrt((evidence.difference**2).sum(-1)) + 1e-3
+    brighter = (1 / (1 + np.exp(-4 * evidence.difference.sum(-1) / size))).astype(np.float32)
+    weights = (np.clip(inside / 10, 0, 1) ** 3 * presence * not_shadow + 1e-7).astype(np.float32)
     alpha = np.zeros_like(weights)
     for _ in range(_ROUNDS):
-        colours = spread_colours(evidence.frame, weights.astype(np.float32), _SMALLEST_COLOUR_PATCH_PX)
-        share, value, precision, shadow = colour_evidence(evidence, colours, alpha)
-        texture = evidence.texture_precision * (1 - shadow) * (evidence.change > 4)
-        total = precision + texture + outside
-        joint = (value * precision + evidence.texture_alpha * texture) / total
+        value, precision, shadow, opaque = _two_colours(evidence, weights, brighter, alpha)
+        shown = texture * (1 - shadow)
+        total = precision + shown + outside
+        joint = (value * (1 - faint) * precision + evidence.texture_alpha * shown) / total
         alpha = np.clip(smooth_where_unsure(joint.astype(np.float32), total.astype(np.float32), _STIFFNESS), 0, 1)
-        opaque = _opaqueness(evidence, colours, share, alpha, texture)
+        trust = shown / (shown + 100)
+        opaque = np.minimum(opaque, 1.4 * (1 - trust) + trust * (evidence.texture_alpha + 0.1))
         weights = opaque**8 * presence * (1 - shadow) * (0.1 + 0.9 * not_shadow) + 1e-7
+        weights = weights.astype(np.float32)
     return alpha
+
+
+def _two_colours(
+    evidence: Evidence, weights: Float[Array, "H W"], brighter: Float[Array, "H W"], alpha: Float[Array, "H W"]
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
+    """Join two hypotheses per pixel: the body colour seen nearby in front of darker things, and of brighter ones.
+
+    One smooth F would lose a dark shirt beside a bright arm. Where the hypotheses disagree the precision falls,
+    so that a place which only one of them leaves open is left to its surroundings.
+
+    Returns:
+        alpha's value and precision, the shadow's share, and how opaque the pixel looks.
+    """
+    count = np.repeat(brighter[..., None], 3, -1)
+    local_share = spread_colours(count, weights, _SMALLEST_COLOUR_PATCH_PX)[..., 0]
+    energy = (evidence.difference**2).sum(-1)
+    parts = []
+    for member, prior in ((brighter, local_share), (1 - brighter, 1 - local_share)):
+        colours = spread_colours(evidence.frame, weights * member + 1e-9, _SMALLEST_COLOUR_PATCH_PX)
+        share, value, variance, misfit = colour_evidence(evidence, colours, alpha)
+        likelihood = (np.clip(prior, 0, 1) + 0.02) * np.exp(-misfit / (6 + 0.1 * energy))
+        contrast = (((colours - evidence.plate) / evidence.noise) ** 2).sum(-1)
+        trust = contrast / (contrast + 100)
+        opaque = trust * np.clip(share, 0, 1.4) + (1 - trust) * alpha
+        parts.append((likelihood, value, variance, misfit, opaque))
+    first, second = parts
+    r = first[0] / (first[0] + second[0])
+    value, opaque, misfit = (r * first[k] + (1 - r) * second[k] for k in (1, 4, 3))
+    variance = r * (first[2] + (first[1] - value) ** 2) + (1 - r) * (second[2] + (second[1] - value) ** 2)
+    misfit = cv2.GaussianBlur(misfit, (0, 0), 1.0)
+    shadow = 1 / (1 + (evidence.shadow_misfit + 6) ** 2 / (0.25 * misfit + 1e-3) ** 2)
+    return value * (1 - shadow), np.minimum(1 / variance, _MOST_PRECISE), shadow, opaque
 
 
 def colour_evidence(
     evidence: Evidence, colours: Float[Array, "H W 3"], alpha: Float[Array, "H W"]
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
-    """The share <I-B, F-B> / |F-B|^2 unclipped, alpha by it, its precision, and how much of a pixel is a shadow."""
+    """For one body colour F: <I-B, F-B> / |F-B|^2 unclipped, alpha by it, alpha's variance, and what is left over."""
     direction = (colours - evidence.plate) / evidence.noise
     length = np.maximum((direction**2).sum(-1), 1e-6)
     share = (evidence.difference * direction).sum(-1) / length
@@ -165,25 +206,10 @@ def colour_evidence(
     spread = spread / np.maximum(((colours - evidence.plate) ** 2).sum(-1), 1e-6)
     likely = np.maximum(value, alpha)
     variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread
-    misfit = cv2.GaussianBlur(misfit, (0, 0), 1.0)
-    shadow = 1 / (1 + (evidence.shadow_misfit + 6) ** 2 / (0.25 * misfit + 1e-3) ** 2)
-    value = value * (1 - shadow)
-    return share, value, np.minimum(1 / variance, _MOST_PRECISE), shadow
-
-
-def _opaqueness(
-    evidence: Evidence,
-    colours: Float[Array, "H W 3"],
-    share: Float[Array, "H W"],
-    alpha: Float[Array, "H W"],
-    texture: Float[Array, "H W"],
-) -> Float[Array, "H W"]:
-    """Which pixels show the body's own colour: those beyond F as seen from B most of all (the blend is in between)."""
-    contrast = (((colours - evidence.plate) / evidence.noise) ** 2).sum(-1)
-    trust = contrast / (contrast + 100)
-    opaque = trust * np.clip(share, 0, 1.4) + (1 - trust) * alpha
-    trust = texture / (texture + 100)
-    return np.minimum(opaque, 1.4 * (1 - trust) + trust * (evidence.texture_alpha + 0.1))
+    # Where F is B's colour the pixel says nothing: keep what the surroundings said.
+    open_share = 1 / (1 + 0.1 / np.minimum(spread, 10))
+    value = (1 - open_share) * value + open_share * np.maximum(value, alpha)
+    return share, value, np.minimum(variance, 1.0), misfit
 
 
 def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:

@@ -9,7 +9,9 @@ from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import Evidence, gather_evidence, main_change, solve_matte
-from hfb.shapes import Array, Bool, Float
+from hfb.shapes import Array, Bool, Float, Tensor
+
+Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
@@ -20,9 +22,7 @@ _MOST_SHARE = 0.75
 class Matting(Protocol):
     """alpha of eq. (1): what share of the exposure a pixel saw the person."""
 
-    def __call__(
-        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
-    ) -> Float[Array, "H W"]:
+    def __call__(self, frame_linear: Picture, plate_linear: Picture) -> Float[Array, "H W"]:
         """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
         ...
 
@@ -37,13 +37,11 @@ def make_matting(config: MattingConfig) -> Matting:
 class KnownBackground:
     """Colour and texture against the plate (see known_background.py): offline, no network, about a second."""
 
-    def __call__(
-        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
-    ) -> Float[Array, "H W"]:
+    def __call__(self, frame_linear: Picture, plate_linear: Picture) -> Float[Array, "H W"]:
         """Find the person at a small size, solve around them at up to 640 px, put the matte into the whole frame."""
-        frame = np.clip(frame_linear, 0, None).astype(np.float32)
-        check_sizes(frame, plate_linear)
-        small_frame, small_plate = shrink(frame, _DETECTION_PX), shrink(plate_linear, _DETECTION_PX)
+        frame, plate = (np.clip(np.asarray(picture, np.float32), 0, None) for picture in (frame_linear, plate_linear))
+        check_sizes(frame, plate)
+        small_frame, small_plate = shrink(frame, _DETECTION_PX), shrink(plate, _DETECTION_PX)
         gain = exposure_gain(small_frame, small_plate)
         found = gather_evidence(small_frame, np.clip(small_plate * gain, 0, 1))
         _check_presence(found)
@@ -52,7 +50,7 @@ class KnownBackground:
         top, left, bottom, right = _scaled_box(matte_region(found.body.astype(np.float32), margin=0.3), scale, height, width)
         inner = (slice(top, bottom), slice(left, right))
         near_frame = shrink(frame[inner], _SOLUTION_PX)
-        near_plate = np.clip(shrink(plate_linear[inner], _SOLUTION_PX) * gain, 0, 1)
+        near_plate = np.clip(shrink(plate[inner], _SOLUTION_PX) * gain, 0, 1)
         empty = _empty_around(found.body, scale, (height, width), inner, near_frame.shape[:2])
         alpha = clean(solve_matte(gather_evidence(near_frame, near_plate, empty)))
         matte = np.zeros((height, width), np.float32)

@@ -1,14 +1,15 @@
 """A pose prior that needs no file: joint limits from anatomy and a weak pull towards a natural pose.
 
 The limits are the normal ranges of motion of the American Academy of Orthopaedic Surgeons (Joint Motion: Method of
-Measuring and Recording, 1965; Greene & Heckman, The Clinical Measurement of Joint Motion, 1994): shoulder flexion and
-abduction 180, extension 60, internal rotation 70, external 90; elbow 0 to 150; pronation and supination 80; wrist
-80 / 70, radial 20, ulnar 30; hip flexion 120, extension 30, abduction 45, adduction 30, rotation 45; knee 0 to 135 (150
-with heel to thigh); ankle dorsiflexion 20, plantar flexion 50, inversion 35, eversion 15; neck 45 each way, rotation 60;
-back flexion 80, extension 25, bending 35, rotation 45. Where the SMPL layout gives one anatomical joint several rotations
-(spine, neck, forearm), the range is shared out generously; horizontal adduction is 135, a collar goes 40 up, and the
-ankle of a bent leg under load dorsiflexes to 40 (Bennell et al. 1998). An arm overhead turns further out than one at
-the side, as measured from the T-pose. Means and spreads are rounded by hand from everyday and athletic motion capture.
+Measuring and Recording, 1965; Greene & Heckman, The Clinical Measurement of Joint Motion, 1994): shoulder flexion
+and abduction 180, extension 60, internal rotation 70, external 90; elbow 0 to 150; pronation and supination 80;
+wrist 80 / 70, radial 20, ulnar 30; hip flexion 120, extension 30, abduction 45, adduction 30, rotation 45; knee 0 to
+135 (150 with heel to thigh); ankle dorsiflexion 20, plantar flexion 50, inversion 35, eversion 15; neck 45 each way,
+rotation 60; back flexion 80, extension 25, bending 35, rotation 45. Where the SMPL layout gives one anatomical joint
+several rotations (spine, neck, forearm), the range is shared out generously; horizontal adduction is 135, a collar
+goes 40 up, and the ankle of a bent leg under load dorsiflexes to 40 (Bennell et al. 1998). An arm overhead turns
+further out than one at the side, as measured from the T-pose. Means and spreads are rounded by hand from everyday and
+athletic motion capture.
 """
 
 from dataclasses import dataclass
@@ -39,9 +40,9 @@ class _Joint(NamedTuple):
 
 
 # Signs in the rest pose (T-pose), left side: +x bends forward what points up and backward what points down; the thigh
-# flexes about -x, the knee about +x, the toes go down about +x; the arm goes up about +z and forward about -y; the elbow
-# flexes about -y; turning the thumb up (supination, external rotation) is -x; abducting the thigh is +z, turning its foot
-# out +y; turning the sole inwards is -z.
+# flexes about -x, the knee about +x, the toes go down about +x; the arm goes up about +z and forward about -y; the
+# elbow flexes about -y; turning the thumb up (supination, external rotation) is -x; abducting the thigh is +z, turning
+# its foot out +y; turning the sole inwards is -z.
 _JOINTS: dict[str, _Joint] = {
     "spine1": _Joint(1, (-20, 45), (-30, 30), (-25, 25), (6, 0, 0), (14, 8, 7)),
     "spine2": _Joint(1, (-20, 45), (-30, 30), (-25, 25), (2, 0, 0), (12, 8, 7)),

@@ -10,7 +10,7 @@ _POSE_SIZE = 69
 
 
 class GmmPrior:
-    """prior(theta) = min_k 1/2 (theta - mu_k)' inv(Sigma_k) (theta - mu_k) - log w_k + 1/2 log(|Sigma_k| / min_l |Sigma_l|).
+    """prior = min_k 1/2 (theta - mu_k)' inv(Sigma_k) (theta - mu_k) - log w_k + 1/2 log(|Sigma_k| / min |Sigma|).
 
     The sum of a mixture approximated by its largest term, as in SMPLify's eq. (3): cheap, and without exponentials that
     vanish. The constant 69/2 log(2 pi) is left out and the determinants are relative to the smallest, as SMPLify does:

@@ -4,21 +4,19 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 
-from hfb.body.pickles import read_untrusted_pickle
+from hfb.body.pickles import load_pickle, to_array
 from hfb.errors import InputError
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
 from hfb.priors.pose import PosePrior
 from hfb.priors.vposer import VPoserPrior
-from hfb.shapes import Array
+from hfb.shapes import Array, Float
 
 _ACCEPTED = "give SMPLify's gmm_08.pkl or a VPoser v1 or v2 snapshot (.pt, .ckpt, .safetensors or .npz)"
 # What a torch file from before the zip format begins with: a pickled magic number.
@@ -41,17 +39,19 @@ def load_pose_prior(path: Path | None) -> PosePrior:
     contents = _read(path)
     covariances = contents.get("covars", contents.get("covariances"))
     if "means" in contents and "weights" in contents and covariances is not None:
-        parts = (contents["means"], covariances, contents["weights"])
-        return GmmPrior(*(_numbers(part, path) for part in parts), source=str(path))
+        means, weights = _numbers(contents["means"], path), _numbers(contents["weights"], path)
+        return GmmPrior(means, _numbers(covariances, path), weights, str(path))
     state = {name: torch.from_numpy(_numbers(value, path)) for name, value in contents.items()}
     return VPoserPrior.from_state(state, str(path))
 
 
-def _numbers(values: object, path: Path) -> Array:
-    """An array or a tensor as a float64 array."""
+def _numbers(values: object, path: Path) -> Float[Array, "..."]:
+    """An array, a tensor or what stands for an array in a pickle, as float64."""
+    if isinstance(values, torch.Tensor):
+        return values.detach().cpu().double().numpy()
     try:
-        return np.array(values.detach().cpu() if isinstance(values, torch.Tensor) else values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        return np.asarray(values if isinstance(values, np.ndarray) else to_array(values), dtype=np.float64)
+    except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path}: holds something other than numbers; {_ACCEPTED}") from error
 
 
@@ -68,9 +68,9 @@ def _read(path: Path) -> Mapping[str, object]:
             return _read_torch(path)
         if head[8:9] == b"{":
             return load_file(path)
-    except (ValueError, OSError, RuntimeError, UnpicklingError, SafetensorError) as error:
+    except Exception as error:  # damaged files make these readers raise nearly anything
         raise InputError(f"{path}: this file is damaged, or holds more than arrays; {_ACCEPTED}") from error
-    return _mixture(read_untrusted_pickle(path))
+    return _read_pickle(path)
 
 
 def _read_npz(path: Path) -> Mapping[str, object]:
@@ -98,7 +98,13 @@ def _read_torch(path: Path) -> Mapping[str, object]:
     return {str(name): value for name, value in state.items() if isinstance(value, torch.Tensor)}
 
 
-def _mixture(pickled: object) -> Mapping[str, object]:
-    """A mixture's arrays from SMPLify's dictionary, or from a pickled scikit-learn GMM (any version)."""
-    fields = pickled if isinstance(pickled, dict) else getattr(pickled, "state", {})
-    return {str(name).rstrip("_"): value for name, value in fields.items()}
+def _read_pickle(path: Path) -> Mapping[str, object]:
+    """The named arrays of SMPLify's mixture, still as they were pickled."""
+    try:
+        fields = load_pickle(path.read_bytes())
+    except InputError as error:
+        raise InputError(
+            f"{path}: {error}; {_ACCEPTED}. A mixture pickled as a scikit-learn object has to be saved where you trust "
+            "it as numpy.savez(file, means=g.means_, covars=g.covars_, weights=g.weights_)"
+        ) from error
+    return {str(name): value for name, value in fields.items()} if isinstance(fields, dict) else {}

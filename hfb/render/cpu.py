@@ -24,9 +24,9 @@ TEXTURE_GROUPS = 8  # partial sums of the texture's gradient: fixed, so that the
 def draw(
     vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
     mean: bool, threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
-    """Pictures (1 or S, H, W, 4) and what the way back needs: projected vertices, outlines, pixels, codes,
-    windings, and per body the ends of its stretch in these lists."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    """Pictures (1 or S, H, W, 4) and what the way back needs: the bodies' traces (see `kernels`), their pixels'
+    codes, and where each body's part of these lists ends."""
     faces, uv_faces, edge_vertices, edge_faces = _indices(topology)
     corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
     view = np.asarray(lens)
@@ -41,8 +41,8 @@ def draw(
     pictures = _pictures(count, mean, view, vertices.dtype, 4)
     scale = colours.dtype.type(1 / count if mean else 1)
     for s, body in enumerate(bodies):
-        kernels.add_picture(body[2], body[5], scale, pictures[0 if mean else s].reshape(-1, 4))
-    return torch.from_numpy(pictures), *_join(bodies, 5)
+        kernels.add_picture(body[2], body[8], scale, pictures[0 if mean else s].reshape(-1, 4))
+    return torch.from_numpy(pictures), *_join(bodies, range(8))
 
 
 def _indices(topology: Sequence[Tensor]) -> tuple[Array, Array, Array, Array]:
@@ -59,30 +59,52 @@ def _pictures(count: int, mean: bool, view: Array, dtype: torch.dtype, channels:
     return np.zeros((1 if mean else count, height, width, channels), np.float64 if dtype == torch.float64 else np.float32)
 
 
-def _join(bodies: list[tuple[Array, ...]], parts: int) -> list[Tensor]:
-    """The bodies' lists end to end, and (outline, pixel) ends per body."""
-    ends = np.cumsum([[len(body[1]), len(body[2])] for body in bodies], 0)
-    joined = [np.stack([body[0] for body in bodies])]
-    joined += [np.concatenate([body[1] for body in bodies]).view(np.int32)]
-    joined += [np.concatenate([body[part] for body in bodies]) for part in range(2, parts)]
+def _join(bodies: list[tuple[Array, ...]], parts: Sequence[int]) -> list[Tensor]:
+    """Parts of the bodies' traces end to end, and per body the ends of its outline, pixels and overlaps there."""
+    ends = np.cumsum([[len(body[1]), len(body[2]), len(body[4])] for body in bodies], 0)
+    joined = [np.concatenate([body[part] for body in bodies]) for part in parts]
+    joined[1] = joined[1].view(np.int32)
     return [torch.from_numpy(part) for part in (*joined, ends)]
+
+
+def _trace(kept: Sequence[Tensor], count: int) -> list[tuple[Array, ...]]:
+    """Each body's trace (see `kernels`), then its codes where there are any: `_join` undone."""
+    projected, outline, pixels, coverage, owner, edge, weights, *codes, ends = (part.numpy() for part in kept)
+    starts = np.concatenate([np.zeros_like(ends[:1]), ends])
+    traces = []
+    for s in range(count):
+        e, p, o = (slice(starts[s, k], starts[s + 1, k]) for k in range(3))
+        body = projected.reshape(count, -1, 3)[s], outline.view(np.uint32)[e], pixels[p], coverage[p]
+        traces.append((*body, owner[o], edge[o], weights[o], *(code[p] for code in codes)))
+    return traces
+
+
+def _fake_trace(vertices: Tensor) -> list[Tensor]:
+    """Shapes of a trace as `_join` gives it: the lengths depend on what is seen."""
+    context = torch.library.get_ctx()
+    edges, pixels, overlaps = (context.new_dynamic_size() for _ in range(3))
+    whole = {"dtype": torch.int32, "device": vertices.device}
+    real = {"dtype": torch.float64, "device": vertices.device}
+    return [
+        torch.empty(vertices.shape[0] * vertices.shape[1], 3, **real),
+        torch.empty(edges, 3, **whole),
+        torch.empty(pixels, **whole),
+        torch.empty(pixels, **real),
+        torch.empty(overlaps, **whole),
+        torch.empty(overlaps, **whole),
+        torch.empty(overlaps, 2, **real),
+    ]
+
+
+def _fake_ends(vertices: Tensor) -> Tensor:
+    return vertices.new_empty(vertices.shape[0], 3, dtype=torch.int64)
 
 
 @draw.register_fake
 def _(vertices, texture, uv, topology, lens, mean, threads):
-    context = torch.library.get_ctx()
-    edges, pixels = context.new_dynamic_size(), context.new_dynamic_size()
-    count, vertex_count = vertices.shape[:2]
-    whole = {"dtype": torch.int32, "device": vertices.device}
-    return (
-        vertices.new_empty(1 if mean else count, int(lens[6]), int(lens[5]), 4),
-        vertices.new_empty(count, vertex_count, 3, dtype=torch.float64),
-        torch.empty(edges, 3, **whole),
-        torch.empty(pixels, **whole),
-        torch.empty(pixels, **whole),
-        vertices.new_empty(pixels, dtype=torch.float64),
-        torch.empty(count, 2, dtype=torch.int64, device=vertices.device),
-    )
+    trace = _fake_trace(vertices)
+    pictures = vertices.new_empty(1 if mean else vertices.shape[0], int(lens[6]), int(lens[5]), 4)
+    return pictures, *trace, torch.empty_like(trace[2]), _fake_ends(vertices)
 
 
 @torch.library.custom_op("hfb::draw_gradient", mutates_args=())
@@ -92,8 +114,6 @@ def draw_gradient(
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
     faces, uv_faces, _, _ = _indices(topology)
-    projected, outlines, pixels, codes, windings, ends = (part.numpy() for part in kept)
-    outlines = outlines.view(np.uint32)
     corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
     given = pictures.detach().contiguous().numpy()
     count, mean = corners.shape[0], given.shape[0] != corners.shape[0]
@@ -101,14 +121,12 @@ def draw_gradient(
     gradient = np.empty_like(corners) if of_vertices else np.empty((count, 0, 3), corners.dtype)
     partial = np.zeros((groups, *(colours.shape if of_texture else (0, 0, 3))), colours.dtype)
     scale = corners.dtype.type(1 / count if mean else 1)
-    view = np.asarray(lens)
+    view, traces = np.asarray(lens), _trace(kept, count)
 
     def task(group: int) -> None:
         for s in range(group * count // groups, (group + 1) * count // groups):
-            e, p = (slice(ends[s - 1, k] if s else 0, ends[s, k]) for k in (0, 1))
             kernels.draw_body_gradient(
-                corners[s], view, faces, coordinates, uv_faces, colours,
-                projected[s], outlines[e], pixels[p], codes[p], windings[p],
+                corners[s], view, faces, coordinates, uv_faces, colours, traces[s][:7], traces[s][7],
                 given[0 if mean else s].reshape(-1, 4), scale, gradient[s], partial[group],
             )  # fmt: skip
 
@@ -148,7 +166,7 @@ draw.register_autograd(_draw_backward, setup_context=_keep_draw)
 @torch.library.custom_op("hfb::cover", mutates_args=())
 def cover(
     vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], mean: bool, threads: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Silhouettes (1 or S, H, W) and what the way back needs, as `draw` but without colours."""
     faces, _, edge_vertices, edge_faces = _indices(topology)
     corners, view = vertices.detach().numpy(), np.asarray(lens)
@@ -161,23 +179,13 @@ def cover(
     pictures = _pictures(count, mean, view, vertices.dtype, 1)[..., 0]
     for s, body in enumerate(bodies):
         kernels.add_silhouette(body[2], body[3], 1 / count if mean else 1.0, pictures[0 if mean else s].reshape(-1))
-    return torch.from_numpy(pictures), *_join(bodies, 4)
+    return torch.from_numpy(pictures), *_join(bodies, range(7))
 
 
 @cover.register_fake
 def _(vertices, topology, lens, mean, threads):
-    context = torch.library.get_ctx()
-    edges, pixels = context.new_dynamic_size(), context.new_dynamic_size()
-    count, vertex_count = vertices.shape[:2]
-    whole = {"dtype": torch.int32, "device": vertices.device}
-    return (
-        vertices.new_empty(1 if mean else count, int(lens[6]), int(lens[5])),
-        vertices.new_empty(count, vertex_count, 3, dtype=torch.float64),
-        torch.empty(edges, 3, **whole),
-        torch.empty(pixels, **whole),
-        vertices.new_empty(pixels, dtype=torch.float64),
-        torch.empty(count, 2, dtype=torch.int64, device=vertices.device),
-    )
+    pictures = vertices.new_empty(1 if mean else vertices.shape[0], int(lens[6]), int(lens[5]))
+    return pictures, *_fake_trace(vertices), _fake_ends(vertices)
 
 
 @torch.library.custom_op("hfb::cover_gradient", mutates_args=())
@@ -185,19 +193,14 @@ def cover_gradient(
     pictures: Tensor, vertices: Tensor, lens: Sequence[float], kept: Sequence[Tensor], threads: int
 ) -> Tensor:
     """Gradient of the vertices (S, V, 3)."""
-    projected, outlines, pixels, windings, ends = (part.numpy() for part in kept)
-    outlines = outlines.view(np.uint32)
     corners, view = vertices.detach().numpy(), np.asarray(lens)
     given = pictures.detach().contiguous().numpy()
     count, mean = corners.shape[0], given.shape[0] != corners.shape[0]
-    gradient = np.empty_like(corners)
+    gradient, traces = np.empty_like(corners), _trace(kept, count)
 
     def task(s: int) -> None:
-        e, p = (slice(ends[s - 1, k] if s else 0, ends[s, k]) for k in (0, 1))
-        kernels.cover_body_gradient(
-            corners[s], view, projected[s], outlines[e], pixels[p], windings[p],
-            given[0 if mean else s].reshape(-1), 1 / count if mean else 1.0, gradient[s],
-        )  # fmt: skip
+        picture = given[0 if mean else s].reshape(-1)
+        kernels.cover_body_gradient(corners[s], view, traces[s], picture, 1 / count if mean else 1.0, gradient[s])
 
     run_tasks(task, count, threads)
     return torch.from_numpy(gradient)

@@ -2,6 +2,10 @@
 
 Every function works on one body and on memory of its own or of its caller, releases Python's lock and adds in
 a fixed order: bodies may be drawn by any number of threads with the same bits as the result.
+
+A body's *trace* is what the way back needs of its way forth:
+(projected vertices, outline edges, pixels, coverage, overlap owners, overlap edges, overlap weights), the last
+three for pieces of outline in pixels where layers may overlap (`kernels_overlap`).
 """
 
 import numpy as np
@@ -18,25 +22,8 @@ from hfb.render.kernels_outline import (
     project,
     wind_outline,
 )
-from hfb.render.kernels_surface import (
-    NOTHING,
-    edge_gradient,
-    face_gradient,
-    fill_depth,
-    shade,
-)
-
-
-@njit(**JIT)
-def _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box):
-    projected = np.empty((vertices.shape[0], 3), np.float64)
-    front = np.empty(faces.shape[0], np.bool_)
-    outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
-    project(vertices, lens, projected, box)
-    if box[0] >= box[2]:
-        return projected, front, outline, 0
-    find_front(projected, faces, front)
-    return projected, front, outline, find_outline(front, edge_vertices, edge_faces, outline)
+from hfb.render.kernels_overlap import gather_pieces, overlap_gradient, resolve
+from hfb.render.kernels_surface import NOTHING, edge_gradient, face_gradient, fill_depth, shade
 
 
 @njit(**JIT)
@@ -47,73 +34,141 @@ def _room_for_pieces(box):
 
 
 @njit(**JIT)
-def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
-    """Silhouette of one body: (projected, outline, pixels, mean windings), the pixels in reading order."""
-    box = np.empty(4, np.int64)
-    projected, _, outline, n_edges = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
-    height, width = box[3] - box[1], box[2] - box[0]
-    winding = np.zeros((height, width + 1), np.float64)
-    first, last = np.full(height, width, np.int64), np.full(height, -1, np.int64)
-    nothing, no_code = np.empty((0, 0), np.float64), np.empty((0, 0), np.int32)
+def _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box):
+    projected = np.empty((vertices.shape[0], 3), np.float64)
+    front = np.empty(faces.shape[0], np.bool_)
+    outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
+    n = 0
+    project(vertices, lens, projected, box)
+    if box[0] < box[2]:
+        find_front(projected, faces, front)
+        n = find_outline(front, edge_vertices, edge_faces, outline)
+    return projected, front, outline[:n].copy()
+
+
+@njit(**JIT)
+def _resolve_overlaps(outline, projected, box, width, total, unsure, record, pixels, windings):
+    """Exact coverage of the unsure pixels; (owners, edges, weights) of their pieces."""
+    n_unsure = record.shape[0]
     columns, rows, ends = _room_for_pieces(box)
-    wind_outline(
-        outline, n_edges, projected, box, winding, first, last, nothing, no_code, columns, rows, ends
+    newest, older = np.full(n_unsure, -1, np.int64), np.empty(total, np.int64)
+    edge, span = np.empty(total, np.int32), np.empty((total, 2), np.float64)
+    n = gather_pieces(outline, outline.shape[0], projected, box, unsure, newest, older, edge, span, columns, rows, ends)
+    weights, owner = np.zeros((n, 2), np.float64), np.empty(n, np.int32)
+    longest = 0
+    for slot in range(n_unsure):
+        piece, length = newest[slot], 0
+        while piece >= 0:
+            owner[piece] = record[slot]
+            piece = older[piece]
+            length += 1
+        longest = max(longest, length)
+    resolve(
+        n_unsure, record, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
+        np.empty(longest, np.int64), np.empty((longest, 4), np.float64),
+        np.empty(2 + 2 * longest + longest * longest, np.float64),
+        np.empty(longest, np.int64), np.empty(longest, np.float64),
+    )  # fmt: skip
+    return owner, edge[:n].copy(), weights
+
+
+@njit(**JIT)
+def _trace(outline, projected, box, width, nearest, code):
+    """Pixels of one body: (indices, codes, coverage, overlap owners, edges, weights)."""
+    height, breadth = box[3] - box[1], box[2] - box[0]
+    winding = np.zeros((height, breadth + 1), np.float64)
+    marks = np.zeros((height, breadth), np.uint8)
+    first, last = np.full(height, breadth, np.int64), np.full(height, -1, np.int64)
+    columns, rows, ends = _room_for_pieces(box)
+    total = wind_outline(
+        outline, outline.shape[0], projected, box, winding, marks, first, last, nearest, code, columns, rows, ends
     )
-    pixels = np.empty(height * width, np.int32)
-    windings = np.empty(height * width, np.float64)
-    n = collect(winding, first, last, box, np.int64(lens[5]), no_code, pixels, no_code[0:0].reshape(0), windings)
-    return projected, outline[:n_edges].copy(), pixels[:n].copy(), windings[:n].copy()
+    pixels, windings = np.empty(height * breadth, np.int32), np.empty(height * breadth, np.float64)
+    codes = np.empty(height * breadth if code.shape[0] > 0 else 0, np.int32)
+    unsure, record = np.zeros((height, breadth), np.int32), np.empty(height * breadth, np.int32)
+    n, n_unsure = collect(
+        winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record
+    )
+    pixels, codes, windings = pixels[:n].copy(), codes[:n].copy(), windings[:n].copy()
+    owner, edge, weights = _resolve_overlaps(
+        outline, projected, box, width, total, unsure, record[:n_unsure], pixels, windings
+    )
+    return pixels, codes, windings, owner, edge, weights
+
+
+@njit(**JIT)
+def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
+    """Silhouette of one body: its trace."""
+    box = np.empty(4, np.int64)
+    projected, _, outline = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
+    nothing, no_code = np.empty((0, 0), np.float64), np.empty((0, 0), np.int32)
+    pixels, _, coverage, owner, edge, weights = _trace(
+        outline, projected, box, np.int64(lens[5]), nothing, no_code
+    )
+    return projected, outline, pixels, coverage, owner, edge, weights
 
 
 @njit(**JIT)
 def draw_body(vertices, lens, faces, uv, uv_faces, edge_vertices, edge_faces, texture):
-    """One body: (projected, outline, pixels, codes, mean windings, premultiplied colours)."""
+    """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
     box = np.empty(4, np.int64)
-    projected, front, outline, n_edges = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
-    height, width = box[3] - box[1], box[2] - box[0]
-    nearest = np.zeros((height, width), np.float64)
-    code = np.full((height, width), NOTHING, np.int32)
-    winding = np.zeros((height, width + 1), np.float64)
-    first, last = np.full(height, width, np.int64), np.full(height, -1, np.int64)
-    if n_edges > 0:
+    projected, front, outline = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
+    nearest = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
+    code = np.full(nearest.shape, NOTHING, np.int32)
+    if outline.shape[0] > 0:
         fill_depth(projected, faces, front, box, nearest, code)
-        columns, rows, ends = _room_for_pieces(box)
-        wind_outline(outline, n_edges, projected, box, winding, first, last, nearest, code, columns, rows, ends)
-    pixels, codes = np.empty(height * width, np.int32), np.empty(height * width, np.int32)
-    windings = np.empty(height * width, np.float64)
-    n = collect(winding, first, last, box, np.int64(lens[5]), code, pixels, codes, windings)
-    colours = np.empty((n, 4), texture.dtype)
-    outline = outline[:n_edges].copy()
-    shade(pixels, codes, windings, n, np.int64(lens[5]), outline, projected, faces, uv, uv_faces, texture, colours)
-    return projected, outline, pixels[:n].copy(), codes[:n].copy(), windings[:n].copy(), colours
+    width = np.int64(lens[5])
+    pixels, codes, coverage, owner, edge, weights = _trace(outline, projected, box, width, nearest, code)
+    colours = np.empty((pixels.shape[0], 4), texture.dtype)
+    shade(pixels, codes, coverage, width, outline, projected, faces, uv, uv_faces, texture, colours)
+    return projected, outline, pixels, coverage, owner, edge, weights, codes, colours
 
 
 @njit(**LOOP)
 def add_picture(pixels, colours, scale, picture):
     """Add `scale` times a body's pixels to a picture (H W, 4)."""
     for m in range(pixels.shape[0]):
+        pixel = np.uint32(pixels[m])
         for q in range(4):
-            picture[pixels[m], q] += colours[m, q] * scale
+            picture[pixel, q] += colours[m, q] * scale
 
 
 @njit(**LOOP)
-def add_silhouette(pixels, windings, scale, picture):
+def add_silhouette(pixels, coverage, scale, picture):
     """Add `scale` times a body's coverage to a picture (H W)."""
     for m in range(pixels.shape[0]):
-        picture[pixels[m]] += min(windings[m], 1.0) * scale
+        picture[np.uint32(pixels[m])] += min(coverage[m], 1.0) * scale
 
 
 @njit(**LOOP)
-def _box_of(pixels, width, box):
+def _find_box(pixels, width, box):
+    """Bounds of a list of pixels in reading order."""
+    box[0], box[1], box[2], box[3] = width, 0, 0, 0
     if pixels.shape[0] == 0:
-        box[0], box[1], box[2], box[3] = 0, 0, 0, 0
+        box[0] = 0
         return
-    left, right = width, -1
+    row = box[1] = pixels[0] // width
+    box[3] = pixels[pixels.shape[0] - 1] // width + 1
     for m in range(pixels.shape[0]):
-        column = pixels[m] % width
-        left, right = min(left, column), max(right, column)
-    box[0], box[1] = left, pixels[0] // width
-    box[2], box[3] = right + 1, pixels[pixels.shape[0] - 1] // width + 1
+        while pixels[m] >= (row + 1) * width:
+            row += 1
+        column = pixels[m] - row * width
+        box[0], box[2] = min(box[0], column), max(box[2], column + 1)
+
+
+@njit(**LOOP)
+def _spread(pixels, width, coverage, of_coverage, owner, box, of_winding):
+    """Put the coverage's gradient where `outline_gradient` looks for it: not for full pixels, which stay full, and
+    not for those `overlap_gradient` takes care of."""
+    row = box[1]
+    for m in range(pixels.shape[0]):
+        while pixels[m] >= (row + 1) * width:
+            row += 1
+        if coverage[m] < 1.0 - TINY:
+            of_winding[row - box[1], pixels[m] - row * width - box[0]] = of_coverage[m]
+    for p in range(owner.shape[0]):
+        row = pixels[owner[p]] // width
+        of_winding[row - box[1], pixels[owner[p]] - row * width - box[0]] = 0.0
 
 
 @njit(**LOOP)
@@ -129,84 +184,84 @@ def _to_metres(projected, vertices, lens, on_screen, gradient):
         gradient[i, 2] = -q * q * by_inverse
 
 
-@njit(**LOOP)
-def _cover_gradient(width, pixels, windings, picture_gradient, scale, box, of_winding):
-    """Fill the mean windings' gradient (region): a full pixel stays full."""
-    for m in range(pixels.shape[0]):
-        if windings[m] < 1.0 - TINY:
-            row = pixels[m] // width
-            of_winding[row - box[1], pixels[m] - row * width - box[0]] = picture_gradient[pixels[m]] * scale
-
-
 @njit(**JIT)
-def cover_body_gradient(vertices, lens, projected, outline, pixels, windings, picture_gradient, scale, gradient):
-    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W)."""
-    width = np.int64(lens[5])
-    box = np.empty(4, np.int64)
-    _box_of(pixels, width, box)
-    of_winding = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
-    _cover_gradient(width, pixels, windings, picture_gradient, scale, box, of_winding)
-    on_screen = np.zeros((vertices.shape[0], 3), np.float64)
+def _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient):
+    """Add what the coverage's gradient asks of the outline, and go from pixels to metres."""
+    projected, outline, pixels, coverage, owner, edge, weights = trace
     if pixels.shape[0] > 0:
+        width = np.int64(lens[5])
+        box = np.empty(4, np.int64)
+        _find_box(pixels, width, box)
+        of_winding = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
+        _spread(pixels, width, coverage, of_coverage, owner, box, of_winding)
         columns, rows, ends = _room_for_pieces(box)
         outline_gradient(outline, outline.shape[0], projected, box, of_winding, on_screen, columns, rows, ends)
+        overlap_gradient(outline, projected, owner, edge, weights, of_coverage, on_screen)
     _to_metres(projected, vertices, lens, on_screen, gradient)
 
 
 @njit(**LOOP)
+def _take(pixels, picture_gradient, scale, of_coverage):
+    for m in range(pixels.shape[0]):
+        of_coverage[m] = picture_gradient[np.uint32(pixels[m])] * scale
+
+
+@njit(**JIT)
+def cover_body_gradient(vertices, lens, trace, picture_gradient, scale, gradient):
+    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W)."""
+    of_coverage = np.empty(trace[2].shape[0], np.float64)
+    _take(trace[2], picture_gradient, scale, of_coverage)
+    _move_outline(vertices, lens, trace, of_coverage, np.zeros((vertices.shape[0], 3), np.float64), gradient)
+
+
+@njit(**LOOP)
 def _shade_gradient(
-    width, faces, uv, uv_faces, texture, projected, outline, pixels, codes, windings,
-    picture_gradient, scale, box, of_winding, on_screen, texture_gradient,
+    width, faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+    picture_gradient, scale, of_coverage, on_screen, texture_gradient,
 ):  # fmt: skip
-    """Way back of `shade`: fills the mean windings' gradient, adds to the corners' and to the texture's."""
+    """Way back of `shade`: fills the coverage's gradient, adds to the corners' and to the texture's."""
     row = 0
     for m in range(pixels.shape[0]):
         pixel = pixels[m]
         while pixel >= (row + 1) * width:
             row += 1
-        column = pixel - row * width
-        code, alpha = codes[m], min(np.float64(windings[m]), 1.0)
-        of_alpha = 0.0
+        px, py = pixel - row * width + 0.5, row + 0.5
+        code, alpha = codes[m], min(coverage[m], 1.0)
+        at = np.uint32(pixel)
         g = (
-            picture_gradient[pixel, 0] * scale,
-            picture_gradient[pixel, 1] * scale,
-            picture_gradient[pixel, 2] * scale,
-            picture_gradient[pixel, 3] * scale,
+            picture_gradient[at, 0] * scale,
+            picture_gradient[at, 1] * scale,
+            picture_gradient[at, 2] * scale,
+            picture_gradient[at, 3] * scale,
         )
         if code >= 0:
-            of_alpha = face_gradient(
-                column + 0.5, row + 0.5, projected, faces, uv, uv_faces, np.uint32(code),
-                texture, alpha, g, texture_gradient, on_screen,
-            )  # fmt: skip
+            of_coverage[m] = face_gradient(
+                px, py, projected, faces, uv, uv_faces, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
+            )
         elif code != NOTHING:
-            of_alpha = edge_gradient(
-                column + 0.5, row + 0.5, projected, faces, uv, uv_faces, outline[np.uint32(~code)],
+            k = np.uint32(~code)
+            of_coverage[m] = edge_gradient(
+                px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2],
                 texture, alpha, g, texture_gradient, on_screen,
             )  # fmt: skip
-        if windings[m] < 1.0 - TINY:
-            of_winding[row - box[1], column - box[0]] = of_alpha
+        else:
+            of_coverage[m] = g[3]
 
 
 @njit(**JIT)
 def draw_body_gradient(
-    vertices, lens, faces, uv, uv_faces, texture,
-    projected, outline, pixels, codes, windings, picture_gradient, scale, gradient, texture_gradient,
-):  # fmt: skip
+    vertices, lens, faces, uv, uv_faces, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
+):
     """Fill `gradient` (V, 3), add to `texture_gradient`, from that of the picture (H W, 4), times scale.
 
     An empty `gradient` or `texture_gradient` leaves that one out.
     """
-    width = np.int64(lens[5])
-    box = np.empty(4, np.int64)
-    _box_of(pixels, width, box)
-    of_winding = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
+    projected, outline, pixels, coverage, _, _, _ = trace
     on_screen = np.zeros((gradient.shape[0], 3), np.float64)
+    of_coverage = np.empty(pixels.shape[0], np.float64)
     _shade_gradient(
-        width, faces, uv, uv_faces, texture, projected, outline, pixels, codes, windings,
-        picture_gradient, scale, box, of_winding, on_screen, texture_gradient,
+        np.int64(lens[5]), faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+        picture_gradient, scale, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:
-        if pixels.shape[0] > 0:
-            columns, rows, ends = _room_for_pieces(box)
-            outline_gradient(outline, outline.shape[0], projected, box, of_winding, on_screen, columns, rows, ends)
-        _to_metres(projected, vertices, lens, on_screen, gradient)
+        _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient)

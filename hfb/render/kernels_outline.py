@@ -3,8 +3,9 @@
 The front faces of a body form an oriented patchwork; the edges where it ends are its outline. The number of
 front layers over a point is the winding number of the projected outline about it (Stokes), and the mean of
 that number over a pixel is a sum of trapezoids, one per piece of outline in the pixel, carried along the row
-(the way fonts are rasterised: Levien's font-rs; Kallay's and Duff's signed-area accumulation).
-Cost: the outline's length, whatever the number of faces.
+(signed-area accumulation, the way fonts are rasterised). Where one strand of outline crosses a pixel, that mean
+is the covered share; where layers may overlap, `kernels_overlap` finds the share. Cost: the outline's length,
+whatever the number of faces.
 
 Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right, bottom) in whole pixels.
 """
@@ -18,6 +19,7 @@ INLINE = {**LOOP, "cache": False, "forceinline": True}
 # No reference counting: numba would count every array at every call within the loops, half of the time spent.
 # Such functions must not allocate; those that do are the entry points in `kernels.py`.
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
+GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = 1, 2, 4, 8, 16, 32  # what a pixel's outline does
 FAR_PX = 1e9  # a corner projected farther out than this is not used
 
 
@@ -150,20 +152,24 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
 
 
 @njit(**LOOP)
-def wind_outline(outline, n, projected, box, winding, first, last, nearest, code, columns, rows, ends):
+def wind_outline(outline, n, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends):
     """Add every outline edge to `winding` (region rows, columns + 1), whose running row sums are mean winding.
 
-    first, last: per region row the columns touched. nearest, code: the z-buffer; where no face covers the
-    pixel's centre (nearest <= 0) it receives squared distance - 4 and code ~k of the closest outline edge k.
-    An empty `nearest` leaves that out. columns, rows, ends: room for the pieces of one edge.
+    marks: what the outline does in each pixel. first, last: per region row the columns touched. nearest, code:
+    the z-buffer; where no face covers the pixel's centre (nearest <= 0) it receives squared distance - 4 and code
+    ~k of the closest outline edge k; an empty `nearest` leaves that out. columns, rows, ends: room for the
+    pieces of one edge. Returns the number of pieces.
     """
     left, top = box[0], box[1]
     coloured = nearest.shape[0] > 0
+    total = 0
     for k in range(n):
         i, j = outline[k, 0], outline[k, 1]
         x0, y0 = projected[i, 0], projected[i, 1]
         dx, dy = projected[j, 0] - x0, projected[j, 1] - y0
         pieces, t = cut_edge(x0, y0, dx, dy, box, columns, rows, ends)
+        total += pieces
+        heading = (GOES_RIGHT if dx > 0.0 else GOES_LEFT) | (GOES_DOWN if dy > 0.0 else GOES_UP)
         for p in range(pieces):
             row, t_end = rows[p] - top, ends[p]
             cover = (t_end - t) * dy
@@ -178,12 +184,27 @@ def wind_outline(outline, n, projected, box, winding, first, last, nearest, code
                 winding[row, column + 1] += cover * share
                 first[row] = min(first[row], column)
                 last[row] = max(last[row], column)
+                mark = marks[row, column] | heading
+                if t > 0.0:
+                    mark |= ENTERED_AGAIN if mark & ENTERED else ENTERED
+                marks[row, column] = mark
                 if coloured and nearest[row, column] <= 0.0:
                     key = squared_distance(columns[p] + 0.5, rows[p] + 0.5, x0, y0, dx, dy) - 4.0
                     if key < nearest[row, column] - TINY:  # ties: the first edge, whatever the rounding
                         nearest[row, column] = key
                         code[row, column] = ~k
             t = t_end
+    return total
+
+
+@njit(**INLINE)
+def may_overlap(mark):
+    """Whether layers may overlap within a pixel: several strands of outline in it, or one that may cross itself.
+
+    A strand that never turns back in x, or never in y, cannot cross itself.
+    """
+    turns_back = (mark & (GOES_RIGHT | GOES_LEFT)) == 3 and (mark & (GOES_DOWN | GOES_UP)) == 12
+    return (mark & ENTERED_AGAIN) != 0 or turns_back
 
 
 @njit(**INLINE)
@@ -203,12 +224,14 @@ def squared_distance(px, py, x0, y0, dx, dy):
 
 
 @njit(**LOOP)
-def collect(winding, first, last, box, width, code, pixels, codes, windings):
-    """List the pixels with any coverage, row by row: index, code, mean winding. Returns their number.
+def collect(winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record):
+    """List the pixels with any coverage, row by row: index, code, mean winding. Returns their number and that of
+    the unsure ones, where layers may overlap; `unsure` (region) receives their running number + 1, `record` their
+    place in the list.
 
     An empty `code` (silhouette only) leaves the codes out.
     """
-    n = 0
+    n, n_unsure = 0, 0
     coloured = code.shape[0] > 0
     for row in range(box[3] - box[1]):
         total = 0.0
@@ -222,8 +245,12 @@ def collect(winding, first, last, box, width, code, pixels, codes, windings):
                 windings[n] = total
                 if coloured:
                     codes[n] = code[row, column]
+                if may_overlap(marks[row, column]):
+                    record[n_unsure] = n
+                    n_unsure += 1
+                    unsure[row, column] = n_unsure
                 n += 1
-    return n
+    return n, n_unsure
 
 
 @njit(**LOOP)

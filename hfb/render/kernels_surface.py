@@ -86,9 +86,8 @@ def uv_of_face(px, py, projected, faces, uv, uv_faces, f):
 
 
 @njit(**INLINE)
-def uv_of_edge(px, py, projected, faces, uv, uv_faces, edge):
-    """Texture coordinates at the point of an outline edge (from, to, front face) closest to a pixel position."""
-    start, end, f = edge[0], edge[1], edge[2]
+def uv_of_edge(px, py, projected, faces, uv, uv_faces, start, end, f):
+    """Texture coordinates at the point of an outline edge (of front face f) closest to a pixel position."""
     x0, y0 = projected[start, 0], projected[start, 1]
     t = closest_parameter(px, py, x0, y0, projected[end, 0] - x0, projected[end, 1] - y0)
     i, j = uv_faces[f, corner_of(faces, f, start)], uv_faces[f, corner_of(faces, f, end)]
@@ -108,21 +107,22 @@ def texel_cell(coordinate, size):
 
 
 @njit(**LOOP)
-def shade(pixels, codes, windings, n, width, outline, projected, faces, uv, uv_faces, texture, colours):
+def shade(pixels, codes, coverage, width, outline, projected, faces, uv, uv_faces, texture, colours):
     """Fill `colours` (n, 4): coverage times the texture (bilinear, clamped at its border), whose 4th channel is 1."""
     size = texture.shape[0]
     step = min(size - 1, 1)
     row = 0
-    for m in range(n):
+    for m in range(pixels.shape[0]):
         while pixels[m] >= (row + 1) * width:
             row += 1
         code = codes[m]
         px, py = pixels[m] - row * width + 0.5, row + 0.5
-        alpha = min(np.float64(windings[m]), 1.0)
+        alpha = min(coverage[m], 1.0)
         if code >= 0:
             u, v = uv_of_face(px, py, projected, faces, uv, uv_faces, np.uint32(code))
         elif code != NOTHING:
-            u, v = uv_of_edge(px, py, projected, faces, uv, uv_faces, outline[np.uint32(~code)])
+            k = np.uint32(~code)
+            u, v = uv_of_edge(px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2])
         else:
             colours[m, 0], colours[m, 1], colours[m, 2], colours[m, 3] = 0.0, 0.0, 0.0, alpha
             continue
@@ -218,9 +218,10 @@ def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, 
 
 
 @njit(**INLINE)
-def edge_gradient(px, py, projected, faces, uv, uv_faces, edge, texture, alpha, g, texture_gradient, gradient):
+def edge_gradient(
+    px, py, projected, faces, uv, uv_faces, start, end, f, texture, alpha, g, texture_gradient, gradient
+):
     """Way back of one rim pixel: returns the pull on alpha, adds those on the two ends of its outline edge."""
-    start, end, f = edge[0], edge[1], edge[2]
     x0, y0 = projected[start, 0], projected[start, 1]
     dx, dy = projected[end, 0] - x0, projected[end, 1] - y0
     t = closest_parameter(px, py, x0, y0, dx, dy)

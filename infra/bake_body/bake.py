@@ -8,8 +8,8 @@ import json
 from pathlib import Path
 
 import numpy as np
-from half import left_half, mirror_of, mirror_uv, outer_skin
 from decimate import Decimator
+from half import left_half, mirror_of, mirror_uv, outer_skin
 from regress import joint_regressor
 from rest_pose import WEIGHTS_PER_VERTEX, Skin, sample_people
 

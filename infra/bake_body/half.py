@@ -26,7 +26,8 @@ class Half:
 def mirror_of(rest: np.ndarray) -> np.ndarray:
     """(V,) index of every vertex's mirror image."""
     distance, index = cKDTree(rest).query(rest * [-1, 1, 1])
-    assert distance.max() < MIDDLE_M and (index[index] == np.arange(len(rest))).all(), "the mesh is not symmetric"
+    assert distance.max() < MIDDLE_M, "the mesh is not symmetric"
+    assert (index[index] == np.arange(len(rest))).all(), "the mesh is not symmetric"
     return index
 
 

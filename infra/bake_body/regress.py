@@ -6,15 +6,14 @@ from rest_pose import MIRROR
 PER_OCTANT, RIDGE = 8, 1e-4
 
 
-def joint_regressor(
-    skin: np.ndarray, skeleton: np.ndarray, importance: np.ndarray, mirror: np.ndarray
-) -> np.ndarray:
-    """(24, V) weights, rows adding up to 1 and symmetric, that give the template's joints and how they follow the betas.
+def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, importance: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+    """(24, V) weights, rows adding up to 1 and symmetric, that give the template's joints and how they follow betas.
 
     Ridge regression towards equal weights over vertices all around each joint.
 
     Args:
-        skin: (1 + K, V, 3) the template, then the shape directions [m]. skeleton: (1 + K, 24, 3) the same of the joints.
+        skin: (1 + K, V, 3) the template, then the shape directions [m].
+        skeleton: (1 + K, 24, 3) the same of the joints.
         importance: (1 + K,) how much an error in each counts. mirror: (V,) index of each vertex's mirror image.
     """
     regressor = np.zeros((skeleton.shape[1], skin.shape[1]))

@@ -153,9 +153,9 @@ def t_pose_rotations(joints: np.ndarray, knuckles: np.ndarray) -> np.ndarray:
         turn[shoulder] = _frame(along, bend_goal) @ _frame(upper, bend).T
         elbow_straight = _frame(along, bend_goal) @ _frame(lower, bend).T
         index, pinky = knuckles[side]
-        turn[wrist] = turn[hand] = _frame(along, np.array([0.0, 0.0, 1.0])) @ _frame(
-            joints[hand] - joints[wrist], index - pinky
-        ).T
+        turn[wrist] = turn[hand] = (
+            _frame(along, np.array([0.0, 0.0, 1.0])) @ _frame(joints[hand] - joints[wrist], index - pinky).T
+        )
         turn[elbow] = _share_of_twist(turn[wrist] @ elbow_straight.T, along, TWIST_AT_ELBOW) @ elbow_straight
     return turn
 

@@ -49,7 +49,9 @@ def test_mpjpe_sees_a_wrong_turn_within_the_sequence_and_pa_mpjpe_does_not(truth
 
 def test_a_rigid_motion_and_a_scale_per_sub_frame_leave_pa_mpjpe_at_zero(truth):
     rng = np.random.default_rng(2)
-    moved = np.stack([rng.uniform(0.5, 2) * frame @ _rotation(*rng.normal(size=3)).T + rng.normal(size=3) for frame in truth])
+    moved = np.stack(
+        [rng.uniform(0.5, 2) * frame @ _rotation(*rng.normal(size=3)).T + rng.normal(size=3) for frame in truth]
+    )
     assert metrics.pa_mpjpe_mm(moved, truth) == pytest.approx(0, abs=1e-9)
     assert metrics.pa_mpjpe_mm(moved, truth, H36M_14) == pytest.approx(0, abs=1e-9)
 
@@ -62,7 +64,8 @@ def test_pa_mpjpe_is_never_above_the_error_without_alignment_in_square(truth):
 
 def test_no_reflection_even_where_it_would_fit_better(truth):
     mirrored = truth * np.array([-1.0, 1, 1])
-    assert metrics.pa_mpjpe_mm(mirrored, truth) > 50 and metrics.mpjpe_mm(mirrored, truth) > 50
+    assert metrics.pa_mpjpe_mm(mirrored, truth) > 50
+    assert metrics.mpjpe_mm(mirrored, truth) > 50
     centred = mirrored[0] - mirrored[0, 0]
     assert np.linalg.det(best_rotation(centred, truth[0] - truth[0, 0])) == pytest.approx(1)
 
@@ -80,7 +83,9 @@ def test_time_reversal_leaves_the_better_of_both_unchanged(truth):
     noisy = truth + np.random.default_rng(4).normal(0, 0.01, truth.shape)
     backward = metrics.reverse_time(noisy)
     for metric in (metrics.mpjpe_mm, metrics.pa_mpjpe_mm):
-        assert metrics.better_of_both(metric, noisy, truth) == pytest.approx(metrics.better_of_both(metric, backward, truth))
+        assert metrics.better_of_both(metric, noisy, truth) == pytest.approx(
+            metrics.better_of_both(metric, backward, truth)
+        )
         assert metrics.better_of_both(metric, backward, truth) == pytest.approx(metric(noisy, truth))
     assert metrics.wrong_direction(backward, truth).tolist() == [True]
     assert metrics.wrong_direction(noisy, truth).tolist() == [False]
@@ -104,7 +109,8 @@ def test_in_plane_and_depth_are_the_parts_of_one_residual():
     predicted = truth.copy()
     predicted[0, 1:] += np.array([0.0, 0, 0.04])  # all outer joints further away: no rotation mends that
     in_plane, depth = metrics.in_plane_depth_mm(predicted, truth)
-    assert in_plane == pytest.approx(0, abs=1e-9) and depth == pytest.approx(40 * 4 / 5)
+    assert in_plane == pytest.approx(0, abs=1e-9)
+    assert depth == pytest.approx(40 * 4 / 5)
 
 
 def test_motion_errors_of_the_truth_are_zero(truth):
@@ -134,7 +140,8 @@ def test_iou_by_hand_and_at_its_ends():
     left[:, :3], right[:, 1:] = 1, 1
     assert metrics.soft_iou(left, right) == 0.5
     assert metrics.soft_iou(0.5 * left, 0.5 * left) == 1  # a soft mask equals itself
-    assert metrics.soft_iou(0 * left, 0 * left) == 1 and metrics.soft_iou(0 * left, left) == 0
+    assert metrics.soft_iou(0 * left, 0 * left) == 1
+    assert metrics.soft_iou(0 * left, left) == 0
     assert metrics.silhouette_iou(np.stack([left, left]), np.stack([left, right])) == 0.75
 
 

@@ -20,7 +20,9 @@ def test_more_background_around_the_person_changes_nothing(loss):
     wide = torch.nn.functional.pad
     around = (0, 0, 4, 4, 3, 3)
     area = torch.tensor(7.0)
-    torch.testing.assert_close(loss(predicted, observed, area), loss(wide(predicted, around), wide(observed, around), area))
+    torch.testing.assert_close(
+        loss(predicted, observed, area), loss(wide(predicted, around), wide(observed, around), area)
+    )
 
 
 @pytest.mark.parametrize("loss", [image_loss, robust_image_loss])
@@ -29,7 +31,8 @@ def test_a_perfect_prediction_costs_nothing_and_has_no_gradient(loss):
     predicted = observed.clone().requires_grad_()
     value = loss(predicted, observed, torch.zeros((), dtype=torch.float64))
     value.backward()
-    assert value.item() == 0 and torch.equal(predicted.grad, torch.zeros_like(observed))
+    assert value.item() == 0
+    assert torch.equal(predicted.grad, torch.zeros_like(observed))
 
 
 @pytest.mark.parametrize("loss", [image_loss, robust_image_loss])

@@ -23,7 +23,8 @@ def test_no_motion_costs_nothing_and_its_gradient_is_zero_not_nan():
     coefficients = torch.zeros(2, 25, 4, requires_grad=True)
     value = polynomial_loss(coefficients)
     value.backward()
-    assert value.item() == 0 and torch.equal(coefficients.grad, torch.zeros(2, 25, 4))
+    assert value.item() == 0
+    assert torch.equal(coefficients.grad, torch.zeros(2, 25, 4))
 
 
 def test_polynomial_gradients_match_finite_differences():
@@ -62,7 +63,8 @@ def test_sub_frames_without_a_body_count_as_zero_and_get_no_gradient():
     value = background_loss(background, pictures)
     value.backward()
     assert value.item() == pytest.approx(1 / 0.5 / 2, rel=1e-5)
-    assert torch.isfinite(pictures.grad).all() and torch.equal(pictures.grad[1], empty[0])
+    assert torch.isfinite(pictures.grad).all()
+    assert torch.equal(pictures.grad[1], empty[0])
 
 
 def test_background_gradients_match_finite_differences():

@@ -136,4 +136,6 @@ def test_twist_then_swing_give_the_rotation_back(first):
     twist[..., order[0, 0]] = parts[..., 0]
     swing[..., order[0, 1:]] = parts[..., 1:]
     whole = multiply_quaternions(axis_angle_to_quaternion(swing), axis_angle_to_quaternion(twist))
-    torch.testing.assert_close(quaternion_to_axis_angle(whole), quaternion_to_axis_angle(axis_angle_to_quaternion(rotations)))
+    torch.testing.assert_close(
+        quaternion_to_axis_angle(whole), quaternion_to_axis_angle(axis_angle_to_quaternion(rotations))
+    )

@@ -100,9 +100,7 @@ def test_the_decoder_gives_rotations_whose_first_columns_lead(version):
     columns = module.decode(latent).unflatten(1, (21, 3, 2))
     torch.testing.assert_close(matrices @ matrices.mT, torch.eye(3, dtype=torch.float64).expand_as(matrices))
     assert (torch.linalg.det(matrices) > 0).all()
-    torch.testing.assert_close(
-        matrices[..., 0], nn.functional.normalize(columns[..., 0], dim=-1), rtol=1e-4, atol=1e-4
-    )
+    torch.testing.assert_close(matrices[..., 0], nn.functional.normalize(columns[..., 0], dim=-1), rtol=1e-4, atol=1e-4)
 
 
 def test_gradients_match_finite_differences_and_leave_the_hands_alone():
@@ -122,7 +120,10 @@ def test_gradients_match_finite_differences_and_leave_the_hands_alone():
         (lambda state: state | {"encoder_net.2.bias": torch.zeros(3)}, "damaged"),
         (lambda state: state | {"encoder_net.4.running_var": torch.full((32,), torch.nan)}, "damaged"),
         (lambda state: state | {"decoder_net.0.weight": torch.zeros(32, 9)}, "do not fit"),
-        (lambda state: state | {"decoder_net.5.weight": torch.zeros(9, 32), "decoder_net.5.bias": torch.zeros(9)}, "21"),
+        (
+            lambda state: state | {"decoder_net.5.weight": torch.zeros(9, 32), "decoder_net.5.bias": torch.zeros(9)},
+            "21",
+        ),
     ],
 )
 def test_damaged_checkpoints_are_refused_with_a_sentence(damage, sentence):

@@ -1,0 +1,144 @@
+"""The picture strip: how a blurred picture is explained, at one glance.
+
+input | matte | sub-frames | re-blurred | residual | the bodies from the side; one row per frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.evaluate.protocol import pose_rows
+from hfb.formation import compose
+from hfb.motion.sampled import SampledMotion
+from hfb.observation import Observation
+from hfb.render.rasterizer import Rasterizer
+from hfb.report.shading import shade_bodies, side_view, time_colours
+from hfb.shapes import Array, Float, Tensor
+
+_CELL_HEIGHT_PX, _LARGEST_WIDTH_PX = 256, 384
+_SHOWN_SUBFRAMES = 5
+_RESIDUAL_GAIN = 2.0
+_CAPTION_PX, _GAP_PX = 22, 4
+_PAPER = 1.0
+_GHOST_OPACITIES = (0.55, 0.75, 1.0)  # first, middle, last instant
+
+
+@dataclass(frozen=True)
+class StripRow:
+    """One frame's pictures, all of one size, sRGB in [0, 1].
+
+    Attributes:
+        input_srgb, matte: what was seen.
+        subframes, labels: bodies over the background at some instants, and what to write above each.
+        reblurred_srgb: the mean over all sub-frames, composed with the background.
+        residual: re-blurred minus input, in [-1, 1].
+        novel_views: first, middle and last body from the side, later ones over earlier ones.
+    """
+
+    input_srgb: Float[Array, "H W 3"]
+    matte: Float[Array, "H W"]
+    subframes: tuple[Float[Array, "H W 3"], ...]
+    labels: tuple[str, ...]
+    reblurred_srgb: Float[Array, "H W 3"]
+    residual: Float[Array, "H W 3"]
+    novel_views: Float[Array, "H W 3"]
+
+
+def draw_strip(
+    observation: Observation,
+    motion: SampledMotion,
+    texture: Float[Tensor, "A A 3"],
+    body: Body,
+    rasterizer: Rasterizer,
+) -> Float[Array, "Y X 3"]:
+    """The whole strip as one sRGB picture in [0, 1], cut to the region around the mattes.
+
+    Args:
+        motion: the fitted motion, in camera coordinates of the observation.
+        texture: in the observation's light.
+    """
+    left, top, width, height = observation.region()
+    scale = min(_CELL_HEIGHT_PX / height, _LARGEST_WIDTH_PX / width)
+    window = observation.cropped(left, top, width, height).resized(round(scale * max(height, width)))
+    frames = range(observation.mattes.shape[0])
+    return lay_out([_row(window, frame, motion, texture, body, rasterizer) for frame in frames])
+
+
+def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
+    """Rows of captioned cells on white paper."""
+    lines = []
+    for number, row in enumerate(rows, 1):
+        gray = np.repeat(row.matte[..., None], 3, -1)
+        cells = [row.input_srgb, gray, *row.subframes, row.reblurred_srgb]
+        cells += [0.5 + _RESIDUAL_GAIN / 2 * row.residual, row.novel_views]
+        name = "input" if len(rows) == 1 else f"input {number}"
+        captions = [name, "matte", *row.labels, "re-blurred", f"residual x{_RESIDUAL_GAIN:.0f}", "from the side"]
+        lines.append(np.concatenate([_cell(*pair) for pair in zip(cells, captions, strict=True)], 1))
+    return np.concatenate(lines, 0).clip(0, 1)
+
+
+def _cell(picture: Array, caption: str) -> Array:
+    """A picture under its caption, with a margin to its right and below."""
+    height, width = picture.shape[:2]
+    band = np.full((_CAPTION_PX, width + _GAP_PX, 3), 255, dtype=np.uint8)  # OpenCV 5 writes on 8 bits only
+    size = 0.45
+    while size > 0.2 and cv2.getTextSize(caption, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0] > width - 4:
+        size -= 0.05  # a narrow cell gets smaller letters
+    cv2.putText(band, caption, (3, 15), cv2.FONT_HERSHEY_SIMPLEX, size, (40, 40, 40), 1, cv2.LINE_AA)
+    cell = np.full((height + _CAPTION_PX + _GAP_PX, width + _GAP_PX, 3), _PAPER, dtype=np.float32)
+    cell[:_CAPTION_PX] = band / np.float32(255)
+    cell[_CAPTION_PX : _CAPTION_PX + height, :width] = picture
+    return cell
+
+
+def _row(
+    window: Observation,
+    frame: int,
+    motion: SampledMotion,
+    texture: Float[Tensor, "A A 3"],
+    body: Body,
+    rasterizer: Rasterizer,
+) -> StripRow:
+    """One frame's pictures in the window's camera."""
+    vertices = pose_rows(motion, motion.rows_of(frame), body).vertices
+    count = len(vertices)
+    with torch.no_grad():
+        blurred = rasterizer.render_mean(vertices, texture, window.camera, body.mesh)
+    reblurred = window.to_srgb(compose(blurred, window.plate_linear))
+    seen = window.to_srgb(window.frames_linear[frame])
+
+    shown = sorted({round(float(k)) for k in np.linspace(0, count - 1, _SHOWN_SUBFRAMES)})
+    colours = time_colours(count)
+    clay = shade_bodies(vertices[shown], colours[shown], window.camera, body.mesh, rasterizer)
+    faded = 0.35 * window.to_srgb(window.plate_linear) + 0.65 * _PAPER
+    return StripRow(
+        input_srgb=seen.numpy(),
+        matte=window.mattes[frame].numpy(),
+        subframes=tuple((picture[..., :3] + (1 - picture[..., 3:]) * faded).numpy() for picture in clay),
+        labels=tuple(f"{k + 1}/{count}" for k in shown),
+        reblurred_srgb=reblurred.numpy(),
+        residual=(reblurred - seen).numpy(),
+        novel_views=_ghosts(vertices, colours, window, body, rasterizer).numpy(),
+    )
+
+
+def _ghosts(
+    vertices: Float[Tensor, "S V 3"],
+    colours: Float[Tensor, "S 3"],
+    window: Observation,
+    body: Body,
+    rasterizer: Rasterizer,
+) -> Float[Tensor, "H W 3"]:
+    """First, middle and last body from the side, the earlier ones showing through."""
+    chosen = [0, (len(vertices) - 1) // 2, len(vertices) - 1]
+    picture = torch.full_like(window.plate_linear, _PAPER)
+    turned, camera = side_view(vertices[chosen], *picture.shape[:2])
+    for clay, opacity in zip(
+        shade_bodies(turned, colours[chosen], camera, body.mesh, rasterizer), _GHOST_OPACITIES, strict=True
+    ):
+        picture = opacity * clay[..., :3] + (1 - opacity * clay[..., 3:]) * picture
+    return picture
