@@ -64,6 +64,8 @@ def _parser() -> argparse.ArgumentParser:
 
     models = _command(commands, "models", _models, "the pose networks: what is there, and get the rest", seeded=True)
     models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
+    models.add_argument("--wheel", type=Path, help="fetch from a MediaPipe wheel that already lies here")
+    models.add_argument("--force", action="store_true", help="fetch again what is there")
 
     runs = _command(commands, "runs", _runs, "show the recorded runs in a browser (MLflow)", seeded=True)
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
@@ -114,7 +116,23 @@ def _demo(given: argparse.Namespace) -> None:
 
 
 def _models(given: argparse.Namespace) -> None:
-    raise InputError("not here yet")
+    from hfb.initialize.networks import fetch_networks, list_networks
+
+    if given.out is not None:
+        os.environ["HFB_MODELS_DIR"] = str(given.out)
+
+    def tell(line: str) -> None:
+        if not given.quiet:
+            print(line, file=sys.stderr)
+
+    if given.action == "fetch":
+        networks = fetch_networks(tell, wheel=given.wheel, force=given.force)
+    else:
+        networks = list_networks()
+    if given.json:
+        print(json.dumps({"networks": [network.as_dict() for network in networks]}))
+    elif not given.quiet:
+        print(summary.networks_text(networks))
 
 
 def _runs(given: argparse.Namespace) -> None:

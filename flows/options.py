@@ -30,16 +30,19 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
     )
     shown = preset(_DEFAULT_PRESET)
     for name, field, default in _keys(shown):
-        spellings = list(dict.fromkeys([f"--{name}", f"--{name.replace('_', '-')}"]))
-        choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else None
         described = (field.description or "").replace("%", "%%")
+        flag = f"--{name.replace('_', '-')}"
         group.add_argument(
-            *spellings,
+            flag,
             dest=_PREFIX + name,
             default=argparse.SUPPRESS,
-            metavar="|".join(choices) if choices else name.rpartition(".")[2].upper(),
+            metavar=_placeholder(field),
             help=described if default is None else f"{described} [{_shown(default)}]".strip(),
         )
+        if "_" in name:  # as the file writes it
+            group.add_argument(
+                f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
+            )  # fmt: skip
 
 
 def run_config(given: argparse.Namespace) -> RunConfig:
@@ -65,6 +68,14 @@ def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
             yield from _keys(value, f"{prefix}{name}.")
         else:
             yield prefix + name, field, value
+
+
+def _placeholder(field: FieldInfo) -> str:
+    if get_origin(field.annotation) is Literal:
+        return "|".join(get_args(field.annotation))
+    kinds = {int: "N", float: "X", Path: "FILE"}
+    named = {field.annotation, *get_args(field.annotation)}
+    return next((word for kind, word in kinds.items() if kind in named), "JSON")
 
 
 def _shown(default: Any) -> str:

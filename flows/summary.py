@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from hfb.initialize.networks import NetworkStatus
 
 
 class Row(NamedTuple):
@@ -44,6 +47,15 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
     if result["mlflow_link"] is not None:
         lines.append(f"MLflow   {result['mlflow_link']}")
         lines += [f"         {hint}"] if hint else []
+    return "\n".join(lines)
+
+
+def networks_text(networks: Sequence[NetworkStatus]) -> str:
+    """One line per network: is it here, whose is it, and how to get it."""
+    lines = []
+    for network in networks:
+        state = network.path if network.present else f"missing: {network.get}"
+        lines.append(f"{network.name:<30}{network.size_bytes / 1e6:>6.1f} MB   {network.licence}   {state}")
     return "\n".join(lines)
 
 

@@ -37,6 +37,8 @@ def keep_log(verbose: bool = False) -> None:
     root = logging.getLogger()
     root.setLevel(logging.INFO)
     logging.captureWarnings(True)
+    for chatty in ("httpx", "alembic"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
     for handler in (_file_handler(), _Telling(verbose)):
         if handler is not None:
             handler.setFormatter(logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))

@@ -39,7 +39,7 @@ class ClipCamera(Record):
         if self.focal_px is not None:
             raise ValueError("give focal_px or K, not both")
         (fx, skew, _), (zero, fy, _), last = self.K
-        if fx <= 0 or fy <= 0 or skew != 0 or zero != 0 or last != (0, 0, 1):
+        if fx <= 0 or fy <= 0 or skew != 0 or zero != 0 or list(last) != [0, 0, 1]:
             raise ValueError("K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0: undistort the pictures")
         return self
 

@@ -18,8 +18,6 @@ from typing import Protocol, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-_PLAIN_INTERVAL_S = 2.0
-
 
 @dataclass
 class Shown:
@@ -62,11 +60,11 @@ class Silent:
 
 
 class Plain:
-    """For logs and pipes: a line when a step ends, and every two seconds how far the current one is."""
+    """For logs and pipes: a line when a step ends, and after 2, 3, 5, 7, 10 ... seconds how far it is."""
 
-    def __init__(self, stream: TextIO, interval_s: float = _PLAIN_INTERVAL_S) -> None:
+    def __init__(self, stream: TextIO, first_s: float = 2.0) -> None:
         self._stream = stream
-        self._interval_s = interval_s
+        self._first_s = first_s
         self._current: Shown | None = None
         self._stop = threading.Event()
 
@@ -95,12 +93,16 @@ class Plain:
             thread.join()
 
     def _watch(self) -> None:
-        while not self._stop.wait(self._interval_s):
+        watched, due_s = self._current, self._first_s
+        while not self._stop.wait(self._first_s / 4):
             shown = self._current
-            if shown is not None and shown.seconds >= self._interval_s:
+            if shown is not watched:
+                watched, due_s = shown, self._first_s
+            if shown is not None and shown.seconds >= due_s:
                 count = f" {shown.done}/{shown.total}" if shown.total else ""
                 note = f", {shown.note}" if shown.note else ""
                 self.say(f"{shown.label}{count}{note} ({shown.seconds:.0f} s) ...")
+                due_s = min(1.5 * shown.seconds, shown.seconds + 10)
 
 
 class Live:

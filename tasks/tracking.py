@@ -25,6 +25,7 @@ from urllib.request import urlopen
 
 import platformdirs
 
+from hfb import __version__
 from hfb.errors import InputError
 
 if TYPE_CHECKING:
@@ -243,6 +244,6 @@ def flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
 
 
 def _environment_tags() -> dict[str, str]:
-    libraries = ("hfb", "torch", "numpy", "numba", "opencv-python-headless", "prefect", "mlflow")
-    tags = {f"version.{name}": version(name) for name in libraries}
+    libraries = ("torch", "numpy", "numba", "opencv-python-headless", "prefect", "mlflow")
+    tags = {"version.hfb": __version__} | {f"version.{name}": version(name) for name in libraries}
     return tags | {"version.python": platform.python_version(), "platform": platform.platform(), "device": "cpu"}

@@ -34,7 +34,7 @@ def standing_pose() -> torch.Tensor:
 
 
 def moving_scene(
-    body: Body, size_px: int = 96, frames: int = 1, instants: int = 15, step_m: float = 0.25, arm_rad: float = 0.8
+    body: Body, size_px: int = 96, frames: int = 1, instants: int = 15, step_m: float = 0.15, arm_rad: float = 0.5
 ) -> Scene:
     """The body steps to its left (+x) by step_m per frame while both arms rise by arm_rad per frame."""
     u = torch.linspace(0, frames, instants * frames)

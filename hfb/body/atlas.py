@@ -127,15 +127,19 @@ def _pack(flat: Float[Array, "U 2"], chart: Int[Array, "U"]) -> Float[Array, "U 
 
 
 def _shelves(size: Float[Array, "N 2"]) -> Float[Array, "N 2"] | None:
-    """Lower left corners of boxes put on shelves by falling height, or None where they do not fit the unit square."""
+    """Corners of boxes put on shelves, highest first, each on the first shelf with room; None where they do not fit."""
     corner = np.zeros_like(size)
-    x = y = shelf = 0.0
+    shelves: list[list[float]] = []  # [height at which it hangs, width taken]
+    top = 0.0
     for box in np.lexsort((-size[:, 0], -size[:, 1])):
-        width, height = size[box]
-        if x + width > 1 and x > 0:
-            x, y, shelf = 0.0, y + shelf, 0.0
-        if x + width > 1 or y + height > 1:
-            return None
-        corner[box] = x, y
-        x, shelf = x + width, max(shelf, float(height))
+        width, height = size[box].tolist()
+        shelf = next((shelf for shelf in shelves if shelf[1] + width <= 1), None)
+        if shelf is None:
+            shelf = [top, 0.0]
+            shelves.append(shelf)
+            top += height
+            if top > 1 or width > 1:
+                return None
+        corner[box] = shelf[1], shelf[0]
+        shelf[1] += width
     return corner

@@ -34,7 +34,8 @@ class Body:
         betas_space: whose shape coefficients these are; ``"hfb"`` betas mean nothing to SMPL, and the reverse.
         licence: terms of the model's file. source: where it came from.
         template: mean rest shape. shape_directions: displacement of each vertex per unit of beta.
-        pose_directions: SMPL's pose blend shapes, for 9 entries of 23 matrices; None where the model has none.
+        pose_directions: SMPL's pose blend shapes, 9 entries of 23 matrices by the 3 V coordinates; None where the
+            model has none.
         joint_regressor: joints of the rest pose as weighted means of its vertices.
         joint_template, joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
         skinning_weights: share of each joint in each vertex; rows add up to 1.
@@ -47,7 +48,7 @@ class Body:
     source: str
     template: Float[Tensor, "V 3"]
     shape_directions: Float[Tensor, "V 3 K"]
-    pose_directions: Float[Tensor, "207 V*3"] | None
+    pose_directions: Float[Tensor, "207 Vx3"] | None
     joint_regressor: Float[Tensor, "24 V"]
     joint_template: Float[Tensor, "24 3"]
     joint_shape_directions: Float[Tensor, "24 3 K"]
@@ -119,10 +120,10 @@ class ShapedBody:
         # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
         offset = joints - (T_world_joint[:, :, :3, :3] @ self.joints[:, :, None]).squeeze(-1)
         T_world_rest = torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1)
-        vertices = self._skin(T_world_rest)
+        coordinates = self._skin(T_world_rest)
         if self.body.pose_directions is not None:
-            vertices = vertices + self._rotated_pose_offsets(T_world_rest, rotations)
-        return PosedBody(vertices, joints)
+            coordinates = coordinates + self._rotated_pose_offsets(T_world_rest, rotations)
+        return PosedBody(coordinates.transpose(1, 2).contiguous(), joints)
 
     def joints_of(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
@@ -148,21 +149,23 @@ class ShapedBody:
             transforms = transforms.index_select(1, index) @ transforms
         return transforms[:, :JOINT_COUNT]
 
-    def _skin(self, T_world_rest: Float[Tensor, "S 24 3 4"]) -> Float[Tensor, "S V 3"]:
+    def _skin(self, T_world_rest: Float[Tensor, "S 24 3 4"]) -> Float[Tensor, "S 3 V"]:
         """Linear blend skinning of the rest vertices (SMPL's eq. 2) as one product."""
         rows = T_world_rest.transpose(1, 2).flatten(0, 1).flatten(1)
-        return (rows @ self.skinning_basis).unflatten(0, (-1, 3)).transpose(1, 2).contiguous()
+        return (rows @ self.skinning_basis).unflatten(0, (-1, 3))
 
     def _rotated_pose_offsets(
         self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
-    ) -> Float[Tensor, "S V 3"]:
+    ) -> Float[Tensor, "S 3 V"]:
         """Pose blend shapes (SMPL's eq. 9), turned by each vertex's blended rotation.
 
-        Skinning is linear in the rest vertex, so the offset is skinned apart from the shape.
+        Skinning is linear in the rest vertex, so the offset is skinned apart from the shape. Vertices come last
+        throughout: products of whole planes are several times faster than V small matrices.
         """
         assert self.body.pose_directions is not None
         identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
         feature = (rotations[:, 1:] - identity).flatten(1)
-        offsets = (feature @ self.body.pose_directions).unflatten(1, (-1, 3))
-        blended = self.body.skinning_weights @ T_world_rest[..., :3].flatten(2)
-        return (blended.unflatten(-1, (3, 3)) @ offsets[..., None]).squeeze(-1)
+        offsets = (feature @ self.body.pose_directions).unflatten(1, (-1, 3)).transpose(1, 2).contiguous()
+        rows = T_world_rest[..., :3].permute(0, 2, 3, 1).flatten(0, 2)
+        blended = (rows @ self.body.skinning_weights.T).unflatten(0, (-1, 3, 3))
+        return (blended * offsets[:, None]).sum(2)

@@ -70,15 +70,9 @@ class SparseMatrix(Placeholder):
 
 
 class ChumpyArray(Placeholder):
-    """Stands for chumpy.Ch: its value is the attribute x."""
+    """Stands for every class of chumpy: a value is its attribute x, or entries `idxs` of another one, `a`."""
 
-    kind = "chumpy array"
-
-
-class ChumpySelection(Placeholder):
-    """Stands for chumpy's Select: entries `idxs` of the flattened array `a`, in `preferred_shape`."""
-
-    kind = "chumpy selection"
+    kind = "chumpy expression"
 
 
 def _reconstruct(*_arguments: Any) -> NumpyArray:
@@ -126,9 +120,6 @@ _ALLOWED: dict[str, Any] = {
     "builtins.frozenset": _plain,
     "builtins.object": Placeholder,
     "copyreg._reconstructor": _new_object,
-    "chumpy.ch.Ch": ChumpyArray,
-    "chumpy.Ch": ChumpyArray,
-    "chumpy.reordering.Select": ChumpySelection,
     **{f"numpy.{core}.multiarray._reconstruct": _reconstruct for core in ("core", "_core")},
     **{f"numpy.{core}.multiarray.scalar": NumpyScalar for core in ("core", "_core")},
     **{f"numpy.{core}.numeric._frombuffer": _from_buffer for core in ("core", "_core")},
@@ -153,6 +144,8 @@ class _Unpickler(_PythonUnpickler):
         full = f"{module}.{name}"
         if full in _ALLOWED:
             return _ALLOWED[full]
+        if module.split(".")[0] == "chumpy":
+            return ChumpyArray
         if module.startswith("scipy.sparse") and name in _SPARSE:
             return _sparse_placeholder(name)
         raise InputError(f"its pickle asks for {full}, which a body model does not need and hfb does not run")
@@ -208,10 +201,7 @@ def to_array(value: Any) -> Shaped[Array, "..."]:
         case NumpyScalar(arguments=(dtype, data)):
             return _from_bytes((), dtype, False, data)
         case ChumpyArray():
-            return to_array(value.field("x", "r"))
-        case ChumpySelection():
-            entries = to_array(value.field("a")).reshape(-1)[to_array(value.field("idxs")).reshape(-1)]
-            return entries.reshape(_shape(value.field("preferred_shape")))
+            return _chumpy_value(value)
         case SparseMatrix():
             return _dense(value)
         case bool() | int() | float():
@@ -221,6 +211,14 @@ def to_array(value: Any) -> Shaped[Array, "..."]:
         case Placeholder():
             raise InputError(f"it holds a {value.kind} where numbers should be")
     raise InputError(f"it holds a {type(value).__name__} where numbers should be")
+
+
+def _chumpy_value(value: ChumpyArray) -> Shaped[Array, "..."]:
+    state = value.state if isinstance(value.state, dict) else {}
+    if "x" in state or "r" in state:
+        return to_array(value.field("x", "r"))
+    entries = to_array(value.field("a")).reshape(-1)[to_array(value.field("idxs")).reshape(-1)]
+    return entries.reshape(_shape(state["preferred_shape"])) if "preferred_shape" in state else entries
 
 
 def _numpy_array(value: NumpyArray) -> Shaped[Array, "..."]:
@@ -268,7 +266,8 @@ def _dense(value: SparseMatrix) -> Shaped[Array, "rows columns"]:
     if len(shape) != 2:
         raise InputError("it holds a sparse matrix without two sides")
     if value.form == "coo":
-        row, column = (to_array(value.field(name)).reshape(-1) for name in ("row", "col"))
+        rows, columns = value.field("coords") if "coords" in value.state else (value.field("row"), value.field("col"))
+        row, column = to_array(rows).reshape(-1), to_array(columns).reshape(-1)
     else:
         minor = to_array(value.field("indices")).reshape(-1)
         counts = np.diff(to_array(value.field("indptr")).reshape(-1))

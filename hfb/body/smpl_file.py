@@ -109,7 +109,7 @@ def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Ar
     return np.ascontiguousarray(_floats(path, arrays, "shapedirs", (vertex_count, 3, SHAPE_COUNT)))
 
 
-def _pose_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "207 V*3"]:
+def _pose_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "207 Vx3"]:
     directions = _floats(path, arrays, "posedirs", (vertex_count, 3, POSE_COUNT))
     return np.ascontiguousarray(directions.reshape(-1, POSE_COUNT).T)
 

@@ -35,6 +35,9 @@ _EXPOSURE_S = 1 / 30
 _INSTANTS = 57
 _SENSOR_NOISE = 0.004
 
+# The stretch between the key poses that the exposure covers: a blur rate of about 0.6.
+_FROM, _TO = 0.25, 0.47
+
 # Key poses of a side step with both arms swinging: axis-angle in degrees, SMPL's rest frame (x left, y up, z front).
 _START = {
     "left_shoulder": (0, 0, -62), "right_shoulder": (0, 0, 50), "left_elbow": (0, -35, 0), "right_elbow": (0, 45, 0),
@@ -107,14 +110,14 @@ def _truth(
 
 def _side_step(u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "S 24 3"], Float[Tensor, "S 3"]]:
     """Poses (axis-angle, camera frame) and translations [m] of a person who steps aside and swings both arms."""
-    eased = (u + 0.12 * torch.sin(2 * torch.pi * u) / torch.pi)[:, None, None]
+    eased = (_FROM + (_TO - _FROM) * (u + 0.12 * torch.sin(2 * torch.pi * u) / torch.pi))[:, None, None]
     start, end = axis_angle_to_quaternion(_key(_START)), axis_angle_to_quaternion(_key(_END))
     end = in_hemisphere_of(end, start)
     joints = normalize_quaternion((1 - eased) * start + eased * end)
-    yaw = (0.35 - 0.25 * eased[:, 0, :]) * u.new_tensor([[0.0, 1.0, 0.0]])
+    yaw = (0.45 - 0.5 * eased[:, 0, :]) * u.new_tensor([[0.0, 1.0, 0.0]])
     to_camera = axis_angle_to_quaternion(u.new_tensor([torch.pi, 0.0, 0.0]))
     joints[:, 0] = multiply_quaternions(to_camera.expand(len(u), 4), axis_angle_to_quaternion(yaw))
-    path = u.new_tensor([[-0.05, 0.12, 3.9]]) + eased[:, 0, :] * u.new_tensor([[0.16, -0.03, -0.12]])
+    path = u.new_tensor([[-0.15, 0.1, 3.6]]) + eased[:, 0, :] * u.new_tensor([[0.3, -0.03, -0.2]])
     return quaternion_to_axis_angle(joints), path
 
 

@@ -106,11 +106,11 @@ def _iterations(
         optimizer.zero_grad()
         terms = objective.terms(variables.trajectory, variables.betas, variables.texture)
         loss = objective.total(terms)
-        values = {name: float(value) for name, value in terms.items()}
-        if not math.isfinite(float(loss)):
+        values = {name: value.item() for name, value in terms.items()}
+        if not math.isfinite(loss.item()):
             broken = [name for name, value in values.items() if not math.isfinite(value)]
             raise FloatingPointError(f"the loss is not a number any more at iteration {iteration}: {broken}")
-        yield float(loss), values, variables.copy
+        yield loss.item(), values, variables.copy
         loss.backward()
         optimizer.step()
         with torch.no_grad():

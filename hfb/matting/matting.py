@@ -47,7 +47,9 @@ class KnownBackground:
         _check_presence(found)
         height, width = frame.shape[:2]
         scale = np.array([height, width]) / found.body.shape
-        top, left, bottom, right = _scaled_box(matte_region(found.body.astype(np.float32), margin=0.3), scale, height, width)
+        top, left, bottom, right = _scaled_box(
+            matte_region(found.body.astype(np.float32), margin=0.3), scale, height, width
+        )
         inner = (slice(top, bottom), slice(left, right))
         near_frame = shrink(frame[inner], _SOLUTION_PX)
         near_plate = np.clip(shrink(plate[inner], _SOLUTION_PX) * gain, 0, 1)
@@ -87,7 +89,12 @@ def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: flo
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     extra = round(margin * max(bottom - top, right - left))
     height, width = matte.shape
-    return max(0, int(top) - extra), max(0, int(left) - extra), min(height, int(bottom) + extra), min(width, int(right) + extra)
+    return (
+        max(0, int(top) - extra),
+        max(0, int(left) - extra),
+        min(height, int(bottom) + extra),
+        min(width, int(right) + extra),
+    )
 
 
 def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
@@ -145,6 +152,10 @@ def _empty_around(
 ) -> Bool[Array, "a b"]:
     """The detection's "nobody here", cut and scaled to the solution's grid."""
     away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
-    rows = ((inner[0].start + (np.arange(size[0]) + 0.5) * (inner[0].stop - inner[0].start) / size[0]) / scale[0]).astype(int)
-    columns = ((inner[1].start + (np.arange(size[1]) + 0.5) * (inner[1].stop - inner[1].start) / size[1]) / scale[1]).astype(int)
+    rows = (
+        (inner[0].start + (np.arange(size[0]) + 0.5) * (inner[0].stop - inner[0].start) / size[0]) / scale[0]
+    ).astype(int)
+    columns = (
+        (inner[1].start + (np.arange(size[1]) + 0.5) * (inner[1].stop - inner[1].start) / size[1]) / scale[1]
+    ).astype(int)
     return away[np.ix_(np.clip(rows, 0, body.shape[0] - 1), np.clip(columns, 0, body.shape[1] - 1))]

@@ -7,9 +7,9 @@ wrist 80 / 70, radial 20, ulnar 30; hip flexion 120, extension 30, abduction 45,
 135 (150 with heel to thigh); ankle dorsiflexion 20, plantar flexion 50, inversion 35, eversion 15; neck 45 each way,
 rotation 60; back flexion 80, extension 25, bending 35, rotation 45. Where the SMPL layout gives one anatomical joint
 several rotations (spine, neck, forearm), the range is shared out generously; horizontal adduction is 135, a collar
-goes 40 up, and the ankle of a bent leg under load dorsiflexes to 40 (Bennell et al. 1998). An arm overhead turns
-further out than one at the side, as measured from the T-pose. Means and spreads are rounded by hand from everyday and
-athletic motion capture.
+goes 40 up, and the ankle of a bent leg under load dorsiflexes to 40 (Bennell et al. 1998). Combined motions reach
+further than each alone: an arm overhead turns further out than one at the side, a bent thigh opens further than a
+straight one. Means and spreads are rounded by hand from everyday and athletic motion capture.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ _JOINTS: dict[str, _Joint] = {
     "spine3": _Joint(1, (-20, 45), (-30, 30), (-25, 25), (2, 0, 0), (12, 8, 7)),
     "neck": _Joint(1, (-35, 45), (-45, 45), (-35, 35), (4, 0, 0), (14, 14, 10)),
     "head": _Joint(1, (-45, 45), (-50, 50), (-35, 35), (0, 0, 0), (16, 16, 10)),
-    "left_hip": _Joint(1, (-125, 30), (-45, 55), (-30, 55), (-20, 0, 4), (28, 16, 11)),
+    "left_hip": _Joint(1, (-130, 30), (-45, 55), (-30, 70), (-20, 0, 5), (30, 16, 13)),
     "left_knee": _Joint(1, (-5, 150), (-20, 20), (-8, 8), (30, 0, 0), (30, 6, 4)),
     "left_ankle": _Joint(2, (-40, 55), (-30, 30), (-35, 20), (-5, 0, 0), (16, 12, 8)),
     "left_foot": _Joint(2, (-60, 40), (-10, 10), (-10, 10), (0, 0, 0), (12, 4, 4)),

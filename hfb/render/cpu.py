@@ -11,9 +11,10 @@ import numpy as np
 import torch
 
 from hfb.body.mesh import Mesh
-from hfb.render import kernels
+from hfb.render import kernels, kernels_dibr
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import NEAR_M
+from hfb.render.reference_dibr import dibr_constants
 from hfb.render.threads import run_tasks
 from hfb.shapes import Array, Float, Tensor
 
@@ -23,16 +24,18 @@ TEXTURE_GROUPS = 8  # partial sums of the texture's gradient: fixed, so that the
 @torch.library.custom_op("hfb::draw", mutates_args=())
 def draw(
     vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    mean: bool, threads: int,
+    soft: Sequence[float], mean: bool, threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
     """Pictures (1 or S, H, W, 4) and what the way back needs: the bodies' traces (see `kernels`), their pixels'
     codes, and where each body's part of these lists ends."""
     faces, uv_faces, edge_vertices, edge_faces = _indices(topology)
     corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
-    view = np.asarray(lens)
+    view, halo = np.asarray(lens), np.asarray(soft, np.float64)
     count = corners.shape[0]
 
     def task(s: int) -> tuple[Array, ...]:
+        if soft:
+            return kernels_dibr.draw_body_softly(corners[s], view, halo, faces, coordinates, uv_faces, colours)
         return kernels.draw_body(
             corners[s], view, faces, coordinates, uv_faces, edge_vertices, edge_faces, colours
         )
@@ -101,7 +104,7 @@ def _fake_ends(vertices: Tensor) -> Tensor:
 
 
 @draw.register_fake
-def _(vertices, texture, uv, topology, lens, mean, threads):
+def _(vertices, texture, uv, topology, lens, soft, mean, threads):
     trace = _fake_trace(vertices)
     pictures = vertices.new_empty(1 if mean else vertices.shape[0], int(lens[6]), int(lens[5]), 4)
     return pictures, *trace, torch.empty_like(trace[2]), _fake_ends(vertices)
@@ -110,7 +113,7 @@ def _(vertices, texture, uv, topology, lens, mean, threads):
 @torch.library.custom_op("hfb::draw_gradient", mutates_args=())
 def draw_gradient(
     pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lens: Sequence[float], kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+    lens: Sequence[float], is_soft: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
     faces, uv_faces, _, _ = _indices(topology)
@@ -122,10 +125,11 @@ def draw_gradient(
     partial = np.zeros((groups, *(colours.shape if of_texture else (0, 0, 3))), colours.dtype)
     scale = corners.dtype.type(1 / count if mean else 1)
     view, traces = np.asarray(lens), _trace(kept, count)
+    way_back = kernels_dibr.draw_body_softly_gradient if is_soft else kernels.draw_body_gradient
 
     def task(group: int) -> None:
         for s in range(group * count // groups, (group + 1) * count // groups):
-            kernels.draw_body_gradient(
+            way_back(
                 corners[s], view, faces, coordinates, uv_faces, colours, traces[s][:7], traces[s][7],
                 given[0 if mean else s].reshape(-1, 4), scale, gradient[s], partial[group],
             )  # fmt: skip
@@ -135,28 +139,29 @@ def draw_gradient(
 
 
 @draw_gradient.register_fake
-def _(pictures, vertices, texture, uv, topology, lens, kept, of_vertices, of_texture, threads):
+def _(pictures, vertices, texture, uv, topology, lens, is_soft, kept, of_vertices, of_texture, threads):
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(vertices.shape[0], 0, 3)
     return gradient, torch.empty_like(texture) if of_texture else texture.new_empty(0, 0, 3)
 
 
 def _keep_draw(ctx, inputs, output) -> None:
-    vertices, texture, uv, topology, lens, mean, threads = inputs
+    vertices, texture, uv, topology, lens, soft, _, threads = inputs
     ctx.save_for_backward(vertices, texture, uv, *topology, *output[1:])
-    ctx.lens, ctx.threads = lens, threads
+    ctx.lens, ctx.is_soft, ctx.threads = lens, bool(soft), threads
     ctx.set_materialize_grads(False)
 
 
 def _draw_backward(ctx, of_pictures, *_):
     if of_pictures is None:
-        return None, None, None, [None] * 4, None, None, None
+        return None, None, None, [None] * 4, None, None, None, None
     vertices, texture, uv, *tables = ctx.saved_tensors
     of_vertices, of_texture = ctx.needs_input_grad[:2]
     by_vertices, by_texture = draw_gradient(
-        of_pictures, vertices, texture, uv, tables[:4], ctx.lens, tables[4:], of_vertices, of_texture, ctx.threads
-    )
+        of_pictures, vertices, texture, uv, tables[:4], ctx.lens, ctx.is_soft, tables[4:], of_vertices, of_texture,
+        ctx.threads,
+    )  # fmt: skip
     return (
-        by_vertices if of_vertices else None, by_texture if of_texture else None, None, [None] * 4, None, None, None
+        by_vertices if of_vertices else None, by_texture if of_texture else None, None, [None] * 4, None, None, None, None
     )  # fmt: skip
 
 
@@ -165,14 +170,16 @@ draw.register_autograd(_draw_backward, setup_context=_keep_draw)
 
 @torch.library.custom_op("hfb::cover", mutates_args=())
 def cover(
-    vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], mean: bool, threads: int
+    vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], soft: Sequence[float], mean: bool, threads: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Silhouettes (1 or S, H, W) and what the way back needs, as `draw` but without colours."""
     faces, _, edge_vertices, edge_faces = _indices(topology)
-    corners, view = vertices.detach().numpy(), np.asarray(lens)
+    corners, view, halo = vertices.detach().numpy(), np.asarray(lens), np.asarray(soft, np.float64)
     count = corners.shape[0]
 
     def task(s: int) -> tuple[Array, ...]:
+        if soft:
+            return kernels_dibr.cover_body_softly(corners[s], view, halo, faces)
         return kernels.cover_body(corners[s], view, faces, edge_vertices, edge_faces)
 
     bodies = run_tasks(task, count, threads)
@@ -183,46 +190,53 @@ def cover(
 
 
 @cover.register_fake
-def _(vertices, topology, lens, mean, threads):
+def _(vertices, topology, lens, soft, mean, threads):
     pictures = vertices.new_empty(1 if mean else vertices.shape[0], int(lens[6]), int(lens[5]))
     return pictures, *_fake_trace(vertices), _fake_ends(vertices)
 
 
 @torch.library.custom_op("hfb::cover_gradient", mutates_args=())
 def cover_gradient(
-    pictures: Tensor, vertices: Tensor, lens: Sequence[float], kept: Sequence[Tensor], threads: int
+    pictures: Tensor, vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], is_soft: bool,
+    kept: Sequence[Tensor], threads: int,
 ) -> Tensor:
     """Gradient of the vertices (S, V, 3)."""
     corners, view = vertices.detach().numpy(), np.asarray(lens)
     given = pictures.detach().contiguous().numpy()
     count, mean = corners.shape[0], given.shape[0] != corners.shape[0]
     gradient, traces = np.empty_like(corners), _trace(kept, count)
+    faces = _indices(topology)[0]
 
     def task(s: int) -> None:
         picture = given[0 if mean else s].reshape(-1)
-        kernels.cover_body_gradient(corners[s], view, traces[s], picture, 1 / count if mean else 1.0, gradient[s])
+        scale = 1 / count if mean else 1.0
+        if is_soft:
+            kernels_dibr.cover_body_softly_gradient(corners[s], view, faces, traces[s], picture, scale, gradient[s])
+        else:
+            kernels.cover_body_gradient(corners[s], view, traces[s], picture, scale, gradient[s])
 
     run_tasks(task, count, threads)
     return torch.from_numpy(gradient)
 
 
 @cover_gradient.register_fake
-def _(pictures, vertices, lens, kept, threads):
+def _(pictures, vertices, topology, lens, is_soft, kept, threads):
     return torch.empty_like(vertices)
 
 
 def _keep_cover(ctx, inputs, output) -> None:
-    vertices, _, lens, _, threads = inputs
-    ctx.save_for_backward(vertices, *output[1:])
-    ctx.lens, ctx.threads = lens, threads
+    vertices, topology, lens, soft, _, threads = inputs
+    ctx.save_for_backward(vertices, *topology, *output[1:])
+    ctx.lens, ctx.is_soft, ctx.threads = lens, bool(soft), threads
     ctx.set_materialize_grads(False)
 
 
 def _cover_backward(ctx, of_pictures, *_):
     if of_pictures is None:
-        return None, [None] * 4, None, None, None
-    vertices, *kept = ctx.saved_tensors
-    return cover_gradient(of_pictures, vertices, ctx.lens, kept, ctx.threads), [None] * 4, None, None, None
+        return None, [None] * 4, None, None, None, None
+    vertices, *tables = ctx.saved_tensors
+    gradient = cover_gradient(of_pictures, vertices, tables[:4], ctx.lens, ctx.is_soft, tables[4:], ctx.threads)
+    return gradient, [None] * 4, None, None, None, None
 
 
 cover.register_autograd(_cover_backward, setup_context=_keep_cover)
@@ -245,16 +259,19 @@ class CpuRasterizer:
             tables = self._tables = (mesh, mesh.uv.detach().double().contiguous(), whole)
         return tables[1], tables[2]
 
+    def _soft(self, camera: PinholeCamera) -> list[float]:
+        return [] if self.silhouette == "coverage" else [float(value) for value in dibr_constants(camera)]
+
     def _draw(self, vertices: Tensor, texture: Tensor | None, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Tensor:
         uv, topology = self._of_mesh(mesh)
-        lens = lens_of(camera)
+        lens, soft = lens_of(camera), self._soft(camera)
         vertices = vertices.contiguous()
         if texture is None:
-            alpha = cover(vertices, topology, lens, mean, self.threads)[0]
+            alpha = cover(vertices, topology, lens, soft, mean, self.threads)[0]
             return torch.cat([alpha.new_zeros(*alpha.shape, 3), alpha[..., None]], -1)
         # A fourth channel of ones: four at a time suit the processor, and the fourth is the silhouette itself.
         texture = torch.nn.functional.pad(texture.to(vertices.dtype), (0, 1), value=1.0)
-        return draw(vertices, texture, uv, topology, lens, mean, self.threads)[0]
+        return draw(vertices, texture, uv, topology, lens, soft, mean, self.threads)[0]
 
     def render(
         self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
@@ -273,7 +290,7 @@ class CpuRasterizer:
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames."""
         _, topology = self._of_mesh(mesh)
-        return cover(vertices.contiguous(), topology, lens_of(camera), True, self.threads)[0][0]
+        return cover(vertices.contiguous(), topology, lens_of(camera), self._soft(camera), True, self.threads)[0][0]
 
 
 def lens_of(camera: PinholeCamera) -> list[float]:

@@ -11,19 +11,20 @@ three for pieces of outline in pixels where layers may overlap (`kernels_overlap
 import numpy as np
 from numba import njit
 
+from hfb.render.kernels_compile import JIT, LOOP, entry, loop_entry
 from hfb.render.kernels_outline import (
-    JIT,
-    LOOP,
     TINY,
     collect,
+    count_pieces,
     find_front,
     find_outline,
     outline_gradient,
     project,
+    to_metres,
     wind_outline,
 )
-from hfb.render.kernels_overlap import gather_pieces, overlap_gradient, resolve
-from hfb.render.kernels_surface import NOTHING, edge_gradient, face_gradient, fill_depth, shade
+from hfb.render.kernels_overlap import chain_pieces, overlap_gradient, resolve
+from hfb.render.kernels_surface import NOTHING, fill_depth, shade, shade_gradient
 
 
 @njit(**JIT)
@@ -39,7 +40,7 @@ def _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box):
     front = np.empty(faces.shape[0], np.bool_)
     outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
     n = 0
-    project(vertices, lens, projected, box)
+    project(vertices, lens, 0.0, projected, box)
     if box[0] < box[2]:
         find_front(projected, faces, front)
         n = find_outline(front, edge_vertices, edge_faces, outline)
@@ -47,29 +48,35 @@ def _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box):
 
 
 @njit(**JIT)
-def _resolve_overlaps(outline, projected, box, width, total, unsure, record, pixels, windings):
+def _resolve_overlaps(outline, projected, width, unsure, record, pixels, windings, piece_pixel, edge, span):
     """Exact coverage of the unsure pixels; (owners, edges, weights) of their pieces."""
-    n_unsure = record.shape[0]
-    columns, rows, ends = _room_for_pieces(box)
-    newest, older = np.full(n_unsure, -1, np.int64), np.empty(total, np.int64)
-    edge, span = np.empty(total, np.int32), np.empty((total, 2), np.float64)
-    n = gather_pieces(outline, outline.shape[0], projected, box, unsure, newest, older, edge, span, columns, rows, ends)
-    weights, owner = np.zeros((n, 2), np.float64), np.empty(n, np.int32)
-    longest = 0
-    for slot in range(n_unsure):
+    newest, older = np.full(record.shape[0], -1, np.int64), np.empty(piece_pixel.shape[0], np.int64)
+    chain_pieces(piece_pixel, unsure, newest, older)
+    longest, n = 0, 0
+    for slot in range(record.shape[0]):
         piece, length = newest[slot], 0
         while piece >= 0:
-            owner[piece] = record[slot]
             piece = older[piece]
             length += 1
         longest = max(longest, length)
+        n += length
+    weights = np.zeros((piece_pixel.shape[0], 2), np.float64)
     resolve(
-        n_unsure, record, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
-        np.empty(longest, np.int64), np.empty((longest, 4), np.float64),
-        np.empty(2 + 2 * longest + longest * longest, np.float64),
+        record, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
+        np.empty(longest, np.int64), np.empty((longest, 5), np.float64), np.empty((2 * longest, 2), np.float64),
+        np.empty(3 + 2 * longest + longest * longest, np.float64),
         np.empty(longest, np.int64), np.empty(longest, np.float64),
     )  # fmt: skip
-    return owner, edge[:n].copy(), weights
+    owner, of_edge, kept = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.float64)
+    n = 0
+    for slot in range(record.shape[0]):
+        piece = newest[slot]
+        while piece >= 0:
+            owner[n], of_edge[n] = record[slot], edge[piece]
+            kept[n, 0], kept[n, 1] = weights[piece, 0], weights[piece, 1]
+            piece = older[piece]
+            n += 1
+    return owner, of_edge, kept
 
 
 @njit(**JIT)
@@ -80,23 +87,26 @@ def _trace(outline, projected, box, width, nearest, code):
     marks = np.zeros((height, breadth), np.uint8)
     first, last = np.full(height, breadth, np.int64), np.full(height, -1, np.int64)
     columns, rows, ends = _room_for_pieces(box)
+    total = count_pieces(outline, projected, box)
+    piece_pixel, edge, span = np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 2), np.float64)
     total = wind_outline(
-        outline, outline.shape[0], projected, box, winding, marks, first, last, nearest, code, columns, rows, ends
-    )
+        outline, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends,
+        piece_pixel, edge, span,
+    )  # fmt: skip
     pixels, windings = np.empty(height * breadth, np.int32), np.empty(height * breadth, np.float64)
     codes = np.empty(height * breadth if code.shape[0] > 0 else 0, np.int32)
-    unsure, record = np.zeros((height, breadth), np.int32), np.empty(height * breadth, np.int32)
+    unsure, record = np.zeros(height * breadth, np.int32), np.empty(height * breadth, np.int32)
     n, n_unsure = collect(
         winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record
     )
     pixels, codes, windings = pixels[:n].copy(), codes[:n].copy(), windings[:n].copy()
-    owner, edge, weights = _resolve_overlaps(
-        outline, projected, box, width, total, unsure, record[:n_unsure], pixels, windings
+    owner, of_edge, weights = _resolve_overlaps(
+        outline, projected, width, unsure, record[:n_unsure], pixels, windings, piece_pixel[:total], edge, span
     )
-    return pixels, codes, windings, owner, edge, weights
+    return pixels, codes, windings, owner, of_edge, weights
 
 
-@njit(**JIT)
+@entry
 def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     """Silhouette of one body: its trace."""
     box = np.empty(4, np.int64)
@@ -108,7 +118,7 @@ def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     return projected, outline, pixels, coverage, owner, edge, weights
 
 
-@njit(**JIT)
+@entry
 def draw_body(vertices, lens, faces, uv, uv_faces, edge_vertices, edge_faces, texture):
     """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
     box = np.empty(4, np.int64)
@@ -124,7 +134,7 @@ def draw_body(vertices, lens, faces, uv, uv_faces, edge_vertices, edge_faces, te
     return projected, outline, pixels, coverage, owner, edge, weights, codes, colours
 
 
-@njit(**LOOP)
+@loop_entry
 def add_picture(pixels, colours, scale, picture):
     """Add `scale` times a body's pixels to a picture (H W, 4)."""
     for m in range(pixels.shape[0]):
@@ -133,7 +143,7 @@ def add_picture(pixels, colours, scale, picture):
             picture[pixel, q] += colours[m, q] * scale
 
 
-@njit(**LOOP)
+@loop_entry
 def add_silhouette(pixels, coverage, scale, picture):
     """Add `scale` times a body's coverage to a picture (H W)."""
     for m in range(pixels.shape[0]):
@@ -171,19 +181,6 @@ def _spread(pixels, width, coverage, of_coverage, owner, box, of_winding):
         of_winding[row - box[1], pixels[owner[p]] - row * width - box[0]] = 0.0
 
 
-@njit(**LOOP)
-def _to_metres(projected, vertices, lens, on_screen, gradient):
-    """Chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z."""
-    fx, fy = lens[0], lens[1]
-    for i in range(vertices.shape[0]):
-        q = projected[i, 2]
-        gx, gy = on_screen[i, 0] * fx, on_screen[i, 1] * fy
-        gradient[i, 0] = gx * q
-        gradient[i, 1] = gy * q
-        by_inverse = on_screen[i, 2] + gx * np.float64(vertices[i, 0]) + gy * np.float64(vertices[i, 1])
-        gradient[i, 2] = -q * q * by_inverse
-
-
 @njit(**JIT)
 def _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient):
     """Add what the coverage's gradient asks of the outline, and go from pixels to metres."""
@@ -195,9 +192,9 @@ def _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient):
         of_winding = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
         _spread(pixels, width, coverage, of_coverage, owner, box, of_winding)
         columns, rows, ends = _room_for_pieces(box)
-        outline_gradient(outline, outline.shape[0], projected, box, of_winding, on_screen, columns, rows, ends)
+        outline_gradient(outline, projected, box, of_winding, on_screen, columns, rows, ends)
         overlap_gradient(outline, projected, owner, edge, weights, of_coverage, on_screen)
-    _to_metres(projected, vertices, lens, on_screen, gradient)
+    to_metres(projected, vertices, lens, on_screen, gradient)
 
 
 @njit(**LOOP)
@@ -206,7 +203,7 @@ def _take(pixels, picture_gradient, scale, of_coverage):
         of_coverage[m] = picture_gradient[np.uint32(pixels[m])] * scale
 
 
-@njit(**JIT)
+@entry
 def cover_body_gradient(vertices, lens, trace, picture_gradient, scale, gradient):
     """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W)."""
     of_coverage = np.empty(trace[2].shape[0], np.float64)
@@ -214,41 +211,7 @@ def cover_body_gradient(vertices, lens, trace, picture_gradient, scale, gradient
     _move_outline(vertices, lens, trace, of_coverage, np.zeros((vertices.shape[0], 3), np.float64), gradient)
 
 
-@njit(**LOOP)
-def _shade_gradient(
-    width, faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
-    picture_gradient, scale, of_coverage, on_screen, texture_gradient,
-):  # fmt: skip
-    """Way back of `shade`: fills the coverage's gradient, adds to the corners' and to the texture's."""
-    row = 0
-    for m in range(pixels.shape[0]):
-        pixel = pixels[m]
-        while pixel >= (row + 1) * width:
-            row += 1
-        px, py = pixel - row * width + 0.5, row + 0.5
-        code, alpha = codes[m], min(coverage[m], 1.0)
-        at = np.uint32(pixel)
-        g = (
-            picture_gradient[at, 0] * scale,
-            picture_gradient[at, 1] * scale,
-            picture_gradient[at, 2] * scale,
-            picture_gradient[at, 3] * scale,
-        )
-        if code >= 0:
-            of_coverage[m] = face_gradient(
-                px, py, projected, faces, uv, uv_faces, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
-            )
-        elif code != NOTHING:
-            k = np.uint32(~code)
-            of_coverage[m] = edge_gradient(
-                px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2],
-                texture, alpha, g, texture_gradient, on_screen,
-            )  # fmt: skip
-        else:
-            of_coverage[m] = g[3]
-
-
-@njit(**JIT)
+@entry
 def draw_body_gradient(
     vertices, lens, faces, uv, uv_faces, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
 ):
@@ -259,7 +222,7 @@ def draw_body_gradient(
     projected, outline, pixels, coverage, _, _, _ = trace
     on_screen = np.zeros((gradient.shape[0], 3), np.float64)
     of_coverage = np.empty(pixels.shape[0], np.float64)
-    _shade_gradient(
+    shade_gradient(
         np.int64(lens[5]), faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
         picture_gradient, scale, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip

@@ -13,19 +13,17 @@ Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right,
 import numpy as np
 from numba import njit
 
-JIT = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract"}}
-LOOP = {**JIT, "_nrt": False}
-INLINE = {**LOOP, "cache": False, "forceinline": True}
-# No reference counting: numba would count every array at every call within the loops, half of the time spent.
-# Such functions must not allocate; those that do are the entry points in `kernels.py`.
+from hfb.render.kernels_compile import INLINE, LOOP
+
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
 GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = 1, 2, 4, 8, 16, 32  # what a pixel's outline does
 FAR_PX = 1e9  # a corner projected farther out than this is not used
 
 
 @njit(**LOOP)
-def project(vertices, lens, projected, box):
-    """Fill `projected` (V, 3) with x, y [px] and 1/z, 0 where the vertex cannot be used; `box` with their bounds."""
+def project(vertices, lens, margin, projected, box):
+    """Fill `projected` (V, 3) with x, y [px] and 1/z, 0 where the vertex cannot be used; `box` with their bounds,
+    enlarged by a margin [px] and cut to the picture."""
     fx, fy, cx, cy, near, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6]
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for i in range(vertices.shape[0]):
@@ -39,6 +37,7 @@ def project(vertices, lens, projected, box):
                 projected[i, 0], projected[i, 1], projected[i, 2] = x, y, inverse
                 left, right = min(left, x), max(right, x)
                 top, bottom = min(top, y), max(bottom, y)
+    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
     if left > right:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0
         return
@@ -48,6 +47,19 @@ def project(vertices, lens, projected, box):
     box[3] = int(min(height, np.floor(max(bottom, 0.0)) + 1))
     if box[0] >= box[2] or box[1] >= box[3]:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0
+
+
+@njit(**LOOP)
+def to_metres(projected, vertices, lens, on_screen, gradient):
+    """Chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z."""
+    fx, fy = lens[0], lens[1]
+    for i in range(vertices.shape[0]):
+        q = projected[i, 2]
+        gx, gy = on_screen[i, 0] * fx, on_screen[i, 1] * fy
+        gradient[i, 0] = gx * q
+        gradient[i, 1] = gy * q
+        by_inverse = on_screen[i, 2] + gx * np.float64(vertices[i, 0]) + gy * np.float64(vertices[i, 1])
+        gradient[i, 2] = -q * q * by_inverse
 
 
 @njit(**LOOP)
@@ -152,33 +164,51 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
 
 
 @njit(**LOOP)
-def wind_outline(outline, n, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends):
+def count_pieces(outline, projected, box):
+    """No fewer than the pieces into which pixel borders cut the outline."""
+    n = 0
+    width, height = box[2] - box[0] + 2.0, box[3] - box[1] + 2.0
+    for k in range(outline.shape[0]):
+        i, j = outline[k, 0], outline[k, 1]
+        across, along = abs(projected[i, 0] - projected[j, 0]), abs(projected[i, 1] - projected[j, 1])
+        n += int(min(across, width)) + int(min(along, height)) + 5
+    return n
+
+
+@njit(**LOOP)
+def wind_outline(
+    outline, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends,
+    piece_pixel, piece_edge, piece_span,
+):  # fmt: skip
     """Add every outline edge to `winding` (region rows, columns + 1), whose running row sums are mean winding.
 
     marks: what the outline does in each pixel. first, last: per region row the columns touched. nearest, code:
     the z-buffer; where no face covers the pixel's centre (nearest <= 0) it receives squared distance - 4 and code
     ~k of the closest outline edge k; an empty `nearest` leaves that out. columns, rows, ends: room for the
-    pieces of one edge. Returns the number of pieces.
+    pieces of one edge. piece_*: every piece's region pixel (-1: none), edge, and span on it; returns their number.
     """
     left, top = box[0], box[1]
     coloured = nearest.shape[0] > 0
     total = 0
-    for k in range(n):
+    breadth = box[2] - left
+    for k in range(outline.shape[0]):
         i, j = outline[k, 0], outline[k, 1]
         x0, y0 = projected[i, 0], projected[i, 1]
         dx, dy = projected[j, 0] - x0, projected[j, 1] - y0
         pieces, t = cut_edge(x0, y0, dx, dy, box, columns, rows, ends)
-        total += pieces
         heading = (GOES_RIGHT if dx > 0.0 else GOES_LEFT) | (GOES_DOWN if dy > 0.0 else GOES_UP)
         for p in range(pieces):
             row, t_end = rows[p] - top, ends[p]
             cover = (t_end - t) * dy
+            piece_pixel[total] = -1
+            piece_edge[total], piece_span[total, 0], piece_span[total, 1] = k, t, t_end
             if columns[p] < 0:
                 winding[row, 0] += cover
                 first[row] = 0
                 last[row] = max(last[row], 0)
             else:
                 column = columns[p] - left
+                piece_pixel[total] = row * breadth + column
                 share = x0 + dx * 0.5 * (t + t_end) - columns[p]  # of the pixel left of the piece
                 winding[row, column] += cover * (1.0 - share)
                 winding[row, column + 1] += cover * share
@@ -193,6 +223,7 @@ def wind_outline(outline, n, projected, box, winding, marks, first, last, neares
                     if key < nearest[row, column] - TINY:  # ties: the first edge, whatever the rounding
                         nearest[row, column] = key
                         code[row, column] = ~k
+            total += 1
             t = t_end
     return total
 
@@ -248,19 +279,19 @@ def collect(winding, marks, first, last, box, width, code, pixels, codes, windin
                 if may_overlap(marks[row, column]):
                     record[n_unsure] = n
                     n_unsure += 1
-                    unsure[row, column] = n_unsure
+                    unsure[row * (box[2] - box[0]) + column] = n_unsure
                 n += 1
     return n, n_unsure
 
 
 @njit(**LOOP)
-def outline_gradient(outline, n, projected, box, pixel_gradient, gradient, columns, rows, ends):
+def outline_gradient(outline, projected, box, pixel_gradient, gradient, columns, rows, ends):
     """Add to `gradient` (V, 3) of x, y what the mean windings' `pixel_gradient` (region) asks of the outline.
 
     Moving the piece p(t), ta <= t <= tb, by v(t) changes the pixel's mean winding by the integral of
     cross(v, dp): the swept area. The edge's ends take their shares (1 - t) and t.
     """
-    for k in range(n):
+    for k in range(outline.shape[0]):
         i, j = outline[k, 0], outline[k, 1]
         x0, y0 = projected[i, 0], projected[i, 1]
         dx, dy = projected[j, 0] - x0, projected[j, 1] - y0

@@ -8,7 +8,8 @@ body's colour, and the colour is continuous as the outline passes the centre.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_outline import INLINE, LOOP, closest_parameter
+from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.render.kernels_outline import closest_parameter
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
@@ -247,3 +248,37 @@ def edge_gradient(
         gradient[end, 0] += pull * (rx - 2.0 * t * dx)
         gradient[end, 1] += pull * (ry - 2.0 * t * dy)
     return of_alpha
+
+
+@njit(**LOOP)
+def shade_gradient(
+    width, faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+    picture_gradient, scale, of_coverage, on_screen, texture_gradient,
+):  # fmt: skip
+    """Way back of `shade`: fills the coverage's gradient, adds to the corners' and to the texture's."""
+    row = 0
+    for m in range(pixels.shape[0]):
+        pixel = pixels[m]
+        while pixel >= (row + 1) * width:
+            row += 1
+        px, py = pixel - row * width + 0.5, row + 0.5
+        code, alpha = codes[m], min(coverage[m], 1.0)
+        at = np.uint32(pixel)
+        g = (
+            picture_gradient[at, 0] * scale,
+            picture_gradient[at, 1] * scale,
+            picture_gradient[at, 2] * scale,
+            picture_gradient[at, 3] * scale,
+        )
+        if code >= 0:
+            of_coverage[m] = face_gradient(
+                px, py, projected, faces, uv, uv_faces, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
+            )
+        elif code != NOTHING:
+            k = np.uint32(~code)
+            of_coverage[m] = edge_gradient(
+                px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2],
+                texture, alpha, g, texture_gradient, on_screen,
+            )  # fmt: skip
+        else:
+            of_coverage[m] = g[3]

@@ -1,6 +1,6 @@
 """The one interface through which the forward model sees a body: R_F and R_S of the paper's eq. (1)."""
 
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from hfb.render.camera import PinholeCamera
 from hfb.shapes import Float, Tensor
@@ -9,6 +9,7 @@ NEAR_M = 0.05
 """Faces with a corner nearer to the lens than this [m], or behind it, are not drawn."""
 
 
+@runtime_checkable
 class Rasterizer(Protocol):
     """Draws bodies, one per sub-frame: differentiable in the vertices and in the texture.
 

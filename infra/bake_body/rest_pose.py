@@ -99,10 +99,9 @@ def smooth_weights(weights: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def largest_weights(weights: np.ndarray) -> np.ndarray:
-    """Only the few largest of every vertex."""
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :WEIGHTS_PER_VERTEX]
-    kept = np.zeros_like(weights)
-    np.put_along_axis(kept, order, np.take_along_axis(weights, order, 1), 1)
+    """Only the few largest of every vertex; of two equal ones, left and right, neither or both."""
+    too_small = -np.sort(-weights, axis=1)[:, WEIGHTS_PER_VERTEX, None]
+    kept = np.where(weights > too_small + 1e-9, weights, 0)
     return kept / kept.sum(1, keepdims=True)
 
 

@@ -122,6 +122,15 @@ def test_what_is_no_prior_is_refused_with_a_sentence_that_names_the_fix(tmp_path
         load_pose_prior(path)
 
 
+def test_a_scikit_learn_object_is_refused_with_the_way_to_convert_it(tmp_path, monkeypatch):
+    module = ModuleType("sklearn_of_2015")
+    module.GMM = type("GMM", (), {"__module__": module.__name__})
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    (tmp_path / "gmm.pkl").write_bytes(pickle.dumps(module.GMM()))
+    with pytest.raises(InputError, match=r"numpy\.savez\(file, means=g\.means_"):
+        load_pose_prior(tmp_path / "gmm.pkl")
+
+
 def test_a_missing_file_and_one_of_something_else(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_pose_prior(tmp_path / "missing.pkl")

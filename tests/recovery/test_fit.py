@@ -16,7 +16,7 @@ from tests.scenes import Scene, moving_scene
 
 def small(**changes: object) -> FitConfig:
     """The best preset, small enough for a test."""
-    stages = (Stage(size_px=48, iterations=40), Stage(size_px=96, iterations=40, cosine=True))
+    stages = (Stage(size_px=48, iterations=60), Stage(size_px=96, iterations=60, cosine=True))
     return preset("best").fit.model_copy(update={"stages": stages, "subframes": 5, "texture_px": 32} | changes)
 
 
@@ -44,7 +44,7 @@ def test_one_frame() -> None:
     starts = [displaced(first) for first in scene.middle]
     result = run(scene, starts, small())
     assert ratio(scene, starts, result) < 0.75
-    assert result.history["total"][result.best_iteration] <= min(result.history["total"][40:]) + 1e-12
+    assert result.history["total"][result.best_iteration] <= min(result.history["total"][60:]) + 1e-12
 
 
 def test_two_frames_know_the_direction() -> None:
@@ -53,7 +53,7 @@ def test_two_frames_know_the_direction() -> None:
     result = run(scene, starts, small())
     assert ratio(scene, starts, result) < 0.75
     moved = result.motion.trans[-1, 0] - result.motion.trans[0, 0]
-    assert moved > 0.2  # the truth steps 0.5 m to +x
+    assert moved > 0.15  # the truth steps 0.3 m to +x
 
 
 def test_the_same_seed_gives_the_same_bits_for_any_thread_count() -> None:

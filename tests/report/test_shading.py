@@ -20,7 +20,7 @@ def body():
 
 def _standing(body, *positions: tuple[float, float, float]) -> torch.Tensor:
     rotations = axis_angle_to_matrix(standing_pose().expand(len(positions), 24, 3))
-    return body.shape(torch.zeros(10)).pose(rotations, torch.tensor(positions)).vertices
+    return body.shape(torch.zeros(10)).pose(rotations, torch.tensor(positions, dtype=torch.float32)).vertices
 
 
 def test_normals_are_unit_vectors_that_point_out_of_the_body(body):

@@ -1,0 +1,131 @@
+"""The static body that a fit starts from: by the pose networks where they are, else by the matte alone."""
+
+from typing import Protocol
+
+import numpy as np
+
+from hfb.body.model import Body
+from hfb.config import InitConfig
+from hfb.errors import InputError
+from hfb.initialize.first_body import FirstBody
+from hfb.initialize.landmarks import Landmarks, PoseNetworks, networks_ready
+from hfb.initialize.matte_search import search_by_matte
+from hfb.initialize.person_landmarks import find_landmarks
+from hfb.initialize.registration import register
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.photometry import linear_to_srgb
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import Rasterizer, make_rasterizer
+from hfb.shapes import Array, Float, Tensor
+
+Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
+Matte = Float[Tensor, "H W"] | Float[Array, "H W"]
+
+_LEAST_MATTE_PX = 64.0
+_COMPARE_PX = 128
+_CONFIDENT_AGREEMENT = 0.35  # stick figure against matte; invented people stay below
+_WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is tried as well
+_CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
+_REFINEMENT = (Stage(64, 40, 0.02), Stage(_COMPARE_PX, 30, 0.015))
+_STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
+
+
+class Initializer(Protocol):
+    """One static body for one frame."""
+
+    def __call__(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
+    ) -> FirstBody:
+        """The body in camera coordinates. Raises InputError where the matte is empty or no person is found."""
+        ...
+
+
+def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -> Initializer:
+    """The initialiser that the configuration names.
+
+    Args:
+        rasterizer: the coverage silhouette by default; DIB-R's halo would place the body too far away.
+    """
+    drawing = rasterizer or make_rasterizer("coverage")
+    if config.method == "matte":
+        return MatteInitializer(drawing)
+    if config.method == "mediapipe":
+        return LandmarkInitializer(drawing)
+    return AutoInitializer(drawing)
+
+
+class MatteInitializer:
+    """Render and compare with generic poses: no network, no colour (see matte_search.py)."""
+
+    def __init__(self, rasterizer: Rasterizer) -> None:
+        self._rasterizer = rasterizer
+
+    def __call__(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
+    ) -> FirstBody:
+        """See `Initializer`."""
+        return search_by_matte(_checked(matte), camera, body, self._rasterizer)[0]
+
+
+class LandmarkInitializer:
+    """MediaPipe's landmarks, registered to the body, then laid onto the matte without leaving the landmarks."""
+
+    def __init__(self, rasterizer: Rasterizer) -> None:
+        self._rasterizer = rasterizer
+        self._networks = PoseNetworks()
+
+    def __call__(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
+    ) -> FirstBody:
+        """See `Initializer`."""
+        alpha = _checked(matte)
+        found = self.landmarks(frame_linear, alpha)
+        if found is None:
+            raise InputError(
+                "the pose networks found no person in the frame; use `--init.method matte`, or a frame with less blur."
+            )
+        return self.body(found[0], alpha, camera, body)
+
+    def landmarks(self, frame_linear: Picture, matte: Float[Array, "H W"]) -> tuple[Landmarks, float] | None:
+        """The person's landmarks and their agreement with the matte."""
+        frame_srgb = linear_to_srgb(np.clip(np.asarray(frame_linear, np.float32), 0, 1)).astype(np.float32)
+        return find_landmarks(self._networks, frame_srgb, matte)
+
+    def body(self, landmarks: Landmarks, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body) -> FirstBody:
+        """Register, then refine; the refinement is kept only where it shares more with the matte."""
+        first = register(landmarks, camera, body)
+        closer = refine(first, matte, camera, body, self._rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
+        level = matte_level(matte, camera, _COMPARE_PX)
+        return max((closer, first), key=lambda one: overlap(one, level, body, self._rasterizer))
+
+
+class AutoInitializer:
+    """The networks where they are there and sure, the matte's search where not, the better one where both doubt."""
+
+    def __init__(self, rasterizer: Rasterizer) -> None:
+        self._rasterizer = rasterizer
+        self._by_landmarks = LandmarkInitializer(rasterizer) if networks_ready() else None
+
+    def __call__(
+        self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
+    ) -> FirstBody:
+        """See `Initializer`."""
+        alpha = _checked(matte)
+        found = self._by_landmarks.landmarks(frame_linear, alpha) if self._by_landmarks else None
+        if self._by_landmarks is None or found is None or found[1] < _CONFIDENT_AGREEMENT:
+            return search_by_matte(alpha, camera, body, self._rasterizer)[0]
+        first = self._by_landmarks.body(found[0], alpha, camera, body)
+        shared = overlap(first, matte_level(alpha, camera, _COMPARE_PX), body, self._rasterizer)
+        if shared < _WORTH_ANOTHER_LOOK:
+            other, other_shared = search_by_matte(alpha, camera, body, self._rasterizer)
+            if other_shared > shared + _CLEARLY_BETTER:
+                return other
+        return first
+
+
+def _checked(matte: Matte) -> Float[Array, "H W"]:
+    """The matte as an array; one sentence where it shows nobody."""
+    alpha = np.clip(np.asarray(matte, np.float32), 0, 1)
+    if float(alpha.sum()) < _LEAST_MATTE_PX or float(alpha.max()) < 0.2:
+        raise InputError("no person was found: the matte is empty; check the frame and the background plate.")
+    return alpha

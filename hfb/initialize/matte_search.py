@@ -1,0 +1,190 @@
+"""The first body from the matte alone: generic poses from all sides, the best few refined by render and compare.
+
+Needs no network and no colour. What it can't know: a silhouette looks the same from the front and from behind
+(the front is preferred a little), and which leg is which.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi, radians
+
+import cv2
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.initialize.first_body import FirstBody
+from hfb.initialize.pose_bank import bank_rotations
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import Rasterizer
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.shapes import Array, Float, Tensor
+
+_YAWS = 12
+_ROLLS_DEG = (0.0, 20.0, -20.0, 40.0, -40.0)
+_SIDE_PX = 48
+_SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised picture
+_TEMPLATE_DEPTH_M = 3.5
+_TEMPLATE_PX = 72
+_BATCH = 16
+_ROLL_COST = 0.04  # per 40 degrees
+_BACK_COST = 0.01
+_CANDIDATES = 6
+
+
+@dataclass(frozen=True)
+class Templates:
+    """Silhouettes of the bank's poses from all sides, normalised in position and size."""
+
+    pictures: Float[Array, "N s s"]
+    poses: Float[Tensor, "N 24 3"]  # with the root's yaw
+    spreads: Float[Array, "N"]  # root mean square radius [rad as seen from the template's distance]
+    pelvis: Float[Array, "N 2"]  # from the silhouette's centre, in units of the spread
+    facing: Float[Array, "N"]  # 1 faces the camera, -1 away
+    groups: Float[Array, "N 2"]  # pose index, yaw [rad]: to keep candidates apart
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Centre [px] and root mean square radius [px] of a picture's weight."""
+
+    x: float
+    y: float
+    spread: float
+
+
+def search_by_matte(
+    matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
+) -> tuple[FirstBody, float]:
+    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; 2-4 s on one core."""
+    templates = _templates(body, rasterizer)
+    starts = _best_starts(matte, camera, body, templates)
+    stay = Stay(prior=0.002, betas=0.03)
+    level = matte_level(matte, camera, 64)
+    rough = [refine(start, matte, camera, body, rasterizer, [Stage(40, 25, 0.05)], stay) for start in starts]
+    rough.sort(key=lambda first: -_value(first, level, body, rasterizer))
+    middle = [refine(first, matte, camera, body, rasterizer, [Stage(64, 35, 0.03)], stay) for first in rough[:3]]
+    middle.sort(key=lambda first: -_value(first, level, body, rasterizer))
+    best = refine(middle[0], matte, camera, body, rasterizer, [Stage(128, 35, 0.02)], stay)
+    return best, overlap(best, matte_level(matte, camera, 128), body, rasterizer)
+
+
+def _value(first: FirstBody, level, body: Body, rasterizer: Rasterizer) -> float:
+    """Soft IoU, minus a little for showing the back."""
+    facing = -float(axis_angle_to_matrix(first.pose[0])[2, 2])
+    return overlap(first, level, body, rasterizer) - _BACK_COST * (1 - facing) / 2
+
+
+def _best_starts(
+    matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, templates: Templates
+) -> list[FirstBody]:
+    """Compare the matte, turned by each roll, with every template; the best ones that differ from each other."""
+    moments = _moments(matte)
+    scores = np.stack([
+        _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
+        for roll in _ROLLS_DEG
+    ])  # fmt: skip
+    scores -= _BACK_COST * (1 - templates.facing) / 2
+    chosen: list[tuple[int, int]] = []
+    for flat in np.argsort(-scores, axis=None, kind="stable"):
+        roll, index = np.unravel_index(int(flat), scores.shape)
+        if all(_apart(templates.groups[index], templates.groups[other]) for _, other in chosen):
+            chosen.append((int(roll), int(index)))
+        if len(chosen) == _CANDIDATES:
+            break
+    return [_place(templates, index, radians(_ROLLS_DEG[roll]), moments, camera, body) for roll, index in chosen]
+
+
+def _apart(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
+    """Another pose, or the same from a clearly different side."""
+    turn = abs((one[1] - other[1] + pi) % (2 * pi) - pi)
+    return bool(one[0] != other[0] or turn > radians(75))
+
+
+def _soft_ious(picture: Float[Array, "s s"], pictures: Float[Array, "N s s"]) -> Float[Array, "N"]:
+    """sum min / sum max against each, through |a - b| = max - min."""
+    difference = np.abs(pictures - picture).sum((1, 2), dtype=np.float64)
+    total = pictures.sum((1, 2), dtype=np.float64) + picture.sum(dtype=np.float64)
+    return (total - difference) / np.maximum(total + difference, 1e-9)
+
+
+def _moments(picture: Float[Array, "H W"]) -> Moments:
+    columns, rows = picture.sum(0, dtype=np.float64), picture.sum(1, dtype=np.float64)
+    total = max(float(columns.sum()), 1e-9)
+    along_x, along_y = np.arange(len(columns)) + 0.5, np.arange(len(rows)) + 0.5
+    x, y = float(columns @ along_x) / total, float(rows @ along_y) / total
+    square = float(columns @ (along_x - x) ** 2 + rows @ (along_y - y) ** 2) / total
+    return Moments(x, y, max(float(np.sqrt(square)), 1e-3))
+
+
+def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.0) -> Float[Array, "s s"]:
+    """Centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
+    scale = _SPREAD_PX / moments.spread
+    shrink = max(1, int(1 / (2 * scale)))
+    reduced = np.asarray(picture, np.float32)
+    if shrink > 1:  # area average first: the interpolation below looks at four pixels only
+        size = (max(1, picture.shape[1] // shrink), max(1, picture.shape[0] // shrink))
+        reduced = cv2.resize(reduced, size, interpolation=cv2.INTER_AREA)
+    ratio = np.array([reduced.shape[1] / picture.shape[1], reduced.shape[0] / picture.shape[0]])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    back = np.array([[cosine, sine], [-sine, cosine]]) / scale
+    offset = back @ np.full(2, 0.5 - _SIDE_PX / 2) + (moments.x, moments.y)
+    warp = np.hstack([back * ratio[:, None], (offset * ratio - 0.5)[:, None]])
+    return cv2.warpAffine(reduced, warp, (_SIDE_PX, _SIDE_PX), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+
+
+@lru_cache(maxsize=2)
+def _templates(body: Body, rasterizer: Rasterizer) -> Templates:
+    """Draw the bank once per body."""
+    dtype = body.template.dtype
+    _, bank = bank_rotations(dtype)
+    camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)
+    upright = axis_angle_to_matrix(torch.tensor([pi, 0.0, 0.0], dtype=dtype))
+    yaws = torch.arange(_YAWS, dtype=dtype) * (2 * pi / _YAWS)
+    turns = axis_angle_to_matrix(torch.stack([torch.zeros_like(yaws), yaws, torch.zeros_like(yaws)], -1))
+    roots = upright @ turns
+    poses = torch.cat([
+        matrix_to_axis_angle(roots).repeat(len(bank), 1)[:, None], bank.repeat_interleave(_YAWS, 0),
+    ], 1)  # fmt: skip
+    shaped = body.shape(torch.zeros(body.shape_count, dtype=dtype))
+    place = torch.tensor([0.0, 0.0, _TEMPLATE_DEPTH_M], dtype=dtype) - shaped.joints[0]
+    pictures, spreads, pelvis = [], [], []
+    with torch.no_grad():
+        for part in poses.split(_BATCH):
+            posed = shaped.pose(axis_angle_to_matrix(part), place.expand(len(part), 3))
+            # The pelvis is at the picture's centre; the middle of the vertices keeps everybody inside.
+            drawn = rasterizer.render(posed.vertices, None, camera, body.mesh)[..., 3].numpy()
+            for silhouette in drawn:
+                moments = _moments(silhouette)
+                pictures.append(_normalised(silhouette, moments))
+                spreads.append(moments.spread / camera.fx)
+                pelvis.append(((camera.cx - moments.x) / moments.spread, (camera.cy - moments.y) / moments.spread))
+    numbers = np.stack([np.repeat(np.arange(len(bank)), _YAWS), np.tile(yaws.numpy(), len(bank))], 1)
+    facing = np.cos(numbers[:, 1])
+    return Templates(np.stack(pictures), poses, np.array(spreads), np.array(pelvis), facing, numbers.astype(np.float64))
+
+
+def _place(
+    templates: Templates, index: int, roll: float, moments: Moments, camera: PinholeCamera, body: Body
+) -> FirstBody:
+    """The template's body where the matte is: as far away as its size says, turned towards its view ray."""
+    dtype = body.template.dtype
+    depth = _TEMPLATE_DEPTH_M * float(templates.spreads[index]) * camera.fx / moments.spread
+    cosine, sine = np.cos(roll), np.sin(roll)
+    offset = np.array([[cosine, -sine], [sine, cosine]]) @ templates.pelvis[index] * moments.spread
+    pixel = torch.tensor([moments.x + offset[0], moments.y + offset[1]], dtype=dtype)
+    pelvis = camera.unproject(pixel[None], torch.tensor([depth], dtype=dtype))[0]
+    in_plane = axis_angle_to_matrix(torch.tensor([0.0, 0.0, roll], dtype=dtype))
+    pose = templates.poses[index].clone()
+    pose[0] = matrix_to_axis_angle(_towards(pelvis) @ in_plane @ axis_angle_to_matrix(pose[0]))
+    betas = torch.zeros(body.shape_count, dtype=dtype)
+    return FirstBody(pose, pelvis - body.joint_template[0], betas, "matte")
+
+
+def _towards(point: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """The smallest turn from the optical axis to the ray through a point: what looks frontal stays so."""
+    ray = point / point.norm()
+    axis = torch.stack([-ray[1], ray[0], torch.zeros_like(ray[0])])
+    sine = axis.norm().clamp_min(1e-9)
+    return axis_angle_to_matrix(axis / sine * torch.atan2(sine, ray[2]))

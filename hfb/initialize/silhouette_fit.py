@@ -1,0 +1,158 @@
+"""Render and compare: move one static body until its silhouette covers the matte.
+
+The matte of a blurred frame is the mean of many silhouettes; a static body can't equal it, but the one that
+shares most with it lies in the middle of the motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.initialize.first_body import FirstBody
+from hfb.losses.matting import matting_loss
+from hfb.matting.matting import matte_region
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import Rasterizer
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.shapes import Array, Float, Tensor
+
+_MARGIN = 0.2
+_LEAST_DEPTH_M = 0.4
+
+
+@dataclass(frozen=True)
+class Level:
+    """The matte and its camera at one size."""
+
+    matte: Float[Tensor, "H W"]
+    camera: PinholeCamera
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad]."""
+
+    size_px: int
+    iterations: int
+    learning_rate: float
+
+
+@dataclass(frozen=True)
+class Stay:
+    """How strongly a variable is held at its start: per rad^2 and joint, per (relative depth or width)^2, per beta^2."""
+
+    pose: float = 0.0
+    root: float = 0.0
+    place: float = 0.0
+    betas: float = 0.02
+    prior: float = 0.002
+
+
+def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int) -> Level:
+    """The region around the matte at `size_px` on the longer side."""
+    top, left, bottom, right = matte_region(matte, margin=_MARGIN)
+    cut, inside = matte[top:bottom, left:right], camera.crop(left, top, right - left, bottom - top)
+    scale = size_px / max(cut.shape)
+    height, width = (max(8, round(side * scale)) for side in cut.shape)
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    resized = cv2.resize(np.asarray(cut, np.float32), (width, height), interpolation=interpolation)
+    return Level(torch.from_numpy(resized), inside.resize(height, width))
+
+
+def silhouette(first: FirstBody, camera: PinholeCamera, body: Body, rasterizer: Rasterizer) -> Float[Tensor, "H W"]:
+    """The body's share of each pixel."""
+    with torch.no_grad():
+        posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
+        return rasterizer.silhouette_mean(posed.vertices, camera, body.mesh)
+
+
+def overlap(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:
+    """Soft IoU of the body's silhouette and the matte."""
+    return 1 - float(matting_loss(silhouette(first, level.camera, body, rasterizer), level.matte))
+
+
+def refine(
+    first: FirstBody,
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stages: Sequence[Stage],
+    stay: Stay,
+) -> FirstBody:
+    """Adam on pose, translation and betas: 1 - soft IoU (eq. (4) with one sub-frame), anatomy, nearness to the start.
+
+    Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
+    of the last stage, the start included.
+    """
+    for stage in stages:
+        level = matte_level(matte, camera, stage.size_px)
+        first = _refine_at(first, level, body, rasterizer, stage, stay)
+    return first
+
+
+def _refine_at(
+    first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer, stage: Stage, stay: Stay
+) -> FirstBody:
+    dtype = body.template.dtype
+    prior = AnatomicalPrior()
+    start_pose, start_place = first.pose.to(dtype), first.translation.to(dtype)
+    R_start = axis_angle_to_matrix(start_pose[0])
+    root = torch.zeros(3, dtype=dtype, requires_grad=True)
+    joints = start_pose[1:].clone().requires_grad_()
+    # Image position and log depth: a step in depth then keeps the body where it is seen.
+    start_view = _to_view(start_place, first, body)
+    view = start_view.clone().requires_grad_()
+    betas = first.betas.to(dtype).clone().requires_grad_()
+    rate = stage.learning_rate
+    optimiser = torch.optim.Adam(
+        [
+            {"params": [joints], "lr": rate},
+            {"params": [root], "lr": rate},
+            {"params": [view], "lr": 0.4 * rate},
+            {"params": [betas], "lr": rate},
+        ],
+        betas=(0.8, 0.95),
+    )
+    best, best_value = first, float("inf")
+    for iteration in range(stage.iterations + 1):
+        optimiser.zero_grad()
+        place = _from_view(view, betas, body)
+        rotations = torch.cat([(axis_angle_to_matrix(root) @ R_start)[None], axis_angle_to_matrix(joints)])
+        posed = body.shape(betas).pose(rotations[None], place[None])
+        seen = rasterizer.silhouette_mean(posed.vertices, level.camera, body.mesh)
+        loss = (
+            matting_loss(seen, level.matte)
+            + stay.prior * prior(joints[None])[0]
+            + stay.pose * ((joints - start_pose[1:]) ** 2).sum()
+            + stay.root * (root * root).sum()
+            + stay.place * ((view - start_view) ** 2).sum()
+            + stay.betas * (betas * betas).sum()
+        )
+        if float(loss.detach()) < best_value:
+            best_value = float(loss.detach())
+            pose = torch.cat([matrix_to_axis_angle(rotations[:1]), joints]).detach().clone()
+            best = replace(first, pose=pose, translation=place.detach().clone(), betas=betas.detach().clone())
+        if iteration < stage.iterations:
+            loss.backward()
+            optimiser.step()
+    return best
+
+
+def _to_view(translation: Float[Tensor, "3"], first: FirstBody, body: Body) -> Float[Tensor, "3"]:
+    """(x / z, y / z, log z) of the pelvis."""
+    pelvis = body.joint_template[0] + body.joint_shape_directions[0] @ first.betas.to(translation.dtype) + translation
+    depth = pelvis[2].clamp_min(_LEAST_DEPTH_M)
+    return torch.stack([pelvis[0] / depth, pelvis[1] / depth, depth.log()])
+
+
+def _from_view(view: Float[Tensor, "3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "3"]:
+    """The translation that puts the pelvis there."""
+    depth = view[2].exp()
+    pelvis = torch.stack([view[0] * depth, view[1] * depth, depth])
+    return pelvis - body.joint_template[0] - body.joint_shape_directions[0] @ betas
