@@ -21,7 +21,7 @@ from hfb.observation import Observation
 from hfb.priors.pose import PosePrior
 from hfb.render.rasterizer import Rasterizer
 from hfb.rotations import matrix_to_axis_angle
-from hfb.shapes import Float, Tensor
+from hfb.shapes import Bool, Float, Tensor
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Objective:
 
     Attributes:
         texels: neighbourhoods for L_S; needed only where its weight is positive.
+        visible: texels seen in some sub-frame, for L_S; every texel when not given.
     """
 
     observation: Observation
@@ -39,6 +40,7 @@ class Objective:
     weights: Weights
     subframes: int
     texels: TexelNeighbours | None = None
+    visible: Bool[Tensor, "A A"] | None = None
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
@@ -56,7 +58,7 @@ class Objective:
         for name in per_frame[0]:
             terms[name] = torch.stack([one[name] for one in per_frame]).mean()
         if weights.texture > 0 and self.texels is not None:
-            terms["texture"] = texture_smoothness(texture, self.texels)
+            terms["texture"] = texture_smoothness(texture, self.texels, self.visible)
         if weights.pose > 0:
             terms["pose"] = pose_loss(self.pose_prior, matrix_to_axis_angle(rotations[:, :, 1:]).flatten(0, 1))
         if weights.shape > 0:

@@ -19,6 +19,8 @@ POSE_COUNT = 9 * (JOINT_COUNT - 1)
 _NEEDED = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
 _TEXTURE = ("vt", "ft")
 _MAX_VERTICES = 200_000
+_ABSURD = 1e3
+_HEIGHTS_M = (0.2, 5.0)
 # Relatives by their number of joints.
 _RELATIVES = {55: "a SMPL-X", 54: "a SMPL-X", 52: "a SMPL-H", 16: "a MANO", 5: "a FLAME", 33: "a SMAL", 35: "a SMAL"}
 _FIX = "download SMPL from https://smpl.is.tue.mpg.de and give its .npz or .pkl, or leave the body model out"
@@ -36,6 +38,9 @@ def read_smpl(path: Path) -> Body:
     _refuse_others(path, arrays, names)
     vertex_count = arrays["v_template"].shape[0]
     template = _floats(path, arrays, "v_template", (vertex_count, 3))
+    height_m = np.ptp(template, axis=0).max()
+    if not _HEIGHTS_M[0] < height_m < _HEIGHTS_M[1]:
+        raise InputError(f"{path} is not a SMPL model in metres: its template spans {height_m:.3g}; {_FIX}.")
     shape_directions = _shape_directions(path, arrays, vertex_count)
     pose_directions = _pose_directions(path, arrays, vertex_count)
     regressor = _floats(path, arrays, "J_regressor", (JOINT_COUNT, vertex_count))
@@ -92,8 +97,8 @@ def _floats(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> Fl
     if array.shape != shape:
         raise InputError(f"{path} is not a SMPL model: {name} has the shape {array.shape}, not {shape}; {_FIX}.")
     array = array.astype(np.float64)
-    if not np.isfinite(array).all():
-        raise InputError(f"{path} is damaged: {name} holds values that are not finite; {_FIX}.")
+    if not (np.abs(array) < _ABSURD).all():  # NaN too
+        raise InputError(f"{path} is damaged: {name} holds values that are not finite or absurdly large; {_FIX}.")
     return array
 
 

@@ -13,14 +13,15 @@ from hfb.config import FitConfig, Stage
 from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
 from hfb.losses.texture import TexelNeighbours, texel_neighbours
+from hfb.motion.clock import subframe_clock
 from hfb.motion.sampled import SampledMotion, sample_motion
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.priors.pose import PosePrior
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
-from hfb.render.texture import fill_texture_gutter, texel_faces
-from hfb.shapes import Float, Tensor
+from hfb.render.texture import fill_texture_gutter, texel_faces, visible_texels
+from hfb.shapes import Bool, Float, Tensor
 
 Progress = Callable[[int, int, float], None]
 
@@ -76,8 +77,10 @@ def fit(
     best, best_iteration, done = variables.copy(), 0, 0
     with _one_torch_thread():
         for stage in stages:
+            seen = window.resized(stage.size_px)
+            visible = _visible(variables, seen, body, config) if texels else None
             objective = Objective(
-                window.resized(stage.size_px), body, rasterizer, pose_prior, config.weights, config.subframes, texels
+                seen, body, rasterizer, pose_prior, config.weights, config.subframes, texels, visible
             )
             best_loss = math.inf  # losses of different picture sizes do not compare
             for loss, terms, iterate in _iterations(objective, variables, config, stage):
@@ -127,6 +130,14 @@ def _restore(variables: Variables, best: Variables) -> None:
 
 def _texels(body: Body, config: FitConfig) -> TexelNeighbours:
     return texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, config.texture_px))
+
+
+def _visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
+    """Texels the camera sees when a stage begins: visibility changes too slowly to be worth every iteration."""
+    with torch.no_grad():
+        rotations, translations = variables.trajectory.at(subframe_clock(config.subframes))
+        posed = body.shape(variables.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
+        return visible_texels(posed.vertices, seen.camera, body.mesh, config.texture_px)
 
 
 def _result(

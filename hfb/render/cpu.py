@@ -34,7 +34,7 @@ def draw(
     count = corners.shape[0]
 
     def task(s: int) -> tuple[Array, ...]:
-        if soft:
+        if soft[0] > 0:
             return kernels_dibr.draw_body_softly(corners[s], view, halo, faces, coordinates, uv_faces, colours)
         return kernels.draw_body(
             corners[s], view, faces, coordinates, uv_faces, edge_vertices, edge_faces, colours
@@ -147,7 +147,7 @@ def _(pictures, vertices, texture, uv, topology, lens, is_soft, kept, of_vertice
 def _keep_draw(ctx, inputs, output) -> None:
     vertices, texture, uv, topology, lens, soft, _, threads = inputs
     ctx.save_for_backward(vertices, texture, uv, *topology, *output[1:])
-    ctx.lens, ctx.is_soft, ctx.threads = lens, bool(soft), threads
+    ctx.lens, ctx.is_soft, ctx.threads = lens, soft[0] > 0, threads
     ctx.set_materialize_grads(False)
 
 
@@ -178,7 +178,7 @@ def cover(
     count = corners.shape[0]
 
     def task(s: int) -> tuple[Array, ...]:
-        if soft:
+        if soft[0] > 0:
             return kernels_dibr.cover_body_softly(corners[s], view, halo, faces)
         return kernels.cover_body(corners[s], view, faces, edge_vertices, edge_faces)
 
@@ -227,7 +227,7 @@ def _(pictures, vertices, topology, lens, is_soft, kept, threads):
 def _keep_cover(ctx, inputs, output) -> None:
     vertices, topology, lens, soft, _, threads = inputs
     ctx.save_for_backward(vertices, *topology, *output[1:])
-    ctx.lens, ctx.is_soft, ctx.threads = lens, bool(soft), threads
+    ctx.lens, ctx.is_soft, ctx.threads = lens, soft[0] > 0, threads
     ctx.set_materialize_grads(False)
 
 
@@ -260,7 +260,7 @@ class CpuRasterizer:
         return tables[1], tables[2]
 
     def _soft(self, camera: PinholeCamera) -> list[float]:
-        return [] if self.silhouette == "coverage" else [float(value) for value in dibr_constants(camera)]
+        return [0.0, 0.0, 0.0] if self.silhouette == "coverage" else [float(value) for value in dibr_constants(camera)]
 
     def _draw(self, vertices: Tensor, texture: Tensor | None, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Tensor:
         uv, topology = self._of_mesh(mesh)

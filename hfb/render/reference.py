@@ -68,11 +68,12 @@ def _share_right_of(
 def _cover_row(p: Float[Tensor, "n 2"], q: Float[Tensor, "n 2"], row: int, width: int) -> Float[Tensor, "W"]:
     """Covered share of one row of pixels, from the outline edges p -> q that touch it."""
     d = q - p
-    heights = torch.cat([p[:, 1], q[:, 1], _crossing_heights(p.detach(), d.detach())]).clamp(row, row + 1)
-    heights = torch.cat([heights, heights.new_tensor([row, row + 1])]).sort().values
-    low, high = heights[:-1], heights[1:]
-    keep = high - low > 0
-    low, high = low[keep, None], high[keep, None]
+    # The covered length is continuous where one slab meets the next: the heights need no gradient.
+    with torch.no_grad():
+        heights = torch.cat([p[:, 1], q[:, 1], _crossing_heights(p, d)]).clamp(row, row + 1)
+        heights = torch.cat([heights, heights.new_tensor([row, row + 1])]).sort().values
+        thick = heights.diff() > 1e-12
+    low, high = heights[:-1][thick, None], heights[1:][thick, None]
     middle = (low + high) / 2
     active = (torch.minimum(p[:, 1], q[:, 1]) < middle) & (middle < torch.maximum(p[:, 1], q[:, 1]))
     slope = d[:, 0] / torch.where(d[:, 1] == 0, torch.ones_like(d[:, 1]), d[:, 1])

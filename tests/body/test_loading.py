@@ -75,6 +75,40 @@ def test_names_of_numpy_1_and_of_python_2(tmp_path: Path) -> None:
     same(load_body(path, torch.float64), arrays)
 
 
+def python_2_array(array: np.ndarray) -> bytes:
+    """How Python 2's cPickle wrote an array, opcode by opcode: numpy's old names, bytes as plain strings."""
+    kind = array.dtype.str.lstrip("<>=|").encode()
+    data = array.tobytes()
+    return b"".join(
+        [
+            b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(K\x00tU\x01btR(K\x01(",
+            *(b"J" + struct.pack("<i", size) for size in array.shape),
+            b"tcnumpy\ndtype\n(U" + bytes([len(kind)]) + kind,
+            b"K\x00K\x01tR(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb",
+            b"I00\nT" + struct.pack("<i", len(data)) + data + b"tb",
+        ]
+    )
+
+
+def test_a_file_of_python_2(tmp_path: Path) -> None:
+    """As the SMPL files of 2015 are: chumpy objects of the old copy_reg, a sparse regressor, strings of bytes."""
+    arrays = smpl_arrays()
+    sparse = scipy.sparse.csc_matrix(arrays["J_regressor"])
+    parts = [b"(dU\x0av_templateccopy_reg\n_reconstructor\n(cchumpy.ch\nCh\nc__builtin__\nobject\nNtR(dU\x01x"]
+    parts += [python_2_array(arrays["v_template"]), b"sU\x0b_dirty_varsc__builtin__\nset\n((lU\x01xatRsbs"]
+    parts += [b"U\x0bJ_regressorccopy_reg\n_reconstructor\n(cscipy.sparse.csc\ncsc_matrix\nc__builtin__\nobject\nNtR(d"]
+    parts += [b"U\x06_shape(K\x18K\x6etsU\x08maxprintK2s"]
+    for name in ("data", "indices", "indptr"):
+        parts += [b"U" + bytes([len(name)]) + name.encode(), python_2_array(getattr(sparse, name)), b"s"]
+    parts += [b"bs"]
+    for name in ("shapedirs", "posedirs", "weights", "f", "kintree_table"):
+        values = arrays[name].astype(np.uint32) if name == "kintree_table" else arrays[name]
+        parts += [b"U" + bytes([len(name)]) + name.encode(), python_2_array(values), b"s"]
+    path = tmp_path / "basicModel_neutral_lbs_10_207_0_v1.0.0.pkl"
+    path.write_bytes(b"".join(parts) + b".")
+    same(load_body(path, torch.float64), arrays)
+
+
 @pytest.mark.parametrize("protocol", [0, 2, 4])
 @pytest.mark.parametrize("form", ["csc_matrix", "csr_matrix", "coo_matrix", "csc_array"])
 def test_sparse_regressor(tmp_path: Path, form: str, protocol: int) -> None:
@@ -199,6 +233,8 @@ def test_a_motion_file_is_refused_by_name(tmp_path: Path) -> None:
         ({"shapedirs": np.zeros((110, 3, 4))}, "shapedirs has the shape (110, 3, 4)"),
         ({"shapedirs": np.full((110, 3, 10), np.nan)}, "not finite"),
         ({"v_template": np.full((110, 3), np.inf)}, "not finite"),
+        ({"posedirs": np.full((110, 3, 207), 1e200)}, "absurdly large"),
+        ({"v_template": smpl_arrays()["v_template"] * 100}, "not a SMPL model in metres"),
         ({"f": np.array([[0, 1, 110]])}, "points outside its 110 vertices"),
         ({"f": np.array([[0, 1, -1]])}, "points outside its 110 vertices"),
         ({"f": np.zeros((5, 4), dtype=int)}, "no list of triangles"),
