@@ -7,13 +7,15 @@ Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,7 +24,8 @@ from flows.options import add_config_flags, run_config
 from hfb import __version__
 from hfb.errors import InputError
 
-Chain = Callable[[], dict[str, Any]]
+# Does the work; calls what it is given before it needs the server.
+Chain = Callable[[Callable[[], None]], dict[str, Any]]
 _DONE, _FAILED, _UNUSABLE, _INTERRUPTED = 0, 1, 2, 130
 
 
@@ -95,7 +98,11 @@ def _fit(given: argparse.Namespace) -> None:
     def load() -> Chain:
         from flows.fit_image import fit_image
 
-        return lambda: fit_image(given.frames, given.background, out, config, given.clip)
+        def chain(ready: Callable[[], None]) -> dict[str, Any]:
+            ready()
+            return fit_image(given.frames, given.background, out, config, given.clip)
+
+        return chain
 
     result = _through_prefect(given, out, load)
     _report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
@@ -106,10 +113,9 @@ def _demo(given: argparse.Namespace) -> None:
     out = given.out or Path("runs/demo")
 
     def load() -> Chain:
-        from flows.demo import fit_example, make_example
+        from flows.demo import fit_example
 
-        example = make_example(out, config.seed)
-        return lambda: fit_example(example, out, config)
+        return lambda ready: fit_example(out, config, ready)
 
     result = _through_prefect(given, out, load)
     _report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
@@ -145,7 +151,7 @@ def _runs(given: argparse.Namespace) -> None:
 
 
 def _through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
-    """Start the server, load and prepare while it starts, then run the chain."""
+    """Start the server, import the method while it starts, then run the chain."""
     from flows.surroundings import PrefectServer, keep_log
     from flows.workplace import check_writable
     from tasks import progress, tracking
@@ -154,13 +160,30 @@ def _through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Ch
     check_writable(out)
     tracking.check_store(tracking.tracking_uri())
     with progress.showing(progress.display_for(sys.stderr, given.quiet)):
-        with progress.step("libraries"):
+        with progress.step("libraries"), _unwatched_by_gc():
             server = PrefectServer()
-        chain = load()
-        with progress.step("Prefect and MLflow"):
+            chain = load()
             tracking.open_store()
-            server.wait()
-        return chain()
+
+        def ready() -> None:
+            with progress.step("Prefect's server"):
+                server.wait()
+
+        return chain(ready)
+
+
+@contextmanager
+def _unwatched_by_gc() -> Iterator[None]:
+    """Importing makes millions of objects that live as long as the process.
+
+    Python would search them for garbage while they come, a third of the time, and once more at the end: seconds.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _report(

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from flows.fit_image import fit_image
 from hfb.config import RunConfig
-from hfb.datasets.example import ExamplePaths, write_example
+from hfb.datasets.example import write_example
 from tasks import progress
 
 
-def make_example(out: Path, seed: int) -> ExamplePaths:
-    """The example's pictures and truth, in ``out/example``."""
+def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Make the example in ``out/example``, then fit it; the result holds the errors against its truth.
+
+    Args:
+        ready: called before the flow, returns when Prefect's server answers.
+    """
     with progress.step("example"):
-        return write_example(out / "example", seed)
-
-
-def fit_example(example: ExamplePaths, out: Path, config: RunConfig) -> dict[str, Any]:
-    """The whole chain on the example; the result holds the errors against its truth."""
-    return fit_image([example.frame], example.background, out, config, truth=example.truth)
+        paths = write_example(out / "example", config.seed)
+    ready()
+    return fit_image([paths.frame], paths.background, out, config, truth=paths.truth)

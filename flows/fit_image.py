@@ -12,7 +12,7 @@ from flows.workplace import publish, workplace
 from hfb.config import RunConfig
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
-from tasks.first_body import first_body, given_body, networks_at_hand
+from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
 from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs
@@ -53,9 +53,8 @@ def fit_image(
         if inputs.first_bodies:
             firsts = tuple(given_body(file) for file in inputs.first_bodies)
         else:
-            networks = networks_at_hand()
             firsts = tuple(
-                first_body(scene, index, mattes, inputs.body, config.init, networks, folder) for index in numbers
+                first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
             )
         fitted = fit_motion(
             scene, mattes, firsts, inputs.body, inputs.pose_prior, config.fit, config.seed, folder

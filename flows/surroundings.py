@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import logging.handlers
 import os
+import socket
 import subprocess
-import threading
+import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 from urllib.error import HTTPError, URLError
+from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import platformdirs
 
 from hfb.errors import InputError
 from tasks import progress
-
-if TYPE_CHECKING:
-    from prefect.server.api.server import SubprocessASGIServer
 
 _HEALTH_TIMEOUT_S = 3
 _LOG_BYTES = 2_000_000
@@ -29,12 +29,18 @@ def log_path() -> Path:
     return Path(platformdirs.user_log_path("hfb")) / "hfb.log"
 
 
+def _server_log() -> Path:
+    return log_path().with_name("prefect-server.log")
+
+
 def keep_log(verbose: bool = False) -> None:
     """Everything into the log file, warnings also to the person; Prefect's own lines only when asked for.
 
     Has to come before Prefect is imported: it leaves handlers alone that it finds.
     """
     root = logging.getLogger()
+    if any(isinstance(handler, _Telling) for handler in root.handlers):
+        return
     root.setLevel(logging.INFO)
     logging.captureWarnings(True)
     for chatty in ("httpx", "alembic"):
@@ -46,69 +52,93 @@ def keep_log(verbose: bool = False) -> None:
 
 
 class PrefectServer:
-    """The server of this process: the one that the user set, or a temporary one that starts in the background.
+    """The server of this process's flows: the one that the user set, or a temporary one that ends with it.
 
-    The temporary one takes seconds; meanwhile this process can import and compute. Only the waiting happens in
-    a thread: two threads that import the same libraries can meet half-initialised modules.
+    Prefect would start a temporary one by itself, on first use and while everything waits; it would load the
+    whole server into this process too, and leave it running after kill -9. Here it starts beside the imports.
     """
 
     def __init__(self) -> None:
         """Raises InputError when the server that the user set does not answer."""
+        from prefect.context import refresh_global_settings_context
         from prefect.settings import get_current_settings
 
-        self._error: BaseException | None = None
-        self._thread: threading.Thread | None = None
-        api = get_current_settings().api.url
-        if api:
-            _check_prefect(api)
+        settings = get_current_settings()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._patience_s = settings.server.ephemeral.startup_timeout_seconds
+        self._api = settings.api.url or f"http://127.0.0.1:{_free_port()}/api"
+        if settings.api.url:
+            reason = _ask(self._api)
+            if reason:
+                raise InputError(
+                    f"the Prefect server at {self._api} {reason}: "
+                    "start it, or unset PREFECT_API_URL for a temporary one"
+                )
         else:
-            server = _temporary_server()
-            self._thread = threading.Thread(target=self._start, args=(server,), name="hfb-prefect", daemon=True)
-            self._thread.start()
+            self._process = _start_server(self._api, settings.to_environment_variables(exclude_unset=True))
+            os.environ["PREFECT_API_URL"] = self._api
+            refresh_global_settings_context()
 
     def wait(self) -> None:
         """Return when the server answers."""
-        if self._thread is not None:
-            self._thread.join()
-        if self._error is not None:
-            raise self._error
-
-    def _start(self, server: SubprocessASGIServer) -> None:
-        try:
-            server.start()
-        except Exception as error:
-            self._error = error
+        began = time.monotonic()
+        while self._process is not None and (reason := _ask(self._api)):
+            ended = self._process.poll() is not None
+            if ended or time.monotonic() - began > self._patience_s:
+                state = "ended" if ended else reason
+                raise RuntimeError(f"the temporary Prefect server {state}; its own log is {_server_log()}")
+            time.sleep(0.05)
 
 
-def _temporary_server() -> SubprocessASGIServer:
-    from prefect.server.api.server import SubprocessASGIServer
+def _start_server(api: str, settings: dict[str, str]) -> subprocess.Popen[bytes]:
+    temporary = {"PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1"}
+    _server_log().parent.mkdir(parents=True, exist_ok=True)
+    with _server_log().open("wb") as log:
+        process = subprocess.Popen(
+            [
+                sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app",
+                "--host", "127.0.0.1", "--port", str(urlsplit(api).port), "--log-level", "error", "--lifespan", "on",
+            ],
+            env={**os.environ, **settings, **temporary},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,  # Ctrl-C is for this process, which still has to tell the server
+        )  # fmt: skip
+    _end_with_this_process(process.pid)
+    atexit.register(_end, process)
+    return process
 
-    class Watched(SubprocessASGIServer):
-        """Prefect's own, but it ends with this process even after kill -9."""
 
-        def _run_uvicorn_command(self) -> subprocess.Popen[Any]:
-            process: subprocess.Popen[Any] = super()._run_uvicorn_command()
-            _end_with_this_process(process.pid)
-            return process
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
-    return Watched()  # Prefect keeps one per process and finds this one
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
-def _check_prefect(api: str) -> None:
+def _ask(api: str) -> str | None:
+    """Why a server is of no use, or None where it answers."""
     try:
         with urlopen(f"{api.rstrip('/')}/health", timeout=_HEALTH_TIMEOUT_S):
-            return
+            return None
     except HTTPError as error:
-        if error.code in (401, 403):  # it is there and asks for a login
-            return
-        reason = f"answers {error.code}"
+        # one that asks for a login is there
+        return None if error.code in (401, 403) else f"answers {error.code}"
     except (URLError, OSError) as error:
-        reason = f"does not answer ({getattr(error, 'reason', error)})"
-    raise InputError(f"the Prefect server at {api} {reason}: start it, or unset PREFECT_API_URL for a temporary one")
+        return f"does not answer ({getattr(error, 'reason', error)})"
 
 
 def _end_with_this_process(server_pid: int) -> None:
-    """End the temporary server even after kill -9: Prefect's own clean-up would not run then.
+    """End the temporary server even after kill -9, when nothing of this process runs any more.
 
     The watcher reads a pipe that only this process holds open; the read ends when the process does.
     """
@@ -118,7 +148,7 @@ def _end_with_this_process(server_pid: int) -> None:
         stdin=reading,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C is for this process; the watcher outlives it
+        start_new_session=True,  # it outlives this process
     )
     os.close(reading)
 

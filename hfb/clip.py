@@ -13,10 +13,8 @@
 Every entry may be left out.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -33,7 +31,7 @@ class ClipCamera(Record):
     K: tuple[_Row, _Row, _Row] | None = None
 
     @model_validator(mode="after")
-    def _one_calibration(self) -> Self:
+    def _one_calibration(self) -> "ClipCamera":
         if self.K is None:
             return self
         if self.focal_px is not None:
@@ -53,7 +51,7 @@ class ClipExposure(Record):
     shutter_angle: Annotated[float, Field(gt=0, le=360)] | None = None
 
     @model_validator(mode="after")
-    def _one_length(self) -> Self:
+    def _one_length(self) -> "ClipExposure":
         if sum(length is not None for length in (self.seconds, self.shutter_fraction, self.shutter_angle)) > 1:
             raise ValueError("give one of seconds, shutter_fraction and shutter_angle, not several")
         return self

@@ -1,7 +1,5 @@
 """TOML into frozen records, with errors that name the entry and the fix."""
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from pathlib import Path

@@ -5,7 +5,6 @@ from pathlib import Path
 from hfb.config import InitConfig
 from hfb.export.motion_file import write_arrays
 from hfb.initialize.initializer import make_initializer
-from hfb.initialize.networks import NETWORKS, network_path
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
 from tasks.scene import first_body_arrays, load_chosen_body, load_first_body, load_observation
 from tasks.task import task
@@ -18,13 +17,13 @@ def first_body(
     mattes: tuple[FileHandle, ...],
     body: FileHandle | None,
     config: InitConfig,
-    networks: tuple[str, ...],
+    networks: tuple[FileHandle, ...],
     folder: Path,
 ) -> FirstBodyHandle:
     """Estimate the body of one frame.
 
     Args:
-        networks: digests of the pose networks at hand; with new ones the estimate is made again.
+        networks: the pose networks at hand; with other ones the estimate is made again.
 
     Raises:
         InputError: no person was found.
@@ -36,11 +35,6 @@ def first_body(
     path = folder / f"first_body_{index}.npz"
     write_arrays(path, first_body_arrays(found))
     return FirstBodyHandle.of(path, source=found.source)
-
-
-def networks_at_hand() -> tuple[str, ...]:
-    """sha256 of each pose network that `hfb models` has fetched."""
-    return tuple(network.sha256 for network in NETWORKS if network_path(network) is not None)
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:

@@ -7,6 +7,7 @@ from pathlib import Path
 from hfb.clip import Clip, read_clip
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
+from hfb.initialize.networks import NETWORKS, network_path
 from tasks.handles import FileHandle, files_in
 
 
@@ -20,6 +21,7 @@ class Inputs(Record):
     pose_prior: FileHandle | None = None
     truth: FileHandle | None = None
     first_bodies: tuple[FileHandle, ...] = ()
+    networks: tuple[FileHandle, ...] = ()
 
 
 def input_file(path: Path) -> FileHandle:
@@ -61,7 +63,14 @@ def take_inputs(
         pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
         truth=input_file(truth) if truth else None,
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
+        networks=_networks_at_hand() if config.init.method != "matte" and not first_bodies else (),
     )
+
+
+def _networks_at_hand() -> tuple[FileHandle, ...]:
+    """The pose networks that `hfb models` has fetched: with new ones the first bodies are estimated again."""
+    found = (network_path(network) for network in NETWORKS)
+    return tuple(FileHandle.of(path) for path in found if path is not None)
 
 
 def input_hashes(inputs: Inputs) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """The run in MLflow: what went in, how it went, what came out."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 from hfb.config import Record, RunConfig
@@ -42,10 +43,11 @@ def record(
     final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
     timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}
     tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset}
-    with tracking.recorded_run(inputs.frames[0].path.stem, key, params, tags) as run:
-        tracking.log_histories(run, histories | final | timing)
-        tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path])
-        tracking.log_files(run, [matte.path for matte in mattes], folder="mattes")
-        tracking.log_dict(run, result, "result.json")
-        tracking.log_dict(run, config.model_dump(mode="json"), "config.json")
+    with tracking.recorded_run(Path(result["out"]).name, key, params, tags) as run:
+        if not run.complete:
+            tracking.log_histories(run, histories | final | timing)
+            tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path])
+            tracking.log_files(run, [matte.path for matte in mattes], folder="mattes")
+            tracking.log_dict(run, result, "result.json")
+            tracking.log_dict(run, config.model_dump(mode="json"), "config.json")
         return RunHandle(run_id=run.run_id, link=tracking.link(run))

@@ -53,6 +53,7 @@ class Run:
     experiment_id: str
     run_id: str
     first_millisecond: int
+    complete: bool
 
 
 def tracking_uri() -> str:
@@ -91,8 +92,13 @@ class StoreLost(Exception):
 def recorded_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Iterator[Run]:
     """Find or create the run of a problem; FINISHED, FAILED or KILLED when the block ends.
 
+    A run that is found FINISHED is complete: it holds everything already, and stays as it is.
+
     Args:
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
+
+    Raises:
+        StoreLost: the store cannot be reached or written.
     """
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
@@ -108,7 +114,8 @@ def recorded_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[s
             status = "KILLED"
             raise
         finally:
-            client.set_terminated(run.run_id, status)
+            if not run.complete:
+                client.set_terminated(run.run_id, status)
     except (MlflowException, SQLAlchemyError, OSError) as error:  # requests' errors are OSErrors
         reason = str(error).strip().splitlines()
         raise StoreLost(reason[0] if reason else type(error).__name__) from error
@@ -171,7 +178,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
         raise InputError(f"runs are recorded on a server that has pages of its own: open {uri}")
     return [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",
-        "--port", str(port), "--workers", "1",
+        "--port", str(port), "--workers", "1", "--uvicorn-opts", "--log-level warning",
     ]  # fmt: skip
 
 
@@ -214,14 +221,15 @@ def _found_or_created(
 ) -> Run:
     experiment_id = _experiment(client)
     found = client.search_runs([experiment_id], f"tags.`{_KEY_TAG}` = '{key}'", max_results=1)
+    complete = bool(found) and found[0].info.status == "FINISHED"
     if found:
         info = found[0].info
-        client.update_run(info.run_id, status="RUNNING")
     else:
         info = client.create_run(experiment_id, run_name=name, tags={**tags, **_environment_tags(), _KEY_TAG: key}).info
-    run = Run(str(client.tracking_uri), experiment_id, info.run_id, info.start_time)
-    _log_params(client, run.run_id, params)
-    return run
+    if not complete:
+        client.update_run(info.run_id, status="RUNNING")
+        _log_params(client, info.run_id, params)
+    return Run(str(client.tracking_uri), experiment_id, info.run_id, info.start_time, complete)
 
 
 def _log_params(client: MlflowClient, run_id: str, params: Mapping[str, Any]) -> None:

@@ -51,12 +51,13 @@ def read_smpl(path: Path) -> Body:
             raise InputError(f"{path} is damaged: rows of {name} do not add up to 1; {_FIX}.")
     weights = weights / weights.sum(1, keepdims=True)
     faces, uv, uv_faces = _surface(path, arrays, template, weights)
+    added = len(faces) - len(arrays["f"])
     as_tensor = torch.from_numpy
     return Body(
         name=path.stem,
         betas_space="smpl",
         licence="the terms under which you got the file (SMPL: https://smpl.is.tue.mpg.de)",
-        source=str(path),
+        source=f"{path}, closed with {added} faces" if added else str(path),
         template=as_tensor(template),
         shape_directions=as_tensor(shape_directions),
         pose_directions=as_tensor(pose_directions),

@@ -1,6 +1,6 @@
 """The static body that a fit starts from: by the pose networks where they are, else by the matte alone."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -30,6 +30,7 @@ _REFINEMENT = (Stage(64, 40, 0.02), Stage(_COMPARE_PX, 30, 0.015))
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
 
+@runtime_checkable
 class Initializer(Protocol):
     """One static body for one frame."""
 

@@ -7,6 +7,7 @@ picture and in metres. The decoding is written from those descriptions. Input pi
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -132,7 +133,7 @@ class PoseNetworks:
         )
 
     @staticmethod
-    def _run(network, picture: Float[Array, "H W 3"], outputs: tuple[str, ...]) -> list[np.ndarray]:
+    def _run(network: Any, picture: Float[Array, "H W 3"], outputs: tuple[str, ...]) -> list[np.ndarray]:
         network.set_tensor(network.get_input_details()[0]["index"], picture[None].astype(np.float32))
         network.invoke()
         by_name = {detail["name"]: detail["index"] for detail in network.get_output_details()}
@@ -185,7 +186,8 @@ def _anchors() -> Float[Array, "2254 2"]:
     return np.concatenate(centres)
 
 
-def _load(network: NetworkFile):
+def _load(network: NetworkFile) -> Any:
+    """An interpreter of LiteRT, which has no types."""
     path = network_path(network)
     if path is None:
         raise InputError(

@@ -15,9 +15,9 @@ import torch
 from hfb.body.model import Body
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.pose_bank import bank_rotations
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.initialize.silhouette_fit import Level, Stage, Stay, matte_level, overlap, refine
 from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import Rasterizer
+from hfb.render.rasterizer import Rasterizer, make_rasterizer
 from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.shapes import Array, Float, Tensor
 
@@ -58,7 +58,7 @@ def search_by_matte(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float]:
     """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; 2-4 s on one core."""
-    templates = _templates(body, rasterizer)
+    templates = _templates(body)
     starts = _best_starts(matte, camera, body, templates)
     stay = Stay(prior=0.002, betas=0.03)
     level = matte_level(matte, camera, 64)
@@ -70,7 +70,7 @@ def search_by_matte(
     return best, overlap(best, matte_level(matte, camera, 128), body, rasterizer)
 
 
-def _value(first: FirstBody, level, body: Body, rasterizer: Rasterizer) -> float:
+def _value(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:
     """Soft IoU, minus a little for showing the back."""
     facing = -float(axis_angle_to_matrix(first.pose[0])[2, 2])
     return overlap(first, level, body, rasterizer) - _BACK_COST * (1 - facing) / 2
@@ -122,7 +122,7 @@ def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.
     """Centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
     scale = _SPREAD_PX / moments.spread
     shrink = max(1, int(1 / (2 * scale)))
-    reduced = np.asarray(picture, np.float32)
+    reduced: np.ndarray = np.asarray(picture, np.float32)
     if shrink > 1:  # area average first: the interpolation below looks at four pixels only
         size = (max(1, picture.shape[1] // shrink), max(1, picture.shape[0] // shrink))
         reduced = cv2.resize(reduced, size, interpolation=cv2.INTER_AREA)
@@ -135,8 +135,9 @@ def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.
 
 
 @lru_cache(maxsize=2)
-def _templates(body: Body, rasterizer: Rasterizer) -> Templates:
-    """Draw the bank once per body."""
+def _templates(body: Body) -> Templates:
+    """Draw the bank once per body and process."""
+    rasterizer = make_rasterizer("coverage")
     dtype = body.template.dtype
     _, bank = bank_rotations(dtype)
     camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)

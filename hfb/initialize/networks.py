@@ -141,7 +141,7 @@ def _download(folder: Path) -> Path:
         done = subprocess.run(command, capture_output=True, text=True, timeout=60 * _MINUTES, check=False)
     except subprocess.TimeoutExpired:
         raise InputError(
-            f"the download did not end within {_MINUTES} minutes; check the connection and run `hfb models fetch` again."
+            f"the download did not end within {_MINUTES} minutes; check the connection and run it again."
         ) from None
     wheel = folder / _WHEEL
     if done.returncode or not wheel.is_file():

@@ -97,33 +97,30 @@ def register(
     sure = torch.as_tensor(landmarks.visibility, dtype=dtype).clamp(0.05, 1)
     R_root = _first_root(shaped, attachments, world)
     translation = _first_translation(shaped, camera, world, pixels, sure)
-    pose = torch.zeros(24, 3, dtype=dtype)
-    pose[0] = matrix_to_axis_angle(R_root)
     # The optimised root turn is relative to the first guess: no wrap-around at pi, where upright people are.
-    free_pose, free_translation = torch.zeros(24, 3, dtype=dtype), translation.clone()
-    with torch.no_grad():
-        free_pose[1:] = _natural_pose(dtype)
-    variables = [v.requires_grad_() for v in (free_pose, free_translation, betas.clone())]
+    free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), _natural_pose(dtype)])
+    variables = [free.requires_grad_() for free in (free_pose, translation, betas)]
     optimiser = torch.optim.Adam(
-        [
-            {"params": [variables[0]], "lr": 0.05},
-            {"params": [variables[1]], "lr": 0.02},
-            {"params": [variables[2]], "lr": 0.02},
-        ]
+        [{"params": [free], "lr": rate} for free, rate in zip(variables, (0.05, 0.02, 0.02), strict=True)]
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations, 0.002)
     prior = AnatomicalPrior()
     targets = _targets(pixels, world, sure)
     for _ in range(iterations):
         optimiser.zero_grad()
-        loss = _loss(variables, R_root, body, attachments, camera, targets, prior)
+        rotations = axis_angle_to_matrix(free_pose)
+        rotations = torch.cat([(rotations[0] @ R_root)[None], rotations[1:]])
+        rest = body.joint_template + body.joint_shape_directions @ betas
+        points = attachments.positions(*follow_chain(rest, rotations, translation))
+        loss = _misfit(points, attachments, camera, targets)
+        loss = loss + 0.03 * prior(free_pose[None, 1:])[0] + 0.5 * (betas * betas).sum()
         loss.backward()
         optimiser.step()
         schedule.step()
     with torch.no_grad():
-        final = variables[0].clone()
-        final[0] = matrix_to_axis_angle(axis_angle_to_matrix(variables[0][0]) @ R_root)
-    return FirstBody(final.detach(), variables[1].detach(), variables[2].detach(), source)
+        final = free_pose.clone()
+        final[0] = matrix_to_axis_angle(axis_angle_to_matrix(free_pose[0]) @ R_root)
+    return FirstBody(final.detach(), translation.detach(), betas.detach(), source)
 
 
 def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
@@ -202,40 +199,39 @@ def _spread(points: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
     return (points - points.mean(0)).norm()
 
 
-def _targets(
-    pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: Float[Tensor, "33"]
-) -> tuple[Float[Tensor, "33 2"], Float[Tensor, "33"], Float[Tensor, "D 3"], Float[Tensor, "D"], Int[Tensor, "D 2"]]:
-    """Pixels with weights; unit directions with weights and their landmark pairs."""
+@dataclass(frozen=True)
+class _Targets:
+    """What the body is laid onto: pixels with certainties, unit directions with weights and their landmark pairs."""
+
+    pixels: Float[Tensor, "33 2"]
+    sure: Float[Tensor, "33"]
+    direction: Float[Tensor, "D 3"]
+    weight: Float[Tensor, "D"]
+    pairs: Int[Tensor, "D 2"]
+
+
+def _targets(pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: Float[Tensor, "33"]) -> _Targets:
     pairs = torch.tensor([(LANDMARK[start], LANDMARK[end]) for start, end, _ in _DIRECTIONS])
     direction = world[pairs[:, 1]] - world[pairs[:, 0]]
     weight = torch.tensor([w for *_, w in _DIRECTIONS]).to(world) * sure[pairs].amin(1)
-    return pixels, sure, direction / direction.norm(dim=1, keepdim=True).clamp_min(1e-6), weight, pairs
+    return _Targets(pixels, sure, direction / direction.norm(dim=1, keepdim=True).clamp_min(1e-6), weight, pairs)
 
 
-def _loss(variables, R_root, body, attachments, camera, targets, prior) -> Float[Tensor, ""]:
-    pose, translation, betas = variables
-    pixels, sure, direction, direction_weight, pairs = targets
-    rotations = axis_angle_to_matrix(pose)
-    rotations = torch.cat([(rotations[0] @ R_root)[None], rotations[1:]])
-    rest = body.joint_template + body.joint_shape_directions @ betas
-    joints, R_camera_joint = follow_chain(rest, rotations, translation)
-    points = attachments.positions(joints, R_camera_joint)
+def _misfit(
+    points: Float[Tensor, "L 3"], attachments: Attachments, camera: PinholeCamera, targets: _Targets
+) -> Float[Tensor, ""]:
+    """Robust reprojection in units of the trunk, and 1 - cosine of the directions."""
     in_front = torch.cat([points[:, :2], points[:, 2:].clamp_min(_LEAST_DEPTH_M / 2)], 1)
-    trunk_px = camera.fx * 0.5 / translation[2].detach().clamp_min(_LEAST_DEPTH_M)
-    miss = (camera.project(in_front) - pixels[attachments.landmarks]) / trunk_px
-    weight = attachments.weights * sure[attachments.landmarks]
+    trunk_px = camera.fx * 0.5 / points[:, 2].detach().mean().clamp_min(_LEAST_DEPTH_M)
+    miss = (camera.project(in_front) - targets.pixels[attachments.landmarks]) / trunk_px
+    weight = attachments.weights * targets.sure[attachments.landmarks]
     # Geman-McClure: an invented limb must not drag the whole body along.
     square = (miss * miss).sum(1)
     reprojection = (weight * square / (square + 0.2**2)).sum() * 0.2**2 * 100
     by_landmark = points.new_zeros(33, 3).index_copy(0, attachments.landmarks, points)
-    along = by_landmark[pairs[:, 1]] - by_landmark[pairs[:, 0]]
-    cosine = (along * direction).sum(1) / (along * along).sum(1).clamp_min(1e-8).sqrt()
-    return (
-        reprojection
-        + 4 * (direction_weight * (1 - cosine)).sum()
-        + 0.03 * prior(pose[None, 1:])[0]
-        + 0.5 * (betas * betas).sum()
-    )
+    along = by_landmark[targets.pairs[:, 1]] - by_landmark[targets.pairs[:, 0]]
+    cosine = (along * targets.direction).sum(1) / (along * along).sum(1).clamp_min(1e-8).sqrt()
+    return reprojection + 4 * (targets.weight * (1 - cosine)).sum()
 
 
 def follow_chain(

@@ -44,7 +44,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Stay:
-    """How strongly a variable is held at its start: per rad^2 and joint, per (relative depth or width)^2, per beta^2."""
+    """How strongly variables are held at their start: per rad^2, per relative distance^2; and the priors' weights."""
 
     pose: float = 0.0
     root: float = 0.0

@@ -48,7 +48,10 @@ def noise_srgb(
     # mean |d| of a normal variable is 0.8 sigma; the upper quantile in place of the mean covers heavy tails
     smooth = edges <= np.quantile(edges, 0.5)
     floor = float(np.clip(np.quantile(sample[smooth], 0.7) / 0.9, _LEAST_NOISE, _MOST_NOISE))
-    excess = np.maximum(sample[~smooth] / 0.8 - floor, 0) if (~smooth).any() else np.zeros(1)
+    share = 0.0
+    if not smooth.all():
+        excess = np.maximum(sample[~smooth] / 0.8 - floor, 0)
+        share = float(np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])), 1e-4), 0, 0.6))
     share = float(
         np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])) if (~smooth).any() else 1, 1e-4), 0, 0.6)
     )

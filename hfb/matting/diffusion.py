@@ -43,7 +43,8 @@ def smooth_where_unsure(
     while min(levels[-1][1].shape) > 8:
         height, width = levels[-1][1].shape
         half = ((width + 1) // 2, (height + 1) // 2)
-        levels.append(tuple(cv2.resize(part, half, interpolation=cv2.INTER_AREA) * 4 for part in levels[-1]))
+        force, hold = (cv2.resize(part, half, interpolation=cv2.INTER_AREA) * 4 for part in levels[-1])
+        levels.append((force, hold))
     force, hold = levels[-1]
     result = force / np.maximum(hold, 1e-9)
     for force, hold in levels[::-1]:

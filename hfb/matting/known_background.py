@@ -213,7 +213,7 @@ def colour_evidence(
 
 
 def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """Precision of "nobody is here" that grows away from what was seen; gaps of some 4 % of the picture count as inside."""
+    """Precision of "nobody is here", growing away from what was seen; gaps of some 4 % of the picture stay open."""
     closed = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.02 * max(body.shape)))
     distance = cv2.distanceTransform(1 - closed, cv2.DIST_L2, 3)
     return (1000 * np.clip((distance - 2) / 6, 0, 1)).astype(np.float32)

@@ -1,6 +1,6 @@
 """The person's share of each pixel, from a frame and the clean background: one Protocol, one default."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -12,6 +12,7 @@ from hfb.matting.known_background import Evidence, gather_evidence, main_change,
 from hfb.shapes import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
+Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, told in one sentence
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
@@ -19,10 +20,11 @@ _LEAST_SHARE = 2e-4  # of the picture's area; less is no person
 _MOST_SHARE = 0.75
 
 
+@runtime_checkable
 class Matting(Protocol):
     """alpha of eq. (1): what share of the exposure a pixel saw the person."""
 
-    def __call__(self, frame_linear: Picture, plate_linear: Picture) -> Float[Array, "H W"]:
+    def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
         ...
 
@@ -37,7 +39,7 @@ def make_matting(config: MattingConfig) -> Matting:
 class KnownBackground:
     """Colour and texture against the plate (see known_background.py): offline, no network, about a second."""
 
-    def __call__(self, frame_linear: Picture, plate_linear: Picture) -> Float[Array, "H W"]:
+    def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """Find the person at a small size, solve around them at up to 640 px, put the matte into the whole frame."""
         frame, plate = (np.clip(np.asarray(picture, np.float32), 0, None) for picture in (frame_linear, plate_linear))
         check_sizes(frame, plate)
@@ -53,7 +55,7 @@ class KnownBackground:
         inner = (slice(top, bottom), slice(left, right))
         near_frame = shrink(frame[inner], _SOLUTION_PX)
         near_plate = np.clip(shrink(plate[inner], _SOLUTION_PX) * gain, 0, 1)
-        empty = _empty_around(found.body, scale, (height, width), inner, near_frame.shape[:2])
+        empty = _empty_around(found.body, scale, inner, near_frame.shape[:2])
         alpha = clean(solve_matte(gather_evidence(near_frame, near_plate, empty)))
         matte = np.zeros((height, width), np.float32)
         size = (right - left, bottom - top)
@@ -146,16 +148,13 @@ def _scaled_box(
 def _empty_around(
     body: Bool[Array, "h w"],
     scale: Float[Array, "2"],
-    full: tuple[int, int],
     inner: tuple[slice, slice],
     size: tuple[int, int],
 ) -> Bool[Array, "a b"]:
     """The detection's "nobody here", cut and scaled to the solution's grid."""
     away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
-    rows = (
-        (inner[0].start + (np.arange(size[0]) + 0.5) * (inner[0].stop - inner[0].start) / size[0]) / scale[0]
-    ).astype(int)
-    columns = (
-        (inner[1].start + (np.arange(size[1]) + 0.5) * (inner[1].stop - inner[1].start) / size[1]) / scale[1]
-    ).astype(int)
-    return away[np.ix_(np.clip(rows, 0, body.shape[0] - 1), np.clip(columns, 0, body.shape[1] - 1))]
+    indices = [
+        ((cut.start + (np.arange(count) + 0.5) * (cut.stop - cut.start) / count) / ratio).astype(int).clip(0, limit - 1)
+        for cut, count, ratio, limit in zip(inner, size, scale, body.shape, strict=True)
+    ]
+    return away[np.ix_(*indices)]

@@ -55,6 +55,4 @@ class PinholeCamera:
     def resize(self, height: int, width: int) -> "PinholeCamera":
         """The camera of the same view with another number of pixels."""
         down, right = height / self.height, width / self.width
-        return PinholeCamera(
-            self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width)
-        )
+        return PinholeCamera(self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width))

@@ -36,9 +36,7 @@ def draw(
     def task(s: int) -> tuple[Array, ...]:
         if soft[0] > 0:
             return kernels_dibr.draw_body_softly(corners[s], view, halo, faces, coordinates, uv_faces, colours)
-        return kernels.draw_body(
-            corners[s], view, faces, coordinates, uv_faces, edge_vertices, edge_faces, colours
-        )
+        return kernels.draw_body(corners[s], view, faces, coordinates, uv_faces, edge_vertices, edge_faces, colours)
 
     bodies = run_tasks(task, count, threads)
     pictures = _pictures(count, mean, view, vertices.dtype, 4)
@@ -59,7 +57,9 @@ def _indices(topology: Sequence[Tensor]) -> tuple[Array, Array, Array, Array]:
 
 def _pictures(count: int, mean: bool, view: Array, dtype: torch.dtype, channels: int) -> Array:
     width, height = int(view[5]), int(view[6])
-    return np.zeros((1 if mean else count, height, width, channels), np.float64 if dtype == torch.float64 else np.float32)
+    return np.zeros(
+        (1 if mean else count, height, width, channels), np.float64 if dtype == torch.float64 else np.float32
+    )
 
 
 def _join(bodies: list[tuple[Array, ...]], parts: Sequence[int]) -> list[Tensor]:
@@ -197,8 +197,13 @@ def _(vertices, topology, lens, soft, mean, threads):
 
 @torch.library.custom_op("hfb::cover_gradient", mutates_args=())
 def cover_gradient(
-    pictures: Tensor, vertices: Tensor, topology: Sequence[Tensor], lens: Sequence[float], is_soft: bool,
-    kept: Sequence[Tensor], threads: int,
+    pictures: Tensor,
+    vertices: Tensor,
+    topology: Sequence[Tensor],
+    lens: Sequence[float],
+    is_soft: bool,
+    kept: Sequence[Tensor],
+    threads: int,
 ) -> Tensor:
     """Gradient of the vertices (S, V, 3)."""
     corners, view = vertices.detach().numpy(), np.asarray(lens)
@@ -274,13 +279,21 @@ class CpuRasterizer:
         return draw(vertices, texture, uv, topology, lens, soft, mean, self.threads)[0]
 
     def render(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
         """One picture per sub-frame: R_S R_F and R_S."""
         return self._draw(vertices, texture, camera, mesh, False)
 
     def render_mean(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames, without holding the single pictures."""
         return self._draw(vertices, texture, camera, mesh, True)[0]

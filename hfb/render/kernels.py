@@ -7,6 +7,8 @@ A body's *trace* is what the way back needs of its way forth:
 (projected vertices, outline edges, pixels, coverage, overlap owners, overlap edges, overlap weights), the last
 three for pieces of outline in pixels where layers may overlap (`kernels_overlap`).
 """
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 from numba import njit
@@ -96,9 +98,7 @@ def _trace(outline, projected, box, width, nearest, code):
     pixels, windings = np.empty(height * breadth, np.int32), np.empty(height * breadth, np.float64)
     codes = np.empty(height * breadth if code.shape[0] > 0 else 0, np.int32)
     unsure, record = np.zeros(height * breadth, np.int32), np.empty(height * breadth, np.int32)
-    n, n_unsure = collect(
-        winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record
-    )
+    n, n_unsure = collect(winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record)
     pixels, codes, windings = pixels[:n].copy(), codes[:n].copy(), windings[:n].copy()
     owner, of_edge, weights = _resolve_overlaps(
         outline, projected, width, unsure, record[:n_unsure], pixels, windings, piece_pixel[:total], edge, span
@@ -112,9 +112,7 @@ def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     box = np.empty(4, np.int64)
     projected, _, outline = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
     nothing, no_code = np.empty((0, 0), np.float64), np.empty((0, 0), np.int32)
-    pixels, _, coverage, owner, edge, weights = _trace(
-        outline, projected, box, np.int64(lens[5]), nothing, no_code
-    )
+    pixels, _, coverage, owner, edge, weights = _trace(outline, projected, box, np.int64(lens[5]), nothing, no_code)
     return projected, outline, pixels, coverage, owner, edge, weights
 
 

@@ -1,4 +1,6 @@
 """How the kernels are compiled: once per machine, whatever the process, and again when any of their sources changes."""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 from hashlib import sha256
 from pathlib import Path

@@ -7,6 +7,8 @@ R_S by the squared distance, unused).
 
 `soft` is (1 / delta [1/px^2], reach [px], number of faces that count).
 """
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 from numba import njit

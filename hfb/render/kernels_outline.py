@@ -9,6 +9,8 @@ whatever the number of faces.
 
 Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right, bottom) in whole pixels.
 """
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 from numba import njit

@@ -6,6 +6,8 @@ the pieces from left to right does not change, so the length covered at its midd
 area. Walking from left to right also tells which pieces separate body from background: only these are seen to
 move, and their weights are kept for the way back.
 """
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 from numba import njit

@@ -4,6 +4,8 @@ The visible point of a pixel is a face's point at the pixel's centre or, where t
 but the pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the
 body's colour, and the colour is continuous as the outline passes the centre.
 """
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 from numba import njit
@@ -219,9 +221,7 @@ def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, 
 
 
 @njit(**INLINE)
-def edge_gradient(
-    px, py, projected, faces, uv, uv_faces, start, end, f, texture, alpha, g, texture_gradient, gradient
-):
+def edge_gradient(px, py, projected, faces, uv, uv_faces, start, end, f, texture, alpha, g, texture_gradient, gradient):
     """Way back of one rim pixel: returns the pull on alpha, adds those on the two ends of its outline edge."""
     x0, y0 = projected[start, 0], projected[start, 1]
     dx, dy = projected[end, 0] - x0, projected[end, 1] - y0

@@ -1,4 +1,6 @@
 """Compiled entry points about texels: which face's chart covers them, which were seen."""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
 
 import numpy as np
 

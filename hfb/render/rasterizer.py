@@ -2,6 +2,7 @@
 
 from typing import Literal, Protocol, runtime_checkable
 
+from hfb.body.mesh import Mesh
 from hfb.render.camera import PinholeCamera
 from hfb.shapes import Float, Tensor
 
@@ -19,19 +20,27 @@ class Rasterizer(Protocol):
     """
 
     def render(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
         """One picture per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1]."""
         ...
 
     def render_mean(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """`render(...).mean(0)`, the averages of eq. (1), without holding the single pictures."""
         ...
 
     def silhouette_mean(
-        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh
+        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames: what the matte is compared with. Cheaper than `render_mean`."""
         ...

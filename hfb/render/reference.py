@@ -19,9 +19,7 @@ from hfb.shapes import Bool, Float, Int, Tensor
 TIE = 1e-9  # squared distances [px^2] and barycentric coordinates closer than this are equal
 
 
-def front_faces(
-    xy: Float[Tensor, "V 2"], usable: Bool[Tensor, "V"], faces: Int[Tensor, "F 3"]
-) -> Bool[Tensor, "F"]:
+def front_faces(xy: Float[Tensor, "V 2"], usable: Bool[Tensor, "V"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, "F"]:
     """Faces that look at the camera: outside they run counter-clockwise, so on the screen (y down) their signed
     area is negative. Faces with an unusable corner are none."""
     a, b, c = xy[faces].unbind(1)
@@ -50,9 +48,7 @@ def _crossing_heights(p: Float[Tensor, "n 2"], d: Float[Tensor, "n 2"]) -> Float
     return (p[:, None, 1] + s * d[:, None, 1])[crossing]
 
 
-def _share_right_of(
-    top: Float[Tensor, "*n"], bottom: Float[Tensor, "*n"], width: int
-) -> Float[Tensor, "*n W"]:
+def _share_right_of(top: Float[Tensor, "*n"], bottom: Float[Tensor, "*n"], width: int) -> Float[Tensor, "*n W"]:
     """Share of each pixel (of a slab's height) right of lines that enter the slab at x = top, leave at bottom."""
     left = torch.arange(width, dtype=top.dtype)
     top, run = top[..., None], (bottom - top)[..., None]
@@ -98,9 +94,7 @@ def coverage(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, w
     return torch.stack(rows)
 
 
-def barycentric(
-    points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"]
-) -> Float[Tensor, "*n 3"]:
+def barycentric(points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"]) -> Float[Tensor, "*n 3"]:
     """Barycentric coordinates on the screen."""
     a, b, c = corners.unbind(-2)
 
@@ -138,9 +132,7 @@ def visible_faces(
 
 
 @torch.no_grad()
-def rim_edges(
-    xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, width: int
-) -> Int[Tensor, "H W"]:
+def rim_edges(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, width: int) -> Int[Tensor, "H W"]:
     """Of the outline edges that cross a pixel, the one closest to its centre (the first of equals); -1: none."""
     p = xy[edges[:, 0]]
     d = xy[edges[:, 1]] - p
@@ -239,13 +231,21 @@ class ReferenceRasterizer:
         return torch.cat([colour * alpha[..., None], alpha[..., None]], -1)
 
     def render(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
         """One picture per sub-frame: R_S R_F and R_S."""
         return torch.stack([self._body(body, texture, camera, mesh) for body in vertices])
 
     def render_mean(
-        self, vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None, camera: PinholeCamera, mesh: Mesh
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames."""
         return self.render(vertices, texture, camera, mesh).mean(0)

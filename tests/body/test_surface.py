@@ -71,7 +71,9 @@ def test_open_files_load_closed(tmp_path: Path, textured: bool) -> None:
     arrays["f"] = arrays["f"][7:]
     if textured:
         arrays.update(vt=np.full((110, 2), 0.5), ft=arrays["f"])
-    mesh = load_body(save_npz(tmp_path / "m.npz", arrays)).mesh
+    body = load_body(save_npz(tmp_path / "m.npz", arrays))
+    mesh = body.mesh
+    assert body.source.endswith(f"closed with {len(mesh.faces) - len(arrays['f'])} faces")
     assert len(mesh.faces) == len(mesh.uv_faces) > len(arrays["f"])
     assert (mesh.edge_faces >= 0).all()
     assert mesh.uv_faces.min() >= 0

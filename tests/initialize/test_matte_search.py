@@ -1,0 +1,100 @@
+"""From a silhouette alone to a body that covers it and stands like a person."""
+
+import numpy as np
+import pytest
+import torch
+
+from hfb.body.assets import load_default_body
+from hfb.body.skeleton import JOINT_NAMES
+from hfb.config import InitConfig
+from hfb.errors import InputError
+from hfb.initialize.first_body import FirstBody
+from hfb.initialize.initializer import make_initializer
+from hfb.initialize.matte_search import search_by_matte
+from hfb.initialize.pose_bank import bank_rotations
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine, silhouette
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import make_rasterizer
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+
+BODY = load_default_body()
+CAMERA = PinholeCamera.from_focal(420.0, 360, 300)
+RASTERIZER = make_rasterizer()
+
+
+def blurred_matte(name: str, yaw: float, place: tuple[float, float, float], drift_m: float = 0.0) -> np.ndarray:
+    """The mean silhouette of a body that drifts sideways; its pose is a bank pose, disturbed."""
+    names, poses = bank_rotations()
+    disturbance = 0.08 * torch.randn(23, 3, generator=torch.Generator().manual_seed(1))
+    upright = axis_angle_to_matrix(torch.tensor([torch.pi, 0, 0])) @ axis_angle_to_matrix(torch.tensor([0, yaw, 0]))
+    pose = torch.cat([matrix_to_axis_angle(upright)[None], poses[names.index(name)] + disturbance])
+    shares = [
+        silhouette(
+            FirstBody(pose, torch.tensor(place) + torch.tensor([t * drift_m, 0, 0]), torch.zeros(10), ""),
+            CAMERA,
+            BODY,
+            RASTERIZER,
+        )
+        for t in np.linspace(-0.5, 0.5, 5)
+    ]
+    return torch.stack(shares).mean(0).numpy()
+
+
+def assert_human(first: FirstBody) -> None:
+    joints = BODY.shape(first.betas).joints_of(axis_angle_to_matrix(first.pose)[None], first.translation[None])[0]
+    at = {joint: index for index, joint in enumerate(JOINT_NAMES)}
+    assert torch.isfinite(joints).all()
+    assert joints[at["head"], 1] < joints[at["pelvis"], 1] < joints[at["left_ankle"], 1]  # y points down
+    assert float(AnatomicalPrior().limit_penalty(first.pose[None, 1:])[0]) < 25
+    assert float(first.betas.abs().max()) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "yaw", "drift"), [("stride", 1.5, 0.05), ("star", 0.2, 0.1), ("one arm up", -0.6, 0.0)]
+)
+def test_covers_a_silhouette(name: str, yaw: float, drift: float) -> None:
+    matte = blurred_matte(name, yaw, (0.1, 0.15, 3.2), drift)
+    first, shared = search_by_matte(matte, CAMERA, BODY, RASTERIZER)
+    assert shared > (0.85 if drift < 0.08 else 0.75)
+    assert abs(float(first.translation[2]) - 3.2) < 0.5
+    assert first.source == "matte"
+    assert_human(first)
+
+
+def test_a_person_at_the_edge() -> None:
+    """Half the body is outside: no crash, a human body, and the seen half is covered."""
+    matte = blurred_matte("standing", 0.3, (-0.95, 0.1, 2.6))
+    assert matte[:, 0].max() > 0.5
+    first, shared = search_by_matte(matte, CAMERA, BODY, RASTERIZER)
+    assert shared > 0.6
+    assert_human(first)
+
+
+def test_refinement_never_ends_worse() -> None:
+    matte = blurred_matte("lunge", 0.9, (0.0, 0.1, 3.0))
+    names, poses = bank_rotations()
+    upright = torch.tensor([[torch.pi, 0.0, 0.0]])
+    start = FirstBody(
+        torch.cat([upright, poses[names.index("standing")]]), torch.tensor([0.1, 0.0, 3.3]), torch.zeros(10), "x"
+    )
+    level = matte_level(matte, CAMERA, 64)
+    ended = refine(start, matte, CAMERA, BODY, RASTERIZER, [Stage(64, 8, 0.03)], Stay(pose=0.01))
+    assert overlap(ended, level, BODY, RASTERIZER) > overlap(start, level, BODY, RASTERIZER)
+    assert ended.source == "x"
+
+
+def test_initializer_takes_tensors_and_is_deterministic() -> None:
+    matte = torch.from_numpy(blurred_matte("star", 0.0, (0.0, 0.1, 3.2), 0.05))
+    frame = matte[..., None].expand(-1, -1, 3) * 0.5 + 0.2
+    initialize = make_initializer(InitConfig(method="matte"))
+    first, second = (initialize(frame, torch.full_like(frame, 0.2), matte, CAMERA, BODY) for _ in range(2))
+    assert torch.equal(first.pose, second.pose)
+    assert first.pose.shape == (24, 3)
+
+
+def test_an_empty_matte_is_a_sentence() -> None:
+    blank = torch.zeros(360, 300)
+    frame = blank[..., None].expand(-1, -1, 3)
+    with pytest.raises(InputError, match="matte is empty"):
+        make_initializer(InitConfig(method="matte"))(frame, frame, blank, CAMERA, BODY)

@@ -1,0 +1,99 @@
+"""One real Prefect server and a migrated MLflow store for all tests of tasks and flows, and a tiny problem for them."""
+
+import functools
+import os
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import pytest
+
+TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
+TINY_OPTIONS = ("--init.method", "matte", "--fit.stages", TINY_FIT, "--fit.subframes", "2", "--fit.texture-px", "16")
+_SIDE_PX = 96
+
+
+@functools.cache
+def _session_folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="hfb-tests-"))
+
+
+@functools.cache
+def prefect_api() -> str:
+    """A temporary server with its own home, started once for the whole session; it ends with the process."""
+    os.environ.pop("PREFECT_API_URL", None)
+    os.environ["PREFECT_HOME"] = str(_session_folder() / "prefect")
+    os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"
+    os.environ["XDG_STATE_HOME"] = str(_session_folder() / "state")
+    from flows.surroundings import PrefectServer
+    from prefect.context import refresh_global_settings_context
+
+    refresh_global_settings_context()
+    PrefectServer().wait()
+    return os.environ["PREFECT_API_URL"]
+
+
+@functools.cache
+def _migrated_store() -> Path:
+    """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
+    path = _session_folder() / "migrated.db"
+    from tasks import tracking
+
+    tracking._client(f"sqlite:///{path}").get_experiment_by_name("none")
+    return path
+
+
+@contextmanager
+def orchestrated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Everything that a run leaves outside its --out goes into a folder; yields the MLflow database."""
+    api = prefect_api()
+    store = folder / "mlflow.db"
+    shutil.copy(_migrated_store(), store)
+    monkeypatch.setenv("PREFECT_API_URL", api)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
+    monkeypatch.setenv("PREFECT_LOCAL_STORAGE_PATH", str(folder / "records"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(folder / "data"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
+
+    with temporary_settings({PREFECT_LOCAL_STORAGE_PATH: folder / "records"}):
+        yield store
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The embedded example, small."""
+
+    frame: Path
+    background: Path
+
+
+@functools.cache
+def example() -> Path:
+    """The embedded example at its full size, made once."""
+    from hfb.datasets.example import write_example
+
+    write_example(_session_folder() / "example", 0)
+    return _session_folder() / "example"
+
+
+def tiny_problem(folder: Path) -> Problem:
+    """A 96 px copy of the example."""
+    folder.mkdir(parents=True, exist_ok=True)
+    problem = Problem(folder / "frame.png", folder / "background.png")
+    for source, target in ((example() / "frame_0.png", problem.frame), (example() / "background.png", problem.background)):
+        small = cv2.resize(cv2.imread(str(source)), (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(target), small)
+    return problem
+
+
+def mlflow_rows(store: Path, query: str) -> list[tuple]:
+    """What lies in the MLflow database."""
+    with sqlite3.connect(store) as database:
+        return database.execute(query).fetchall()

@@ -1,0 +1,44 @@
+"""The torch operators, as torch itself checks them: schema, fake shapes, autograd under tracing."""
+
+import pytest
+import torch
+
+from hfb.render import cpu
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import make_rasterizer
+from tests.render.bodies import at, ball, smooth_texture
+
+CHECKS = ("test_schema", "test_autograd_registration", "test_faketensor")
+CAMERA = PinholeCamera.from_focal(40.0, 24, 20)
+
+
+@pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
+@pytest.mark.parametrize("textured", [True, False])
+def test_operators_are_well_formed(silhouette: str, textured: bool) -> None:
+    vertices, mesh = ball(subdivisions=1)
+    body = torch.cat([at(vertices, 0.1, 0, 2.0), at(vertices, 0.2, 0, 2.0)]).requires_grad_()
+    texture = smooth_texture(8).requires_grad_() if textured else None
+    arguments = cpu.CpuRasterizer(silhouette, 1).arguments(body, texture, CAMERA, mesh, True)
+    torch.library.opcheck(cpu.draw, arguments, test_utils=CHECKS)
+
+
+def test_a_texture_that_is_not_fitted_costs_no_gradient() -> None:
+    vertices, mesh = ball(subdivisions=1)
+    body, texture = at(vertices, 0.1, 0, 2.0), smooth_texture(8)
+    picture = make_rasterizer().render_mean(body.requires_grad_(), texture, CAMERA, mesh)
+    picture.sum().backward()
+    assert body.grad is not None
+    assert texture.grad is None
+    still = texture.clone().requires_grad_()
+    make_rasterizer().render_mean(body.detach(), still, CAMERA, mesh).sum().backward()
+    assert still.grad is not None
+
+
+def test_views_and_other_layouts_are_welcome() -> None:
+    vertices, mesh = ball(subdivisions=1)
+    body, texture = at(vertices, 0.1, 0, 2.0), smooth_texture(8)
+    expected = make_rasterizer().render_mean(body, texture, CAMERA, mesh)
+    strided = torch.stack([body, body], -1)[..., 0]
+    turned = texture.permute(2, 0, 1).contiguous().permute(1, 2, 0)
+    assert not strided.is_contiguous()
+    assert torch.equal(make_rasterizer().render_mean(strided, turned, CAMERA, mesh), expected)
