@@ -64,6 +64,7 @@ class Weights(Record):
     motion: float = Field(0.0, ge=0, description="w_C, polynomial coefficients")
     background: float = Field(0.0, ge=0, description="w_B, background")
     boundary: float = Field(1.0, ge=0, description="continuity between neighbouring frames")
+    start: float = Field(0.0, ge=0, description="distance of the middle pose from the first body's, not in the paper")
 
 
 class Stage(Record):

@@ -12,7 +12,7 @@ from hfb.config import Weights
 from hfb.formation import compose
 from hfb.losses.image import image_loss
 from hfb.losses.matting import matting_loss
-from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss
+from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
 from hfb.losses.texture import TexelNeighbours, texture_smoothness
 from hfb.motion.boundary import boundary_loss
 from hfb.motion.clock import next_opening, subframe_clock
@@ -30,6 +30,7 @@ class Objective:
 
     Attributes:
         texels: neighbourhoods for L_S; needed only where its weight is positive.
+        first: rotations of the first bodies, for the term that holds on to them.
         visible: texels seen in some sub-frame, for L_S; every texel when not given.
     """
 
@@ -39,6 +40,7 @@ class Objective:
     pose_prior: PosePrior
     weights: Weights
     subframes: int
+    first: Float[Tensor, "T 24 3 3"]
     texels: TexelNeighbours | None = None
     visible: Bool[Tensor, "A A"] | None = None
 
@@ -61,6 +63,8 @@ class Objective:
             terms["texture"] = texture_smoothness(texture, self.texels, self.visible)
         if weights.pose > 0:
             terms["pose"] = pose_loss(self.pose_prior, matrix_to_axis_angle(rotations[:, :, 1:]).flatten(0, 1))
+        if weights.start > 0:
+            terms["start"] = start_loss(trajectory.at(betas.new_tensor([0.5]))[0][:, 0], self.first)
         if weights.shape > 0:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:

@@ -30,8 +30,9 @@ def prefect_api() -> str:
     os.environ["PREFECT_HOME"] = str(_session_folder() / "prefect")
     os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"
     os.environ["XDG_STATE_HOME"] = str(_session_folder() / "state")
-    from flows.surroundings import PrefectServer
     from prefect.context import refresh_global_settings_context
+
+    from flows.surroundings import PrefectServer
 
     refresh_global_settings_context()
     PrefectServer().wait()
@@ -68,10 +69,11 @@ def orchestrated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
 
 @dataclass(frozen=True)
 class Problem:
-    """The embedded example, small."""
+    """The embedded example, small, and its true middle pose."""
 
     frame: Path
     background: Path
+    first_body: Path
 
 
 @functools.cache
@@ -83,12 +85,28 @@ def example() -> Path:
     return _session_folder() / "example"
 
 
+def true_first_body(path: Path) -> Path:
+    """The true pose in the middle of the example's exposure, as a first-body file."""
+    import torch
+
+    from hfb.datasets.truth import load_truth
+    from hfb.export.motion_file import write_arrays
+    from hfb.initialize.first_body import FirstBody
+    from tasks.scene import first_body_arrays
+
+    true = load_truth(example() / "truth.npz").motion
+    middle = len(true.poses) // 2
+    numbers = (true.poses[middle].reshape(24, 3), true.trans[middle], true.betas)
+    write_arrays(path, first_body_arrays(FirstBody(*(torch.from_numpy(one).float() for one in numbers), "truth")))
+    return path
+
+
 def tiny_problem(folder: Path) -> Problem:
-    """A 96 px copy of the example."""
+    """A 96 px copy of the example; its guessed camera sees the same as the example's."""
     folder.mkdir(parents=True, exist_ok=True)
-    problem = Problem(folder / "frame.png", folder / "background.png")
-    for source, target in ((example() / "frame_0.png", problem.frame), (example() / "background.png", problem.background)):
-        small = cv2.resize(cv2.imread(str(source)), (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
+    problem = Problem(folder / "frame.png", folder / "background.png", true_first_body(folder / "first_body.npz"))
+    for name, target in (("frame_0.png", problem.frame), ("background.png", problem.background)):
+        small = cv2.resize(cv2.imread(str(example() / name)), (_SIDE_PX, _SIDE_PX), interpolation=cv2.INTER_AREA)
         cv2.imwrite(str(target), small)
     return problem
 

@@ -21,6 +21,7 @@ from hfb.observation import Observation
 from hfb.priors.pose import PosePrior
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
 from hfb.render.texture import fill_texture_gutter, texel_faces, visible_texels
+from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Bool, Float, Tensor
 
 Progress = Callable[[int, int, float], None]
@@ -71,6 +72,7 @@ def fit(
     variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed))
     window = observation.cropped(*observation.region())
     texels = _texels(body, config) if config.weights.texture > 0 else None
+    first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(variables.betas))
     history: dict[str, list[float]] = {}
     stages = [stage for stage in config.stages if stage.iterations > 0]
     total = sum(stage.iterations for stage in stages)
@@ -80,7 +82,7 @@ def fit(
             seen = window.resized(stage.size_px)
             visible = _visible(variables, seen, body, config) if texels else None
             objective = Objective(
-                seen, body, rasterizer, pose_prior, config.weights, config.subframes, texels, visible
+                seen, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels, visible
             )
             best_loss = math.inf  # losses of different picture sizes do not compare
             for loss, terms, iterate in _iterations(objective, variables, config, stage):

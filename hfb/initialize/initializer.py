@@ -26,7 +26,7 @@ _COMPARE_PX = 128
 _CONFIDENT_AGREEMENT = 0.35  # stick figure against matte; invented people stay below
 _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is tried as well
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
-_REFINEMENT = (Stage(64, 40, 0.02), Stage(_COMPARE_PX, 30, 0.015))
+_REFINEMENT = (Stage(64, 40, 0.02, shape=False), Stage(_COMPARE_PX, 30, 0.015))
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
 

@@ -27,7 +27,6 @@ _SIDE_PX = 48
 _SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised picture
 _TEMPLATE_DEPTH_M = 3.5
 _TEMPLATE_PX = 72
-_BATCH = 16
 _ROLL_COST = 0.04  # per 40 degrees
 _BACK_COST = 0.01
 _CANDIDATES = 6
@@ -62,11 +61,11 @@ def search_by_matte(
     starts = _best_starts(matte, camera, body, templates)
     stay = Stay(prior=0.002, betas=0.03)
     level = matte_level(matte, camera, 64)
-    rough = [refine(start, matte, camera, body, rasterizer, [Stage(40, 25, 0.05)], stay) for start in starts]
+    rough = [refine(start, matte, camera, body, rasterizer, [Stage(40, 25, 0.05, shape=False)], stay) for start in starts]
     rough.sort(key=lambda first: -_value(first, level, body, rasterizer))
-    middle = [refine(first, matte, camera, body, rasterizer, [Stage(64, 35, 0.03)], stay) for first in rough[:3]]
+    middle = [refine(first, matte, camera, body, rasterizer, [Stage(64, 30, 0.03, shape=False)], stay) for first in rough[:3]]
     middle.sort(key=lambda first: -_value(first, level, body, rasterizer))
-    best = refine(middle[0], matte, camera, body, rasterizer, [Stage(128, 35, 0.02)], stay)
+    best = refine(middle[0], matte, camera, body, rasterizer, [Stage(128, 30, 0.02)], stay)
     return best, overlap(best, matte_level(matte, camera, 128), body, rasterizer)
 
 
@@ -136,34 +135,53 @@ def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.
 
 @lru_cache(maxsize=2)
 def _templates(body: Body) -> Templates:
-    """Draw the bank once per body and process."""
-    rasterizer = make_rasterizer("coverage")
+    """Draw the bank once per body and process; what is a mirror image of something drawn is flipped instead."""
     dtype = body.template.dtype
-    _, bank = bank_rotations(dtype)
-    camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)
+    names, bank = bank_rotations(dtype)
     upright = axis_angle_to_matrix(torch.tensor([pi, 0.0, 0.0], dtype=dtype))
     yaws = torch.arange(_YAWS, dtype=dtype) * (2 * pi / _YAWS)
-    turns = axis_angle_to_matrix(torch.stack([torch.zeros_like(yaws), yaws, torch.zeros_like(yaws)], -1))
-    roots = upright @ turns
-    poses = torch.cat([
-        matrix_to_axis_angle(roots).repeat(len(bank), 1)[:, None], bank.repeat_interleave(_YAWS, 0),
-    ], 1)  # fmt: skip
-    shaped = body.shape(torch.zeros(body.shape_count, dtype=dtype))
-    place = torch.tensor([0.0, 0.0, _TEMPLATE_DEPTH_M], dtype=dtype) - shaped.joints[0]
-    pictures, spreads, pelvis = [], [], []
+    roots = upright @ axis_angle_to_matrix(torch.stack([torch.zeros_like(yaws), yaws, torch.zeros_like(yaws)], -1))
+    drawn: dict[tuple[int, int], tuple[Float[Array, "s s"], float, tuple[float, float]]] = {}
+    for k, name in enumerate(names):
+        mirrored = name.endswith(", mirrored")
+        has_mirror = k + 1 < len(names) and names[k + 1] == name + ", mirrored"
+        chosen = [] if mirrored else list(range(_YAWS if has_mirror else _YAWS // 2 + 1))
+        for yaw, one in zip(chosen, _draw(bank[k], roots[chosen], body), strict=True):
+            drawn[k, yaw] = one
+        for yaw in set(range(_YAWS)) - set(chosen):
+            picture, spread, pelvis = drawn[k - 1 if mirrored else k, -yaw % _YAWS]
+            drawn[k, yaw] = (picture[:, ::-1], spread, (-pelvis[0], pelvis[1]))
+    keys = [(k, yaw) for k in range(len(names)) for yaw in range(_YAWS)]
+    angles = np.array([yaw * 2 * pi / _YAWS for _, yaw in keys])
+    root_vectors = matrix_to_axis_angle(roots)
+    return Templates(
+        pictures=np.stack([drawn[key][0] for key in keys]),
+        poses=torch.stack([torch.cat([root_vectors[yaw][None], bank[k]]) for k, yaw in keys]),
+        spreads=np.array([drawn[key][1] for key in keys]),
+        pelvis=np.array([drawn[key][2] for key in keys]),
+        facing=np.cos(angles),
+        groups=np.stack([np.array([float(k) for k, _ in keys]), angles], 1),
+    )
+
+
+def _draw(
+    pose: Float[Tensor, "23 3"], roots: Float[Tensor, "Y 3 3"], body: Body
+) -> list[tuple[Float[Array, "s s"], float, tuple[float, float]]]:
+    """One pose from several sides: normalised silhouette, spread [rad], the pelvis from its centre in spreads."""
+    rasterizer = make_rasterizer("coverage")
+    camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)
+    shaped = body.shape(torch.zeros(body.shape_count, dtype=body.template.dtype))
+    ahead = torch.tensor([0.0, 0.0, _TEMPLATE_DEPTH_M], dtype=body.template.dtype)
+    results = []
     with torch.no_grad():
-        for part in poses.split(_BATCH):
-            posed = shaped.pose(axis_angle_to_matrix(part), place.expand(len(part), 3))
-            # The pelvis is at the picture's centre; the middle of the vertices keeps everybody inside.
-            drawn = rasterizer.render(posed.vertices, None, camera, body.mesh)[..., 3].numpy()
-            for silhouette in drawn:
-                moments = _moments(silhouette)
-                pictures.append(_normalised(silhouette, moments))
-                spreads.append(moments.spread / camera.fx)
-                pelvis.append(((camera.cx - moments.x) / moments.spread, (camera.cy - moments.y) / moments.spread))
-    numbers = np.stack([np.repeat(np.arange(len(bank)), _YAWS), np.tile(yaws.numpy(), len(bank))], 1)
-    facing = np.cos(numbers[:, 1])
-    return Templates(np.stack(pictures), poses, np.array(spreads), np.array(pelvis), facing, numbers.astype(np.float64))
+        rotations = axis_angle_to_matrix(torch.cat([torch.zeros_like(pose[:1]), pose]))
+        vertices = shaped.pose(rotations[None], -shaped.joints[:1]).vertices[0]  # the pelvis at the origin
+        for R_root in roots:
+            seen = rasterizer.silhouette_mean((vertices @ R_root.T + ahead)[None], camera, body.mesh).numpy()
+            moments = _moments(seen)
+            pelvis = ((camera.cx - moments.x) / moments.spread, (camera.cy - moments.y) / moments.spread)
+            results.append((_normalised(seen, moments), moments.spread / camera.fx, pelvis))
+    return results
 
 
 def _place(

@@ -17,7 +17,7 @@ from hfb.shapes import Array, Float, Shaped
 _GRAY = 0.5
 _STICK_FIGURE_PX = 128
 _LEAST_SCORE = 0.5
-_SURE_AGREEMENT = 0.75
+_SURE_AGREEMENT = 0.55
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
     ("left_shoulder", "left_elbow", 0.10), ("left_elbow", "left_wrist", 0.08), ("left_wrist", "left_index", 0.07),

@@ -35,11 +35,15 @@ class Level:
 
 @dataclass(frozen=True)
 class Stage:
-    """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad]."""
+    """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
+
+    shape: whether the betas move too; without them an iteration costs a third.
+    """
 
     size_px: int
     iterations: int
     learning_rate: float
+    shape: bool = True
 
 
 @dataclass(frozen=True)
@@ -108,23 +112,20 @@ def _refine_at(
     # Image position and log depth: a step in depth then keeps the body where it is seen.
     start_view = _to_view(start_place, first, body)
     view = start_view.clone().requires_grad_()
-    betas = first.betas.to(dtype).clone().requires_grad_()
-    rate = stage.learning_rate
-    optimiser = torch.optim.Adam(
-        [
-            {"params": [joints], "lr": rate},
-            {"params": [root], "lr": rate},
-            {"params": [view], "lr": 0.4 * rate},
-            {"params": [betas], "lr": rate},
-        ],
-        betas=(0.8, 0.95),
-    )
+    betas = first.betas.to(dtype).clone().requires_grad_(stage.shape)
+    groups = [([joints, root], stage.learning_rate), ([view], 0.4 * stage.learning_rate)]
+    if stage.shape:
+        groups.append(([betas], stage.learning_rate))
+    optimiser = torch.optim.Adam([{"params": free, "lr": rate} for free, rate in groups], betas=(0.8, 0.95))
+    shaped = body.shape(betas)
     best, best_value = first, float("inf")
     for iteration in range(stage.iterations + 1):
         optimiser.zero_grad()
         place = _from_view(view, betas, body)
         rotations = torch.cat([(axis_angle_to_matrix(root) @ R_start)[None], axis_angle_to_matrix(joints)])
-        posed = body.shape(betas).pose(rotations[None], place[None])
+        if stage.shape:
+            shaped = body.shape(betas)
+        posed = shaped.pose(rotations[None], place[None])
         seen = rasterizer.silhouette_mean(posed.vertices, level.camera, body.mesh)
         loss = (
             matting_loss(seen, level.matte)

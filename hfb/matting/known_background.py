@@ -28,6 +28,8 @@ _MOST_PRECISE = 4000.0
 _COLOUR_SPREAD = 0.25  # body colours vary by this share around their smooth mean
 _DARK_SPREAD = 0.02  # and by this much light however dark they are
 _WINDOW_RADIUS_PX = 4
+_SHADOW_TOLERANCE = 12.0  # squared noise units
+_SHADOW_TINT = 0.05  # of the squared change
 _LEAST_TEXTURE = 27.0  # summed variance of the plate in a window, in units of the noise
 _SMALLEST_COLOUR_PATCH_PX = 8
 
@@ -139,25 +141,34 @@ def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
     inside = cv2.distanceTransform(seen, cv2.DIST_L2, 3)
     outside = _far_from(evidence.body)
     presence = np.clip(evidence.change / 16, 0, 1) * np.clip(inside / 6, 0, 1)
-    not_shadow = np.clip(evidence.shadow_misfit / 30, 0.05, 1)
+    energy = cv2.GaussianBlur((evidence.difference**2).sum(-1), (0, 0), 1.0)
+    # Shade is never exactly neutral: some share of the change may be a change of colour.
+    shadow_like = np.exp(-evidence.shadow_misfit / (_SHADOW_TOLERANCE + _SHADOW_TINT * energy))
     # A faint even darkening or brightening is the person's light and shade in the room.
-    faint = np.exp(-evidence.shadow_misfit / 12) * np.clip((0.2 - evidence.shadow_depth) / 0.08, 0, 1)
+    faint = shadow_like * np.clip((0.2 - evidence.shadow_depth) / 0.08, 0, 1)
     texture = evidence.texture_precision * (1 - faint) * (evidence.change > 4)
     size = np.sqrt((evidence.difference**2).sum(-1)) + 1e-3
     brighter = (1 / (1 + np.exp(-4 * evidence.difference.sum(-1) / size))).astype(np.float32)
-    weights = (np.clip(inside / 10, 0, 1) ** 3 * presence * not_shadow + 1e-7).astype(np.float32)
+    weights = (np.clip(inside / 10, 0, 1) ** 3 * presence * (1 - 0.99 * shadow_like) + 1e-7).astype(np.float32)
     alpha = np.zeros_like(weights)
     for _ in range(_ROUNDS):
         value, precision, shadow, opaque = _two_colours(evidence, weights, brighter, alpha)
+        shadow = np.maximum(np.maximum(shadow, faint), shadow_like * _remote(opaque * presence * (1 - shadow_like)))
         shown = texture * (1 - shadow)
         total = precision + shown + outside
-        joint = (value * (1 - faint) * precision + evidence.texture_alpha * shown) / total
+        joint = (value * (1 - shadow) * precision + evidence.texture_alpha * shown) / total
         alpha = np.clip(smooth_where_unsure(joint.astype(np.float32), total.astype(np.float32), _STIFFNESS), 0, 1)
         trust = shown / (shown + 100)
         opaque = np.minimum(opaque, 1.4 * (1 - trust) + trust * (evidence.texture_alpha + 0.1))
-        weights = opaque**8 * presence * (1 - shadow) * (0.1 + 0.9 * not_shadow) + 1e-7
-        weights = weights.astype(np.float32)
+        weights = (opaque**8 * presence * (1 - shadow) * (1 - 0.99 * shadow_like) + 1e-7).astype(np.float32)
     return alpha
+
+
+def _remote(certain: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """0 at the certain body, towards 1 from a twentieth of its size away: how far dark blur may reach, shadows do."""
+    mask = certain > 0.5
+    distance = cv2.distanceTransform(1 - mask.astype(np.uint8), cv2.DIST_L2, 3)
+    return (1 - np.exp(-((distance / (0.05 * _extent(mask))) ** 2))).astype(np.float32)
 
 
 def _two_colours(
@@ -189,7 +200,7 @@ def _two_colours(
     variance = r * (first[2] + (first[1] - value) ** 2) + (1 - r) * (second[2] + (second[1] - value) ** 2)
     misfit = cv2.GaussianBlur(misfit, (0, 0), 1.0)
     shadow = 1 / (1 + (evidence.shadow_misfit + 6) ** 2 / (0.25 * misfit + 1e-3) ** 2)
-    return value * (1 - shadow), np.minimum(1 / variance, _MOST_PRECISE), shadow, opaque
+    return value, np.minimum(1 / variance, _MOST_PRECISE), shadow, opaque
 
 
 def colour_evidence(
@@ -204,16 +215,24 @@ def colour_evidence(
     # The body's colour varies around F: what that does to the share, relative to the distance from B to F.
     spread = ((_COLOUR_SPREAD * colours + _DARK_SPREAD) ** 2).sum(-1)
     spread = spread / np.maximum(((colours - evidence.plate) ** 2).sum(-1), 1e-6)
-    likely = np.maximum(value, alpha)
-    variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread
     # Where F is B's colour the pixel says nothing: keep what the surroundings said.
-    open_share = 1 / (1 + 0.1 / np.minimum(spread, 10))
+    open_share = 1 / (1 + 0.1 / np.clip(spread, 1e-6, 10))
+    likely = np.maximum(np.maximum(value, alpha), open_share)
+    variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread
     value = (1 - open_share) * value + open_share * np.maximum(value, alpha)
     return share, value, np.minimum(variance, 1.0), misfit
 
 
 def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """Precision of "nobody is here", growing away from what was seen; gaps of some 4 % of the picture stay open."""
-    closed = cv2.morphologyEx(body.astype(np.uint8), cv2.MORPH_CLOSE, _disc(0.02 * max(body.shape)))
-    distance = cv2.distanceTransform(1 - closed, cv2.DIST_L2, 3)
+    """Precision of "nobody is here", growing away from what was seen; gaps of a tenth of the body's size stay open."""
+    reach = 0.05 * _extent(body)
+    grown = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) < reach
+    closed = cv2.distanceTransform(np.pad(grown.astype(np.uint8), 1, mode="edge"), cv2.DIST_L2, 3)[1:-1, 1:-1] > reach
+    distance = cv2.distanceTransform(1 - (closed | body).astype(np.uint8), cv2.DIST_L2, 3)
     return (1000 * np.clip((distance - 2) / 6, 0, 1)).astype(np.float32)
+
+
+def _extent(mask: Bool[Array, "H W"]) -> int:
+    """Longer side of a mask's box [px]; 1 where it is empty."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return int(max(rows[-1] - rows[0], columns[-1] - columns[0])) + 1 if rows.size else 1

@@ -1,8 +1,8 @@
 """The whole chain on a real server and a real store."""
 
 import json
-import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,19 +10,24 @@ import pytest
 from flows.fit_image import fit_image
 from hfb.config import FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
-from hfb.media.pictures import read_matte, read_picture_srgb
-from tests.orchestration import Problem, mlflow_rows
+from hfb.media.pictures import read_matte, read_picture_srgb, write_png
+from tests.orchestration import Problem, example, mlflow_rows
 
 TINY = RunConfig(
     init=InitConfig(method="matte"),
     fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=3),)),
 )
-ARTIFACTS = ("matte_0.png", "first_body_0.npz", "motion.npz", "texture.npz", "scores.json", "strip.png")
+ARTIFACTS = ("matte_0.png", "motion.npz", "texture.npz", "scores.json", "strip.png")
+
+
+def run(problem: Problem, out: Path, config: RunConfig = TINY, frame: Path | None = None) -> dict[str, Any]:
+    """The chain from the given first body: looking for one takes longer than all the rest."""
+    return fit_image([frame or problem.frame], problem.background, out, config, first_bodies=[problem.first_body])
 
 
 def stamps(folder: Path) -> dict[str, int]:
     """When each intermediate file was written."""
-    return {name: os.stat(folder / "intermediate" / name).st_mtime_ns for name in ARTIFACTS}
+    return {name: (folder / "intermediate" / name).stat().st_mtime_ns for name in ARTIFACTS}
 
 
 def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> None:
@@ -58,16 +63,16 @@ def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> No
 
 def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    first = fit_image([problem.frame], problem.background, out, TINY)
+    first = run(problem, out)
     before = stamps(out)
 
-    assert fit_image([problem.frame], problem.background, out, TINY) == first
+    assert run(problem, out) == first
     assert stamps(out) == before
     assert len(mlflow_rows(store, "select * from runs")) == 1
 
     # a changed option redoes the fit and what follows, and nothing before it
     other = TINY.model_copy(update={"fit": TINY.fit.model_copy(update={"subframes": 3})})
-    fit_image([problem.frame], problem.background, out, other)
+    run(problem, out, other)
     changed = {name for name, stamp in stamps(out).items() if stamp != before[name]}
     assert changed == {"motion.npz", "texture.npz", "scores.json", "strip.png"}
     assert len(mlflow_rows(store, "select * from runs")) == 2
@@ -76,13 +81,13 @@ def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Pat
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"damaged")], ids=["gone", "damaged"])
 def test_notices_a_lost_file(problem: Problem, store: Path, tmp_path: Path, damage) -> None:
     out = tmp_path / "out"
-    fit_image([problem.frame], problem.background, out, TINY)
+    run(problem, out)
     before = stamps(out)
     matte = out / "intermediate" / "matte_0.png"
     good = matte.read_bytes()
     damage(matte)
 
-    fit_image([problem.frame], problem.background, out, TINY)
+    run(problem, out)
     assert matte.read_bytes() == good
     assert stamps(out)["motion.npz"] == before["motion.npz"]  # the same matte again: nothing else changes
 
@@ -90,22 +95,19 @@ def test_notices_a_lost_file(problem: Problem, store: Path, tmp_path: Path, dama
 def test_an_edited_picture_is_another_problem(problem: Problem, store: Path, tmp_path: Path) -> None:
     frame, out = tmp_path / "frame.png", tmp_path / "out"
     frame.write_bytes(problem.frame.read_bytes())
-    first = fit_image([frame], problem.background, out, TINY)
-    from hfb.media.pictures import write_png
-
-    picture = read_picture_srgb(frame)
-    write_png(frame, 0.98 * picture)
-    second = fit_image([frame], problem.background, out, TINY)
+    first = run(problem, out, frame=frame)
+    write_png(frame, 0.98 * read_picture_srgb(frame))
+    second = run(problem, out, frame=frame)
     assert second["inputs"]["frame_0"] != first["inputs"]["frame_0"]
     assert second["mlflow_run_id"] != first["mlflow_run_id"]
 
 
 def test_the_earlier_result_survives_a_failure(problem: Problem, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    fit_image([problem.frame], problem.background, out, TINY)
+    run(problem, out)
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     with pytest.raises(InputError, match="no person"):
-        fit_image([problem.background], problem.background, out, TINY)
+        run(problem, out, frame=problem.background)
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
@@ -114,34 +116,21 @@ def test_a_lost_store_does_not_lose_the_result(
 ) -> None:
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/file/mlflow.db")
-    result = fit_image([problem.frame], problem.background, tmp_path / "out", TINY)
+    result = run(problem, tmp_path / "out")
     assert result["mlflow_run_id"] is None
     assert (tmp_path / "out" / "result.json").exists()
 
 
-def test_given_first_bodies_and_truth(store: Path, tmp_path: Path) -> None:
-    import torch
-
-    from hfb.datasets.truth import load_truth
-    from hfb.export.motion_file import write_arrays
-    from hfb.initialize.first_body import FirstBody
-    from tasks.scene import first_body_arrays
-    from tests.orchestration import example
-
-    true = load_truth(example() / "truth.npz").motion
-    middle = len(true.poses) // 2
-    pose = torch.from_numpy(true.poses[middle].reshape(24, 3)).float()
-    first = FirstBody(pose, torch.from_numpy(true.trans[middle]).float(), torch.from_numpy(true.betas).float(), "truth")
-    write_arrays(tmp_path / "first.npz", first_body_arrays(first))
+def test_errors_against_the_truth(problem: Problem, store: Path, tmp_path: Path) -> None:
     result = fit_image(
         [example() / "frame_0.png"],
         example() / "background.png",
         tmp_path / "out",
         TINY,
         truth=example() / "truth.npz",
-        first_bodies=[tmp_path / "first.npz"],
+        first_bodies=[problem.first_body],
     )
     assert result["first_bodies"] == ["truth"]
     assert 0 < result["initial_mpjpe_mm"] < 60  # the true middle pose, held still
-    assert result["initial_iou"] > 0.6
+    assert result["initial_iou"] > 0.5
     assert {"mpjpe_mm", "pa_mpjpe_mm", "iou"} <= result.keys()

@@ -12,12 +12,13 @@ from hfb.motion.trajectory import trajectory_at_rest
 from hfb.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.render.rasterizer import make_rasterizer
+from hfb.rotations import axis_angle_to_matrix
 from hfb.render.texture import texel_faces
 from tests.scenes import moving_scene
 
 PARAMETERS = ("rotation", "translation", "betas", "texture")
 EVERY_TERM = Weights(
-    image=1, matte=1, texture=0.1, pose=0.01, shape=0.01, motion=0.01, background=0.1, boundary=1
+    image=1, matte=1, texture=0.1, pose=0.01, shape=0.01, motion=0.01, background=0.1, boundary=1, start=0.1
 )  # fmt: skip
 
 
@@ -33,7 +34,8 @@ def objective_and_leaves(kind: str, silhouette: str, backend: str) -> tuple[Obje
     )
     texels = texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, 16))
     objective = Objective(
-        seen, body, make_rasterizer(silhouette, backend, 1), AnatomicalPrior(), EVERY_TERM, subframes=3, texels=texels
+        seen, body, make_rasterizer(silhouette, backend, 1), AnatomicalPrior(), EVERY_TERM, subframes=3, texels=texels,
+        first=axis_angle_to_matrix(torch.stack([first.pose for first in scene.middle]).double()),
     )
     generator = torch.Generator().manual_seed(5)
     poses = torch.stack([first.pose for first in scene.middle]).double()

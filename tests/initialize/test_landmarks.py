@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import InitConfig, MattingConfig
@@ -83,8 +82,6 @@ def test_an_empty_room_has_no_person() -> None:
     matte[40:80, 60:90] = 1
     found = find_landmarks(PoseNetworks(), room, matte)
     assert found is None or found[1] < 0.35
-    first = make_initializer(InitConfig(method="auto"))(
-        torch.from_numpy(room), torch.from_numpy(room), torch.from_numpy(matte), PinholeCamera.from_focal(200, 120, 160),
-        load_default_body(),
-    )  # fmt: skip
+    camera = PinholeCamera.from_focal(200.0, 120, 160)
+    first = make_initializer(InitConfig(method="auto"))(room, room, matte, camera, load_default_body())
     assert first.source == "matte"

@@ -77,7 +77,7 @@ def _figure(height: int, width: int, blur: float, t: float, rng: np.random.Gener
 
     def limb(start: np.ndarray, end: np.ndarray, radius: float, colour: np.ndarray) -> None:
         drawn = np.zeros(mask.shape, np.uint8)
-        ends = [tuple(int(round(v * up)) for v in point) for point in (start, end)]
+        ends = [tuple(round(float(v) * up) for v in point) for point in (start, end)]
         cv2.line(drawn, *ends, 255, max(1, int(radius * size * 2 * up)))
         canvas[drawn > 0], mask[drawn > 0] = colour, 1
 

@@ -40,6 +40,13 @@ def _with_uv(solid: trimesh.Trimesh, dtype: torch.dtype) -> tuple[torch.Tensor, 
     return torch.tensor(np.asarray(solid.vertices)).to(dtype), make_mesh(faces, uv.reshape(-1, 2), uv_faces, dtype)
 
 
+def _turned_ball(subdivisions: int, radius_m: float) -> trimesh.Trimesh:
+    """Turned so that no side lies along a row of pixels: there a derivative has two sides."""
+    solid = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius_m)
+    solid.apply_transform(trimesh.transformations.euler_matrix(0.1, 0.2, 0.3))
+    return solid
+
+
 def ball(radius_m: float = 0.5, subdivisions: int = 2, dtype: torch.dtype = torch.float64) -> tuple[torch.Tensor, Mesh]:
     return _with_uv(_turned_ball(subdivisions, radius_m), dtype)
 

@@ -1,0 +1,59 @@
+"""Help and mistakes are answered at once: nothing heavy is imported for them."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = {"torch", "prefect", "mlflow", "numba", "numpy", "cv2", "scipy", "rich"}
+PROGRAM = """
+import sys
+from flows.cli import main
+try:
+    code = main(sys.argv[1:])
+except SystemExit as end:
+    code = end.code
+print("MODULES", *{name.partition(".")[0] for name in sys.modules})
+sys.exit(code)
+"""
+
+
+def answer(*words: str) -> tuple[int, str, set[str]]:
+    """Exit code, output without the last line, and the packages that were imported."""
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *words], capture_output=True, text=True, timeout=60)
+    *output, modules = done.stdout.splitlines()
+    return done.returncode, "\n".join(output) + done.stderr, set(modules.split()[1:])
+
+
+@pytest.mark.parametrize("words", [("--help",), ("fit", "--help"), ("demo", "--help"), ("models", "--help")])
+def test_help_is_light(words: tuple[str, ...]) -> None:
+    code, text, modules = answer(*words)
+    assert code == 0
+    assert "usage: hfb" in text
+    assert not modules & HEAVY
+
+
+def test_help_names_what_there_is() -> None:
+    _, text, _ = answer("fit", "--help")
+    for flag in ("--background", "--clip", "--preset", "--out", "--seed", "--config", "--json", "--fit.subframes"):
+        assert flag in text
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "COMMAND"),
+        (("fitt",), "fitt"),
+        (("fit", "a.png"), "--background"),
+        (("fit", "a.png", "--background", "b.png", "--fit.subframe", "3"), "--fit.subframe"),
+        (("fit", "none.png", "--background", "b.png"), "none.png does not exist"),
+        (("fit", "none.png", "--background", "b.png", "--fit.subframes", "0"), "fit.subframes"),
+    ],
+)
+def test_mistakes_are_light(words: tuple[str, ...], says: str) -> None:
+    code, text, modules = answer(*words)
+    assert code == 2
+    assert text.startswith("hfb: ")
+    assert says in text
+    assert len(text.splitlines()) == 1
+    assert not modules & (HEAVY - {"rich"})

@@ -1,0 +1,81 @@
+"""Options come from flags, a file, a preset and defaults, in this order."""
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from flows.options import add_config_flags, run_config
+from hfb.config import RunConfig, preset
+from hfb.errors import InputError
+
+
+def config_of(*words: str, file: Path | None = None) -> RunConfig:
+    parser = argparse.ArgumentParser()
+    add_config_flags(parser)
+    return run_config(parser.parse_args(words, argparse.Namespace(config=file)))
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "run.toml"
+    path.write_text(text)
+    return path
+
+
+def test_nothing_given_is_the_default_preset() -> None:
+    assert config_of() == preset("best")
+    assert config_of("--preset", "paper") == preset("paper")
+
+
+def test_flag_over_file_over_preset(tmp_path: Path) -> None:
+    file = write(tmp_path, 'preset = "paper"\nseed = 4\n[fit]\nsubframes = 5\ndegree = 3\n[fit.weights]\nimage = 2.5')
+    config = config_of("--fit.subframes", "7", file=file)
+    paper = preset("paper").fit
+    assert config.preset == "paper"
+    assert config.seed == 4
+    assert (config.fit.subframes, config.fit.degree, config.fit.weights.image) == (7, 3, 2.5)
+    assert config.fit.weights.matte == paper.weights.matte
+    assert config.fit.silhouette == paper.silhouette
+    assert config_of("--preset", "best", file=file).fit.silhouette == preset("best").fit.silhouette
+
+
+def test_both_spellings_and_lists() -> None:
+    assert config_of("--fit.texture-px", "32") == config_of("--fit.texture_px", "32")
+    stages = config_of("--fit.stages", '[{"size_px": 40, "iterations": 2, "cosine": true}]').fit.stages
+    assert [(stage.size_px, stage.iterations, stage.cosine) for stage in stages] == [(40, 2, True)]
+
+
+def test_every_key_is_a_flag() -> None:
+    parser = argparse.ArgumentParser()
+    add_config_flags(parser)
+    keys = {action.dest.removeprefix("config:") for action in parser._actions if action.dest.startswith("config:")}
+
+    def leaves(content: dict, prefix: str = "") -> set[str]:
+        found = set()
+        for name, value in content.items():
+            found |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name}
+        return found
+
+    assert keys == leaves(RunConfig().model_dump())
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--fit.subframes", "99"), "fit.subframes: .*64.*'99'"),
+        (("--fit.subframes", "many"), "fit.subframes: .*integer"),
+        (("--preset", "fast"), "preset: .*'paper' or 'best'"),
+        (("--fit.stages", "[{"), "fit.stages is not valid JSON"),
+        (("--fit.stages", '[{"size_px": 64}]'), "fit.stages.0.iterations: "),
+    ],
+)
+def test_impossible_values_are_named(words: tuple[str, ...], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        config_of(*words)
+
+
+def test_the_file_is_named_too(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"run\.toml: unknown option fit.subframe; did you mean fit.subframes"):
+        config_of(file=write(tmp_path, "[fit]\nsubframe = 3"))
+    with pytest.raises(InputError, match="does not exist"):
+        config_of(file=tmp_path / "none.toml")

@@ -1,0 +1,95 @@
+"""Killed, interrupted, ended: the next run goes on, and nothing keeps running."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.orchestration import TINY_OPTIONS, Problem, mlflow_rows
+
+FIT = """
+import sys
+from pathlib import Path
+from flows.fit_image import fit_image
+from hfb.config import RunConfig, FitConfig, Stage
+from tasks import progress
+frame, plate, first, out = map(Path, sys.argv[1:])
+config = RunConfig(fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=400),)))
+with progress.showing(progress.Plain(sys.stderr, first_s=0.05)):
+    fit_image([frame], plate, out, config, first_bodies=[first])
+"""
+SERVER = """
+from flows.surroundings import PrefectServer
+import time
+print(PrefectServer()._process.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def fitting(problem: Problem, out: Path) -> subprocess.Popen[str]:
+    words = (problem.frame, problem.background, problem.first_body, out)
+    return subprocess.Popen([sys.executable, "-c", FIT, *map(str, words)], stderr=subprocess.PIPE, text=True)
+
+
+def test_kill_in_the_middle_of_the_fit(problem: Problem, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    victim = fitting(problem, out)
+    for line in victim.stderr:
+        if line.startswith("fit "):
+            victim.kill()
+            break
+    assert victim.wait() == -signal.SIGKILL
+    assert not (out / "result.json").exists()
+    (out / "intermediate" / ".motion.npz.1-a.part").write_bytes(b"what a killed writer leaves")
+
+    rest = fitting(problem, out)
+    _, shown = rest.communicate(timeout=120)
+    assert rest.returncode == 0, shown
+    assert "matte: reused" in shown
+    assert "fit: reused" not in shown
+    assert (out / "result.json").exists()
+    assert not list(out.rglob("*.part"))
+    assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+
+
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "TERM"])
+def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path, tmp_path: Path) -> None:
+    words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(tmp_path / "out")]
+    victim = subprocess.Popen(
+        [sys.executable, "-m", "flows.cli", *words, *TINY_OPTIONS], stderr=subprocess.PIPE, text=True
+    )
+    shown = ""
+    for line in victim.stderr:
+        shown += line
+        if line.startswith("matte: "):
+            victim.send_signal(sent)
+    assert victim.wait() == code
+    assert "Traceback" not in shown
+    assert not (tmp_path / "out" / "result.json").exists()
+
+
+def test_the_temporary_server_ends_with_a_killed_process(tmp_path: Path) -> None:
+    environment = {**os.environ, "PREFECT_HOME": str(tmp_path / "prefect"), "XDG_STATE_HOME": str(tmp_path)}
+    environment.pop("PREFECT_API_URL", None)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True, env=environment
+    )  # fmt: skip
+    server = int(parent.stdout.readline())
+    os.kill(server, 0)
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        try:
+            os.kill(server, 0)
+        except ProcessLookupError:
+            return
+        if Path(f"/proc/{server}/stat").exists() and Path(f"/proc/{server}/stat").read_text().split()[2] == "Z":
+            return
+        time.sleep(0.1)
+    os.kill(server, signal.SIGKILL)
+    pytest.fail("the temporary server outlived its process")

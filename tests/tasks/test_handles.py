@@ -1,0 +1,71 @@
+"""Handles name finished files by content."""
+
+from pathlib import Path
+
+import pytest
+
+from hfb.config import FitConfig
+from hfb.errors import InputError
+from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in
+from tasks.inputs import Inputs, input_file, input_hashes
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"content")
+    return path
+
+
+def fit_of(file: Path, seconds: float = 1.0, loss: float = 0.5) -> FitHandle:
+    one = FileHandle.of(file)
+    return FitHandle(
+        motion=one, texture=one, texture_picture=one, history=one, seconds=seconds, best_iteration=3, loss=loss
+    )
+
+
+def test_a_handle_sees_that_its_file_changed(file: Path) -> None:
+    handle = FileHandle.of(file)
+    assert handle.path.is_absolute()
+    handle.verify()
+    file.write_bytes(b"Content")
+    with pytest.raises(StaleFile, match="no longer what it was"):
+        handle.verify()
+    file.unlink()
+    with pytest.raises(StaleFile, match="is gone"):
+        handle.verify()
+
+
+def test_the_digest_is_of_content_alone(file: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "elsewhere.bin"
+    copy.write_bytes(file.read_bytes())
+    assert digest(FileHandle.of(file)) == digest(FileHandle.of(copy))
+    assert digest(fit_of(file, seconds=1)) == digest(fit_of(copy, seconds=9))
+    assert digest(fit_of(file, loss=0.5)) != digest(fit_of(file, loss=0.6))
+    copy.write_bytes(b"other")
+    assert digest((FileHandle.of(file),)) != digest((FileHandle.of(copy),))
+    assert digest(FirstBodyHandle.of(file, source="a")) != digest(FirstBodyHandle.of(file, source="b"))
+    assert digest(FitConfig()) != digest(FitConfig(subframes=9))
+    assert digest([]) != digest(None)
+
+
+def test_every_file_is_found(file: Path) -> None:
+    one = FileHandle.of(file)
+    assert len(list(files_in(fit_of(file)))) == 4
+    assert list(files_in(Inputs(frames=(one, one), background=one, body=one))) == [one] * 4
+    assert list(files_in(3)) == []
+
+
+def test_handles_survive_json(file: Path) -> None:
+    handle = fit_of(file)
+    assert FitHandle.model_validate_json(handle.model_dump_json()) == handle
+
+
+def test_inputs_by_role(file: Path, tmp_path: Path) -> None:
+    one = input_file(file)
+    hashes = input_hashes(Inputs(frames=(one, one), background=one, first_bodies=(one,)))
+    assert set(hashes) == {"frame_0", "frame_1", "background", "first_bodies_0"}
+    with pytest.raises(InputError, match="is a folder"):
+        input_file(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        input_file(tmp_path / "none")

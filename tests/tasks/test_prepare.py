@@ -1,0 +1,64 @@
+"""How camera, clock and light are settled."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from hfb.clip import Clip
+from hfb.config import CameraConfig, ExposureConfig
+from hfb.media.pictures import write_png
+from hfb.photometry import linear_to_srgb, srgb_to_linear
+from tasks.handles import ClipHandle, FileHandle
+from tasks.prepare import prepare
+from tasks.scene import load_camera, load_picture
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> FileHandle:
+    write_png(tmp_path / "a.png", np.full((40, 30, 3), 0.5, np.float32), bits=16)
+    return FileHandle.of(tmp_path / "a.png")
+
+
+def prepared(picture: FileHandle, clip: dict | None = None, focal_px: float | None = None, **exposure) -> ClipHandle:
+    camera = CameraConfig(focal_px=focal_px)
+    return prepare.fn((picture,), picture, Clip.model_validate(clip or {}), camera, ExposureConfig(**exposure))
+
+
+def test_guesses(picture: FileHandle) -> None:
+    clip = prepared(picture)
+    assert (clip.height, clip.width) == (40, 30)
+    assert clip.K == ((50, 0, 15), (0, 50, 20), (0, 0, 1))
+    assert clip.exposure_s == clip.interval_s == pytest.approx(1 / 30)
+    camera = load_camera(clip)
+    assert (camera.fx, camera.cx, camera.height) == (50, 15, 40)
+
+
+def test_option_over_clip_over_guess(picture: FileHandle) -> None:
+    clip = {
+        "camera": {"K": [[70, 0, 16], [0, 71, 19], [0, 0, 1]]},
+        "exposure": {"fps": 50, "shutter_angle": 180},
+    }
+    told = prepared(picture, clip)
+    assert told.K == ((70, 0, 16), (0, 71, 19), (0, 0, 1))
+    assert (told.interval_s, told.exposure_s) == (pytest.approx(0.02), pytest.approx(0.01))
+    chosen = prepared(picture, clip, focal_px=60, fps=25, seconds=0.005)
+    assert chosen.K == ((60, 0, 15), (0, 60, 20), (0, 0, 1))
+    assert (chosen.interval_s, chosen.exposure_s) == (pytest.approx(0.04), 0.005)
+
+
+@pytest.mark.parametrize(
+    ("transfer", "light", "expected"),
+    [
+        ("srgb", "linear", lambda value: srgb_to_linear(value)),
+        ("linear", "linear", lambda value: value),
+        ("srgb", "srgb", lambda value: value),
+        ("linear", "srgb", lambda value: linear_to_srgb(value)),
+    ],
+)
+def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None:
+    clip = prepared(picture, {"transfer": transfer}, light=light)
+    torch.testing.assert_close(
+        load_picture(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
+    )  # fmt: skip

@@ -1,0 +1,81 @@
+"""MLflow: one run per problem, every value once, whatever was interrupted."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from hfb.errors import InputError
+from tasks import tracking
+from tests.orchestration import mlflow_rows, orchestrated
+
+PARAMS = {"fit": {"degree": 2, "stages": [{"size_px": 64}]}, "seed": 0, "long": "x" * 9000}
+
+
+@pytest.fixture
+def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    with orchestrated(tmp_path, monkeypatch) as database:
+        yield database
+
+
+def record(histories: dict[str, list[float]], key: str = "k") -> str:
+    with tracking.recorded_run("name", key, PARAMS, {"seed": "0"}) as run:
+        if not run.complete:
+            tracking.log_histories(run, histories)
+        return run.run_id
+
+
+def test_found_again_by_its_key(store: Path) -> None:
+    first = record({"loss/total": [2.0, 1.0]})
+    assert record({"loss/total": [2.0, 1.0]}) == first
+    assert record({"loss/total": [2.0, 1.0]}, key="other") != first
+    points = mlflow_rows(store, f"select step, value from metrics where run_uuid = '{first}' order by step")
+    assert points == [(0, 2.0), (1, 1.0)]
+    params = dict(mlflow_rows(store, f"select key, value from params where run_uuid = '{first}'"))
+    assert params["fit.degree"] == "2"
+    assert params["fit.stages"] == '[{"size_px": 64}]'
+    assert params["long"].startswith("xxx")
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(RuntimeError(), "FAILED"), (KeyboardInterrupt(), "KILLED"), (SystemExit(143), "KILLED")]
+)
+def test_an_interrupted_record_is_finished_by_the_next(store: Path, error: BaseException, status: str) -> None:
+    with pytest.raises(type(error)), tracking.recorded_run("name", "k", PARAMS, {}) as run:
+        tracking.log_histories(run, {"loss/total": [2.0, 1.0]})
+        raise error
+    assert mlflow_rows(store, "select status from runs") == [(status,)]
+    assert record({"loss/total": [2.0, 1.0]}) == run.run_id
+    assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+    assert mlflow_rows(store, "select count(*) from metrics") == [(2,)]
+
+
+def test_a_killed_record_is_finished_by_the_next(store: Path) -> None:
+    with tracking.recorded_run("name", "k", PARAMS, {}) as run:
+        tracking.log_histories(run, {"loss/total": [2.0]})
+    tracking._client(run.uri).update_run(run.run_id, status="RUNNING")  # what kill -9 leaves
+    assert record({"loss/total": [2.0, 1.0]}) == run.run_id
+    assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+    assert mlflow_rows(store, "select count(*) from metrics") == [(2,)]
+
+
+def test_more_values_than_one_batch_takes(store: Path) -> None:
+    record({f"loss/{name}": [float(step) for step in range(300)] for name in "abcdefg"})
+    assert mlflow_rows(store, "select count(*) from metrics") == [(2100,)]
+
+
+def test_a_store_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/file/mlflow.db")
+    with pytest.raises(tracking.StoreLost), tracking.recorded_run("name", "k", PARAMS, {}):
+        pass
+
+
+def test_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = tracking.Run("sqlite:////home/me/mlflow.db", "1", "abc", 0, False)
+    assert tracking.link(run) == "http://127.0.0.1:5000/#/experiments/1/runs/abc?workflowType=machine_learning"
+    served = tracking.Run("https://mlflow.example/", "1", "abc", 0, False)
+    assert tracking.link(served).startswith("https://mlflow.example/#/experiments/1/runs/abc?")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", served.uri)
+    with pytest.raises(InputError, match="pages of its own"):
+        tracking.pages_command()

@@ -1,0 +1,63 @@
+"""clip.toml: what may stand in it, and what a mistake says."""
+
+from pathlib import Path
+
+import pytest
+
+from hfb.clip import Clip, read_clip
+from hfb.errors import InputError
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "clip.toml"
+    path.write_text(text)
+    return path
+
+
+def test_everything_may_be_left_out(tmp_path: Path) -> None:
+    assert read_clip(write(tmp_path, "")) == Clip()
+    assert Clip().exposure.exposure_s(0.04) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "exposure_s"), [("seconds = 0.01", 0.01), ("shutter_fraction = 0.5", 0.02), ("shutter_angle = 90", 0.01)]
+)
+def test_three_ways_to_say_how_long(tmp_path: Path, line: str, exposure_s: float) -> None:
+    clip = read_clip(write(tmp_path, f"[exposure]\nfps = 25\n{line}"))
+    assert clip.exposure.fps == 25
+    assert clip.exposure.exposure_s(1 / 25) == pytest.approx(exposure_s)
+
+
+def test_calibration(tmp_path: Path) -> None:
+    clip = read_clip(write(tmp_path, 'transfer = "linear"\n[camera]\nK = [[800, 0, 320], [0, 810, 240], [0, 0, 1]]'))
+    assert clip.transfer == "linear"
+    assert clip.camera.K == ((800, 0, 320), (0, 810, 240), (0, 0, 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[camera]\nfocal = 3", "unknown option camera.focal; did you mean camera.focal_px"),
+        ("exposure = 3", "exposure: "),
+        ("[exposure]\nfps = -1", "exposure.fps: .* greater than 0"),
+        ("[exposure]\nseconds = 0.1\nshutter_angle = 90", "one of seconds, shutter_fraction and shutter_angle"),
+        ("[camera]\nfocal_px = 1\nK = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "focal_px or K, not both"),
+        ("[camera]\nK = [[1, 0, 0], [0, 1, 0], [0, 0, 2]]", "undistort"),
+        ("[camera]\nK = [[1, 0], [0, 1]]", "camera.K"),
+        ("[camera\n", "not valid TOML"),
+        ('transfer = "log"', "transfer: "),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        read_clip(write(tmp_path, text))
+    assert "clip.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file_and_no_text(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_clip(tmp_path / "clip.toml")
+    (tmp_path / "clip.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not text in UTF-8"):
+        read_clip(tmp_path / "clip.toml")
