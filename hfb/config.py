@@ -125,13 +125,15 @@ _PAPER = FitConfig(
     weights=Weights(image=1, matte=1, texture=0.1, pose=0.001, shape=0.001, motion=0.001, background=0.01, boundary=1),
 )
 _BEST = FitConfig(
-    root_kick=0.05,
+    origin=0.5,  # a static estimate of a blurred person is nearest to the middle of the motion
+    root_kick=0.1,
+    adam_epsilon=1e-4,
     stages=(
         Stage(size_px=64, iterations=60),
         Stage(size_px=128, iterations=70),
         Stage(size_px=256, iterations=70, cosine=True),
     ),
-    weights=Weights(image=1, matte=1, pose=0.002, shape=0.002, motion=0.001, boundary=1),
+    weights=Weights(image=30, matte=1, pose=0.03, shape=0.002, motion=0.01, boundary=1),
 )
 
 

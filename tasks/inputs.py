@@ -10,6 +10,8 @@ from hfb.errors import InputError
 from hfb.initialize.networks import NETWORKS, network_path
 from tasks.handles import FileHandle, files_in
 
+_ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network"}
+
 
 class Inputs(Record):
     """Everything a user hands over, as it was when the run began."""
@@ -79,6 +81,5 @@ def input_hashes(inputs: Inputs) -> dict[str, str]:
     for role in type(inputs).model_fields:
         given = getattr(inputs, role)
         for index, file in enumerate(files_in(given)):
-            name = f"{role.removesuffix('s')}_{index}" if isinstance(given, tuple) else role
-            hashes[name] = file.sha256
+            hashes[f"{_ONE_OF[role]}_{index}" if role in _ONE_OF else role] = file.sha256
     return hashes

@@ -64,7 +64,7 @@ def test_handles_survive_json(file: Path) -> None:
 def test_inputs_by_role(file: Path, tmp_path: Path) -> None:
     one = input_file(file)
     hashes = input_hashes(Inputs(frames=(one, one), background=one, first_bodies=(one,)))
-    assert set(hashes) == {"frame_0", "frame_1", "background", "first_bodies_0"}
+    assert set(hashes) == {"frame_0", "frame_1", "background", "first_body_0"}
     with pytest.raises(InputError, match="is a folder"):
         input_file(tmp_path)
     with pytest.raises(InputError, match="does not exist"):

@@ -41,11 +41,16 @@ def test_found_again_by_its_key(store: Path) -> None:
     ("error", "status"), [(RuntimeError(), "FAILED"), (KeyboardInterrupt(), "KILLED"), (SystemExit(143), "KILLED")]
 )
 def test_an_interrupted_record_is_finished_by_the_next(store: Path, error: BaseException, status: str) -> None:
-    with pytest.raises(type(error)), tracking.recorded_run("name", "k", PARAMS, {}) as run:
-        tracking.log_histories(run, {"loss/total": [2.0, 1.0]})
-        raise error
-    assert mlflow_rows(store, "select status from runs") == [(status,)]
-    assert record({"loss/total": [2.0, 1.0]}) == run.run_id
+    def interrupted() -> None:
+        with tracking.recorded_run("name", "k", PARAMS, {}) as run:
+            tracking.log_histories(run, {"loss/total": [2.0, 1.0]})
+            raise error
+
+    with pytest.raises(type(error)):
+        interrupted()
+    [(first, found)] = mlflow_rows(store, "select run_uuid, status from runs")
+    assert found == status
+    assert record({"loss/total": [2.0, 1.0]}) == first
     assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
     assert mlflow_rows(store, "select count(*) from metrics") == [(2,)]
 
