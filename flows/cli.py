@@ -89,11 +89,14 @@ def _command(commands: Any, name: str, run: Any, what: str, seeded: bool = False
 
 
 def _fit(given: argparse.Namespace) -> None:
-    from tasks.inputs import take_inputs
+    from tasks.inputs import assumptions, take_inputs
 
     config = run_config(given)
     out = given.out or Path("runs") / given.frames[0].stem
-    take_inputs(given.frames, given.background, config, given.clip)  # what is missing is said at once
+    inputs = take_inputs(given.frames, given.background, config, given.clip)  # what is missing is said at once
+    if not given.quiet:
+        for assumed in assumptions(inputs, config):
+            print(f"hfb: {assumed}", file=sys.stderr)
 
     def load() -> Chain:
         from flows.fit_image import fit_image

@@ -17,7 +17,12 @@ def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda
 
     Args:
         ready: called before the flow, returns when Prefect's server answers.
+
+    The first body is found from the matte alone, whether or not the pose networks are there: the same figures for
+    everyone, and the networks were never shown a drawn body.
     """
+    if config.init.method == "auto":
+        config = config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
     with progress.step("example"):
         paths = write_example(out / "example", config.seed)
     ready()

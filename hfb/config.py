@@ -33,7 +33,7 @@ class ExposureConfig(Record):
     """When light was collected. Seconds scale the result's times; ratios matter to the fit of several frames."""
 
     seconds: float | None = Field(None, gt=0, description="exposure time [s]; the whole frame interval when not given")
-    fps: float = Field(30.0, gt=0, description="frames per second")
+    fps: float | None = Field(None, gt=0, description="frames per second; 30 where nothing says otherwise")
     light: Literal["linear", "srgb"] = Field(
         "linear", description="the light in which blur is an average; real cameras average linear light"
     )
@@ -98,7 +98,9 @@ class FitConfig(Record):
 class PriorConfig(Record):
     """Which poses count as likely."""
 
-    pose: Path | None = Field(None, description="SMPLify's GMM or a VPoser checkpoint; our anatomical prior when not given")
+    pose: Path | None = Field(
+        None, description="SMPLify's GMM or a VPoser checkpoint; our anatomical prior when not given"
+    )
 
 
 class RunConfig(Record):
@@ -133,7 +135,7 @@ _BEST = FitConfig(
         Stage(size_px=128, iterations=70),
         Stage(size_px=256, iterations=70, cosine=True),
     ),
-    weights=Weights(image=30, matte=1, pose=0.03, shape=0.002, motion=0.01, boundary=1),
+    weights=Weights(image=30, matte=2, pose=0.05, shape=0.002, motion=0.015, boundary=1, start=0.3),
 )
 
 

@@ -56,7 +56,10 @@ class Observation:
     def cropped(self, left: int, top: int, width: int, height: int) -> "Observation":
         """The same scene through a window; what lies outside the picture repeats its border, without a person."""
         full_height, full_width = self.mattes.shape[1:]
-        window = (slice(max(top, 0), min(top + height, full_height)), slice(max(left, 0), min(left + width, full_width)))
+        window = (
+            slice(max(top, 0), min(top + height, full_height)),
+            slice(max(left, 0), min(left + width, full_width)),
+        )
         pads = (
             max(-top, 0), max(top + height - full_height, 0), max(-left, 0), max(left + width - full_width, 0),
         )  # fmt: skip

@@ -53,24 +53,19 @@ def quaternion_to_matrix(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n
 
 
 def matrix_to_quaternion(matrix: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 4"]:
-    """Unit quaternion of a rotation matrix, w >= 0 where w is not the smallest part.
+    """Unit quaternion of a rotation matrix, w >= 0.
 
     Shepperd's method: of four equivalent formulas take the one with the largest pivot, so that nothing
     small is divided by, at any angle.
     """
-    m = matrix
-    t = m.diagonal(dim1=-2, dim2=-1)
-    x, y, z = t.unbind(-1)
-    # Column k is 4 q_k times the whole quaternion.
-    table = torch.stack(
-        [
-            torch.stack([1 + x + y + z, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1),
-            torch.stack([m[..., 2, 1] - m[..., 1, 2], 1 + x - y - z, m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0]], -1),
-            torch.stack([m[..., 0, 2] - m[..., 2, 0], m[..., 0, 1] + m[..., 1, 0], 1 - x + y - z, m[..., 1, 2] + m[..., 2, 1]], -1),
-            torch.stack([m[..., 1, 0] - m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1], 1 - x - y + z], -1),
-        ],
-        -2,
-    )  # fmt: skip
+    (a, b, c), (d, e, f), (g, h, k) = (row.unbind(-1) for row in matrix.unbind(-2))
+    rows = [
+        [1 + a + e + k, h - f, c - g, d - b],
+        [h - f, 1 + a - e - k, b + d, c + g],
+        [c - g, b + d, 1 - a + e - k, f + h],
+        [d - b, c + g, f + h, 1 - a - e + k],
+    ]
+    table = torch.stack([torch.stack(row, -1) for row in rows], -2)  # row i is 4 q_i times the whole quaternion
     pivot = table.diagonal(dim1=-2, dim2=-1).argmax(-1)
     row = table.gather(-2, pivot[..., None, None].expand(*pivot.shape, 1, 4)).squeeze(-2)
     quaternion = normalize_quaternion(row)
@@ -91,10 +86,13 @@ def multiply_quaternions(left: Float[Tensor, "*n 4"], right: Float[Tensor, "*n 4
     """Hamilton product: the rotation `right` followed by `left`."""
     a, b, c, d = left.unbind(-1)
     e, f, g, h = right.unbind(-1)
-    return torch.stack(
-        [a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g, a * g - b * h + c * e + d * f, a * h + b * g - c * f + d * e],
-        -1,
-    )  # fmt: skip
+    parts = [
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    ]
+    return torch.stack(parts, -1)
 
 
 def six_d_to_matrix(six_d: Float[Tensor, "*n 6"]) -> Float[Tensor, "*n 3 3"]:

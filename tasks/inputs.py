@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hfb.clip import Clip, read_clip
+from hfb.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
 from hfb.initialize.networks import NETWORKS, network_path
@@ -67,6 +67,18 @@ def take_inputs(
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
         networks=_networks_at_hand() if config.init.method != "matte" and not first_bodies else (),
     )
+
+
+def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
+    """What the user did not say about the recording, and what is assumed instead; one sentence each."""
+    assumed = []
+    if config.camera.focal_px is None and inputs.clip.camera == ClipCamera():
+        assumed.append(
+            "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
+        )
+    if config.exposure.seconds is None and inputs.clip.exposure == ClipExposure():
+        assumed.append("no exposure given: assuming the shutter is always open (--clip or --exposure.seconds)")
+    return assumed
 
 
 def _networks_at_hand() -> tuple[FileHandle, ...]:

@@ -10,6 +10,8 @@ from hfb.media.pictures import read_picture_srgb
 from tasks.handles import ClipHandle, FileHandle
 from tasks.task import task
 
+_DEFAULT_FPS = 30.0
+
 
 @task("pictures")
 def prepare(
@@ -30,10 +32,7 @@ def prepare(
                 f"{frame.path} is {other} px and the background {background.path} {width} x {height} px: "
                 "give a background of the same camera at the same size"
             )
-    # an option that has its default was not given, as far as one can tell
-    default_fps = ExposureConfig().fps
-    fps = exposure.fps if exposure.fps != default_fps else clip.exposure.fps or default_fps
-    interval_s = 1 / fps
+    interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = exposure.seconds or clip.exposure.exposure_s(interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
         raise InputError(

@@ -176,6 +176,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     uri = tracking_uri()
     if on_server(uri):
         raise InputError(f"runs are recorded on a server that has pages of its own: open {uri}")
+    _make_folder(uri)
     return [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",
         "--port", str(port), "--workers", "1", "--uvicorn-opts", "--log-level warning",
@@ -193,9 +194,13 @@ def _client(uri: str) -> MlflowClient:
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     from mlflow import MlflowClient
 
+    _make_folder(uri)
+    return MlflowClient(uri)
+
+
+def _make_folder(uri: str) -> None:
     if uri.startswith("sqlite:///"):
         Path(uri.removeprefix("sqlite:///")).parent.mkdir(parents=True, exist_ok=True)
-    return MlflowClient(uri)
 
 
 def _experiment(client: MlflowClient) -> str:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-import hfb  # noqa: E402  (after the thread count, which torch reads once)
-from jaxtyping import install_import_hook  # noqa: E402
+from jaxtyping import install_import_hook
 
-import tests.typechecking  # noqa: E402, F401  (the hook finds the checker as an attribute of `tests`)
+import hfb
+import tests.typechecking  # noqa: F401  (the hook finds the checker as an attribute of `tests`)
 
 _LEAVES = [
     module.name

@@ -1,5 +1,6 @@
 """One real Prefect server and a migrated MLflow store for all tests of tasks and flows, and a tiny problem for them."""
 
+import atexit
 import functools
 import os
 import shutil
@@ -20,7 +21,9 @@ _SIDE_PX = 96
 
 @functools.cache
 def _session_folder() -> Path:
-    return Path(tempfile.mkdtemp(prefix="hfb-tests-"))
+    folder = tempfile.mkdtemp(prefix="hfb-tests-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 @functools.cache

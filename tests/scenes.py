@@ -55,9 +55,7 @@ def moving_scene(
         poses.flatten(1).double().numpy(), translations.double().numpy(), betas.double().numpy(),
         posed.joints.double().numpy(), times_s, frame_index, camera.matrix().double().numpy(),
     )  # fmt: skip
-    observation = Observation(
-        compose(mean, plate), plate, mean[..., 3], camera, 0.03, 0.03 * instants / (instants - 1)
-    )
+    observation = Observation(compose(mean, plate), plate, mean[..., 3], camera, 0.03, 0.03 * instants / (instants - 1))
     middle = range(instants // 2, len(u), instants)
     still = [FirstBody(poses[row], translations[row], betas, "middle of the truth") for row in middle]
     return Scene(observation, Truth(motion, (pictures[..., 3] >= 0.5).numpy(), body.betas_space), still)

@@ -15,7 +15,9 @@ def room_background(height: int, width: int, rng: np.random.Generator) -> Float[
     for _ in range(int(rng.integers(4, 9))):
         box_height, box_width = (rng.uniform(0.08, 0.3, 2) * (height, width)).astype(int)
         top, left = int(rng.uniform(0, horizon - box_height * 0.5)), int(rng.uniform(0, width - box_width))
-        picture[top : top + box_height, left : left + box_width] = np.clip(rng.uniform(0.2, 0.8) + rng.normal(0, 0.15, 3), 0, 1)
+        picture[top : top + box_height, left : left + box_width] = np.clip(
+            rng.uniform(0.2, 0.8) + rng.normal(0, 0.15, 3), 0, 1
+        )
         inner = picture[top + 4 : top + box_height - 4, left + 4 : left + box_width - 4]
         inner += rng.normal(0, 0.1, 3)
     light = 1 - 0.35 * (((columns / width - rng.uniform(0.2, 0.8)) ** 2) + ((rows / height - rng.uniform(0, 0.4)) ** 2))

@@ -1,5 +1,6 @@
 """The embedded example: one blurred picture of our own body in motion, with its truth."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,6 +35,8 @@ _EXPOSURE_S = 1 / 30
 # Dense enough that neighbouring instants are less than a pixel apart; 7 * 8 + 1 holds the instants of N = 8.
 _INSTANTS = 57
 _SENSOR_NOISE = 0.004
+# Seed 0 draws this one: of the first five the one whose clothes stand out most from the room.
+_FIRST_DRAW = 4
 
 # The stretch between the key poses that the exposure covers: a blur rate of about 0.6.
 _FROM, _TO = 0.25, 0.47
@@ -66,7 +69,7 @@ def write_example(folder: Path, seed: int = 0) -> ExamplePaths:
     The picture is the mean of 57 sub-frames in linear light, with sensor noise, stored in 8 bits. The seed
     chooses shape, clothes, room and noise; the motion stays the same.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed + _FIRST_DRAW)
     body = load_default_body()
     camera = PinholeCamera.from_focal(float(np.hypot(_SIZE_PX, _SIZE_PX)), _SIZE_PX, _SIZE_PX)
     betas = torch.from_numpy(np.clip(rng.normal(0, 0.7, 10), -1.5, 1.5)).float()
@@ -121,7 +124,7 @@ def _side_step(u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "S 24 3"], Float[Te
     return quaternion_to_axis_angle(joints), path
 
 
-def _key(degrees: dict[str, tuple[float, float, float]]) -> Float[Tensor, "24 3"]:
+def _key(degrees: Mapping[str, tuple[float, float, float]]) -> Float[Tensor, "24 3"]:
     pose = torch.zeros(24, 3)
     for name, angles in degrees.items():
         pose[JOINT_NAMES.index(name)] = torch.deg2rad(torch.tensor(angles, dtype=torch.float32))

@@ -39,7 +39,11 @@ def _paint(centre_m: Float[Array, "F 3"], joint: Int[Array, "F"], rng: np.random
     names = np.array(JOINT_NAMES)[joint]
     colour = np.tile(np.asarray(_SKINS[rng.integers(len(_SKINS))]), (len(joint), 1))
     head = names == "head"
-    hair = head & (centre_m[:, 1] > np.quantile(centre_m[head, 1], 0.6)) & (centre_m[:, 2] < centre_m[head, 2].max() - 0.06)
+    hair = (
+        head
+        & (centre_m[:, 1] > np.quantile(centre_m[head, 1], 0.6))
+        & (centre_m[:, 2] < centre_m[head, 2].max() - 0.06)
+    )
     colour[hair] = _HAIRS[rng.integers(len(_HAIRS))]
     for joints in _GARMENT_OF_JOINT.values():
         worn = np.isin(names, joints)

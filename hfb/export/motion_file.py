@@ -31,7 +31,7 @@ def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
 def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """A compressed .npz of plain arrays, whole or not at all."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # its stub confuses them with allow_pickle
     write_bytes_atomic(path, buffer.getvalue())
 
 

@@ -19,7 +19,7 @@ from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.priors.pose import PosePrior
-from hfb.render.rasterizer import Rasterizer, make_rasterizer
+from hfb.render.rasterizer import make_rasterizer
 from hfb.render.texture import fill_texture_gutter, texel_faces, visible_texels
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Bool, Float, Tensor

@@ -29,7 +29,9 @@ _TEMPLATE_DEPTH_M = 3.5
 _TEMPLATE_PX = 72
 _ROLL_COST = 0.04  # per 40 degrees
 _BACK_COST = 0.01
-_CANDIDATES = 6
+_CANDIDATES, _SURVIVORS = 6, 3
+_ROUGH, _MIDDLE, _FINE = Stage(40, 30, 0.05, shape=False), Stage(64, 40, 0.03, shape=False), Stage(128, 40, 0.02)
+_STAY = Stay(prior=0.002, betas=0.03)
 
 
 @dataclass(frozen=True)
@@ -59,14 +61,14 @@ def search_by_matte(
     """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; 2-4 s on one core."""
     templates = _templates(body)
     starts = _best_starts(matte, camera, body, templates)
-    stay = Stay(prior=0.002, betas=0.03)
-    level = matte_level(matte, camera, 64)
-    rough = [refine(start, matte, camera, body, rasterizer, [Stage(40, 25, 0.05, shape=False)], stay) for start in starts]
+    scene = (matte, camera, body, rasterizer)
+    rough = [refine(start, *scene, [_ROUGH], _STAY) for start in starts]
+    level = matte_level(matte, camera, _MIDDLE.size_px)
     rough.sort(key=lambda first: -_value(first, level, body, rasterizer))
-    middle = [refine(first, matte, camera, body, rasterizer, [Stage(64, 30, 0.03, shape=False)], stay) for first in rough[:3]]
+    middle = [refine(first, *scene, [_MIDDLE], _STAY) for first in rough[:_SURVIVORS]]
     middle.sort(key=lambda first: -_value(first, level, body, rasterizer))
-    best = refine(middle[0], matte, camera, body, rasterizer, [Stage(128, 30, 0.02)], stay)
-    return best, overlap(best, matte_level(matte, camera, 128), body, rasterizer)
+    best = refine(middle[0], *scene, [_FINE], _STAY)
+    return best, overlap(best, matte_level(matte, camera, _FINE.size_px), body, rasterizer)
 
 
 def _value(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:

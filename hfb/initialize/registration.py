@@ -187,7 +187,10 @@ def _first_translation(
     rows_y = torch.stack([zero, one, -slope[:, 1]], 1) * weight[:, None]
     right_x = (slope[:, 0] * points[:, 2] - points[:, 0]) * weight
     right_y = (slope[:, 1] * points[:, 2] - points[:, 1]) * weight
-    hips = torch.linalg.lstsq(torch.cat([rows_x, rows_y]), torch.cat([right_x, right_y])[:, None]).solution[:, 0]
+    rows, right = torch.cat([rows_x, rows_y]).double(), torch.cat([right_x, right_y]).double()
+    # Normal equations, summed without a library's kernels: LAPACK's least squares differ in the last bit by run.
+    normal = (rows[:, :, None] * rows[:, None, :]).sum(0)
+    hips = torch.linalg.solve(normal, (rows * right[:, None]).sum(0)).to(points)
     if hips[2] < _LEAST_DEPTH_M:
         hips = hips * (_LEAST_DEPTH_M / hips[2]) if hips[2] > 1e-3 else hips.new_tensor([0.0, 0.0, 3.0])
     middle = (shaped.joints[JOINT_NAMES.index("left_hip")] + shaped.joints[JOINT_NAMES.index("right_hip")]) / 2

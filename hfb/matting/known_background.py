@@ -25,7 +25,7 @@ from hfb.shapes import Array, Bool, Float, Shaped
 _ROUNDS = 4
 _STIFFNESS = 40.0
 _MOST_PRECISE = 4000.0
-_COLOUR_SPREAD = 0.25  # body colours vary by this share around their smooth mean
+_COLOUR_SPREAD = 0.2  # body colours vary by this share around their smooth mean
 _DARK_SPREAD = 0.02  # and by this much light however dark they are
 _WINDOW_RADIUS_PX = 4
 _SHADOW_TOLERANCE = 12.0  # squared noise units
@@ -163,12 +163,31 @@ def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
         trust = shown / (shown + 100)
         opaque = np.minimum(opaque, 1.4 * (1 - trust) + trust * (evidence.texture_alpha + 0.1))
         weights = (opaque**8 * presence * (1 - shadow) * (1 - 0.99 * shadow_like) + 1e-7).astype(np.float32)
-    return alpha
+    return _without_small_holes(alpha, texture / (texture + 100))
+
+
+def _without_small_holes(alpha: Float[Array, "H W"], trust: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """Fill gaps that the body encloses wholly, smaller than a hundredth of it: a white mask before a white wall.
+
+    Args:
+        trust: how sure the texture is; a gap through which the background's texture is seen stays.
+    """
+    opaque = alpha > 0.5
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats((~opaque).astype(np.uint8), connectivity=4)
+    left, top, width, height, area = boxes.T
+    at_edge = (left == 0) | (top == 0) | (left + width == alpha.shape[1]) | (top + height == alpha.shape[0])
+    small = ~at_edge & (area < 0.01 * opaque.sum())
+    small[0] = False  # the opaque pixels themselves
+    # Two pixels more than the gap: its soft rim is an artefact too.
+    gaps = cv2.dilate(small[labels].astype(np.uint8), _disc(2)) > 0
+    return np.where(gaps, 1 - trust * (1 - alpha), alpha).astype(np.float32)
 
 
 def _remote(certain: Float[Array, "H W"]) -> Float[Array, "H W"]:
     """0 at the certain body, towards 1 from a twentieth of its size away: how far dark blur may reach, shadows do."""
     mask = certain > 0.5
+    if not mask.any():
+        return np.zeros(mask.shape, np.float32)
     distance = cv2.distanceTransform(1 - mask.astype(np.uint8), cv2.DIST_L2, 3)
     return (1 - np.exp(-((distance / (0.05 * _extent(mask))) ** 2))).astype(np.float32)
 
@@ -206,9 +225,7 @@ def _two_colours(
 
 def colour_evidence(
     evidence: Evidence, colours: Float[Array, "H W 3"], alpha: Float[Array, "H W"]
-) -> tuple[
-    Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]
-]:
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
     """For one body colour F: <I-B, F-B> / |F-B|^2 unclipped, alpha by it, its variance, what is left over, |F-B|^2."""
     direction = (colours - evidence.plate) / evidence.noise
     length = np.maximum(dot(direction, direction), 1e-6)

@@ -103,6 +103,11 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
     """Drop specks and haze that hang apart from the body; pull 0.02..0.98 to 0..1."""
     alpha = np.clip((alpha - 0.02) / 0.96, 0, 1).astype(np.float32)
     keep = main_change(100 * alpha, threshold=12.0)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(keep.astype(np.uint8))
+    if count > 2:
+        largest = 1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax())
+        clear = np.unique(labels[keep & (alpha > 0.6)])  # a shoe cut off by dark trousers, not a patch of shade
+        keep = np.isin(labels, [*clear, largest])
     reach = 2 * max(1, round(0.008 * max(alpha.shape))) + 1
     near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     return alpha * cv2.blur(near.astype(np.float32), (3, 3))

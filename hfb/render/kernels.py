@@ -3,9 +3,8 @@
 Every function works on one body and on memory of its own or of its caller, releases Python's lock and adds in
 a fixed order: bodies may be drawn by any number of threads with the same bits as the result.
 
-A body's *trace* is what the way back needs of its way forth:
-(projected vertices, outline edges, pixels, coverage, overlap owners, overlap edges, overlap weights), the last
-three for pieces of outline in pixels where layers may overlap (`kernels_overlap`).
+A body's *trace* is what the way back needs of its way forth: (projected vertices, outline edges, pixels,
+coverage, owners, edges, shares), the last three for every piece of outline that can change a pixel's coverage.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -14,122 +13,97 @@ import numpy as np
 from numba import njit
 
 from hfb.render.kernels_compile import JIT, LOOP, entry, loop_entry
-from hfb.render.kernels_outline import (
-    TINY,
-    collect,
-    count_pieces,
-    find_front,
-    find_outline,
-    outline_gradient,
-    project,
-    to_metres,
-    wind_outline,
-)
-from hfb.render.kernels_overlap import chain_pieces, overlap_gradient, resolve
-from hfb.render.kernels_surface import NOTHING, fill_depth, shade, shade_gradient
+from hfb.render.kernels_outline import collect, count_pieces, mask_for, pull_outline, weigh_pieces, wind_outline
+from hfb.render.kernels_overlap import chain_pieces, resolve
+from hfb.render.kernels_screen import find_front, find_outline, project, to_metres
+from hfb.render.kernels_surface import see_faces, shade, shade_gradient
 
 
 @njit(**JIT)
-def _room_for_pieces(box):
-    """Columns, rows and ends of the pieces of one edge: it crosses each row and column border at most twice."""
-    size = 2 * (box[2] - box[0] + box[3] - box[1]) + 8
-    return np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.float64)
-
-
-@njit(**JIT)
-def _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box):
-    projected = np.empty((vertices.shape[0], 3), np.float64)
-    front = np.empty(faces.shape[0], np.bool_)
-    outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
-    n = 0
-    project(vertices, lens, 0.0, projected, box)
-    if box[0] < box[2]:
-        find_front(projected, faces, front)
-        n = find_outline(front, edge_vertices, edge_faces, outline)
-    return projected, front, outline[:n].copy()
-
-
-@njit(**JIT)
-def _resolve_overlaps(outline, projected, width, unsure, record, pixels, windings, piece_pixel, edge, span):
-    """Exact coverage of the unsure pixels; (owners, edges, weights) of their pieces."""
-    newest, older = np.full(record.shape[0], -1, np.int64), np.empty(piece_pixel.shape[0], np.int64)
-    chain_pieces(piece_pixel, unsure, newest, older)
-    longest, n = 0, 0
-    for slot in range(record.shape[0]):
+def _resolve_overlaps(outline, projected, width, place, unsure, pixels, windings, piece_pixel, edge, span):
+    """Turn the unsure pixels' mean winding into coverage; returns the shares of their pieces."""
+    newest, older = np.full(unsure.shape[0], -1, np.int64), np.empty(piece_pixel.shape[0], np.int64)
+    chain_pieces(piece_pixel, place, newest, older)
+    longest = 0
+    for slot in range(unsure.shape[0]):
         piece, length = newest[slot], 0
         while piece >= 0:
             piece = older[piece]
             length += 1
         longest = max(longest, length)
-        n += length
     weights = np.zeros((piece_pixel.shape[0], 2), np.float64)
+    most = 3 + 2 * longest + longest * longest // 2  # heights: borders, ends and crossings
     resolve(
-        record, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
-        np.empty(longest, np.int64), np.empty((longest, 5), np.float64), np.empty((2 * longest, 2), np.float64),
-        np.empty(3 + 2 * longest + longest * longest, np.float64),
-        np.empty(longest, np.int64), np.empty(longest, np.float64),
+        unsure, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
+        np.empty(longest, np.int64), np.empty((longest, 5), np.float64), np.empty(most, np.float64),
+        np.empty(most, np.float64), np.empty(longest, np.int64), np.empty(longest, np.float64),
+        np.empty(longest, np.int64),
     )  # fmt: skip
-    owner, of_edge, kept = np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 2), np.float64)
-    n = 0
-    for slot in range(record.shape[0]):
-        piece = newest[slot]
-        while piece >= 0:
-            owner[n], of_edge[n] = record[slot], edge[piece]
-            kept[n, 0], kept[n, 1] = weights[piece, 0], weights[piece, 1]
-            piece = older[piece]
-            n += 1
-    return owner, of_edge, kept
+    return weights
 
 
 @njit(**JIT)
-def _trace(outline, projected, box, width, nearest, code):
-    """Pixels of one body: (indices, codes, coverage, overlap owners, edges, weights)."""
+def _trace(outline, projected, box, width, seen, mask):
+    """Pixels of one body and what moves them: (indices, codes, coverage, owners, edges, shares)."""
     height, breadth = box[3] - box[1], box[2] - box[0]
-    winding = np.zeros((height, breadth + 1), np.float64)
-    marks = np.zeros((height, breadth), np.uint8)
+    winding, marks = np.zeros((height, breadth + 1), np.float64), np.zeros((height, breadth), np.uint8)
     first, last = np.full(height, breadth, np.int64), np.full(height, -1, np.int64)
-    columns, rows, ends = _room_for_pieces(box)
-    total = count_pieces(outline, projected, box)
-    piece_pixel, edge, span = np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 2), np.float64)
+    most = count_pieces(outline, projected, box)
+    piece_pixel, piece_edge = np.empty(most, np.int32), np.empty(most, np.int32)
+    piece_span = np.empty((most, 2), np.float64)
+    longest = 2 * (height + breadth) + 8  # an edge crosses each border between rows and columns at most twice
     total = wind_outline(
-        outline, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends,
-        piece_pixel, edge, span,
+        outline, projected, box, winding, marks, first, last, seen, mask,
+        np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(longest, np.float64),
+        piece_pixel, piece_edge, piece_span,
     )  # fmt: skip
-    pixels, windings = np.empty(height * breadth, np.int32), np.empty(height * breadth, np.float64)
-    codes = np.empty(height * breadth if code.shape[0] > 0 else 0, np.int32)
-    unsure, record = np.zeros(height * breadth, np.int32), np.empty(height * breadth, np.int32)
-    n, n_unsure = collect(winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record)
-    pixels, codes, windings = pixels[:n].copy(), codes[:n].copy(), windings[:n].copy()
-    owner, of_edge, weights = _resolve_overlaps(
-        outline, projected, width, unsure, record[:n_unsure], pixels, windings, piece_pixel[:total], edge, span
+    room = height * breadth
+    pixels, coverage = np.empty(room, np.int32), np.empty(room, np.float64)
+    codes = np.empty(room if seen.shape[0] > 0 else 0, np.int32)
+    place, unsure = np.zeros(room, np.int32), np.empty(room, np.int32)
+    n, n_unsure = collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, coverage, place, unsure)
+    piece_pixel, unsure = piece_pixel[:total], unsure[:n_unsure]
+    weights = _resolve_overlaps(
+        outline, projected, width, place, unsure, pixels, coverage, piece_pixel, piece_edge, piece_span
     )
-    return pixels, codes, windings, owner, of_edge, weights
+    owner, edge, shares = np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 2), np.float64)
+    moving = weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, weights, owner, edge, shares)
+    return (pixels[:n], codes[:n], coverage[:n], owner[:moving], edge[:moving], shares[:moving])
+
+
+@njit(**JIT)
+def _outline(front, edge_vertices, edge_faces):
+    outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
+    return outline[: find_outline(front, edge_vertices, edge_faces, outline)]
 
 
 @entry
 def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     """Silhouette of one body: its trace."""
     box = np.empty(4, np.int64)
-    projected, _, outline = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
-    nothing, no_code = np.empty((0, 0), np.float64), np.empty((0, 0), np.int32)
-    pixels, _, coverage, owner, edge, weights = _trace(outline, projected, box, np.int64(lens[5]), nothing, no_code)
-    return projected, outline, pixels, coverage, owner, edge, weights
+    projected, front = np.empty((vertices.shape[0], 3), np.float64), np.zeros(faces.shape[0], np.bool_)
+    project(vertices, lens, 0.0, projected, box)
+    if box[0] < box[2]:
+        find_front(projected, faces, front)
+    outline = _outline(front, edge_vertices, edge_faces)
+    seen = np.empty((0, 0), np.int64)
+    pixels, _, coverage, owner, edge, shares = _trace(outline, projected, box, np.int64(lens[5]), seen, 0)
+    return projected, outline, pixels, coverage, owner, edge, shares
 
 
 @entry
-def draw_body(vertices, lens, faces, uv, uv_faces, edge_vertices, edge_faces, texture):
+def draw_body(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
     """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
-    box = np.empty(4, np.int64)
-    projected, front, outline = _front_and_outline(vertices, lens, faces, edge_vertices, edge_faces, box)
-    nearest = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
-    code = np.full(nearest.shape, NOTHING, np.int32)
-    if outline.shape[0] > 0:
-        fill_depth(projected, faces, front, box, nearest, code)
+    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 3), np.float64)
+    project(vertices, lens, 0.0, projected, box)
+    mask = mask_for(faces, edge_faces)
+    seen, front = see_faces(projected, faces, box, mask)
+    outline = _outline(front, edge_vertices, edge_faces)
     width = np.int64(lens[5])
-    pixels, codes, coverage, owner, edge, weights = _trace(outline, projected, box, width, nearest, code)
+    pixels, codes, coverage, owner, edge, shares = _trace(outline, projected, box, width, seen, mask)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
-    shade(pixels, codes, coverage, width, outline, projected, faces, uv, uv_faces, texture, colours)
-    return projected, outline, pixels, coverage, owner, edge, weights, codes, colours
+    shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, colours)
+    return projected, outline, pixels, coverage, owner, edge, shares, codes, colours
 
 
 @loop_entry
@@ -143,86 +117,42 @@ def add_picture(pixels, colours, scale, picture):
 
 @loop_entry
 def add_silhouette(pixels, coverage, scale, picture):
-    """Add `scale` times a body's coverage to a picture (H W)."""
+    """Add `scale` times a body's coverage to a picture (H W, 1)."""
     for m in range(pixels.shape[0]):
-        picture[np.uint32(pixels[m])] += min(coverage[m], 1.0) * scale
+        picture[np.uint32(pixels[m]), 0] += min(coverage[m], 1.0) * scale
 
 
 @njit(**LOOP)
-def _find_box(pixels, width, box):
-    """Bounds of a list of pixels in reading order."""
-    box[0], box[1], box[2], box[3] = width, 0, 0, 0
-    if pixels.shape[0] == 0:
-        box[0] = 0
-        return
-    row = box[1] = pixels[0] // width
-    box[3] = pixels[pixels.shape[0] - 1] // width + 1
+def take(pixels, picture_gradient, scale, of_coverage):
+    """Gradient of each listed pixel's coverage from that of the silhouette's picture (H W, 1)."""
     for m in range(pixels.shape[0]):
-        while pixels[m] >= (row + 1) * width:
-            row += 1
-        column = pixels[m] - row * width
-        box[0], box[2] = min(box[0], column), max(box[2], column + 1)
-
-
-@njit(**LOOP)
-def _spread(pixels, width, coverage, of_coverage, owner, box, of_winding):
-    """Put the coverage's gradient where `outline_gradient` looks for it: not for full pixels, which stay full, and
-    not for those `overlap_gradient` takes care of."""
-    row = box[1]
-    for m in range(pixels.shape[0]):
-        while pixels[m] >= (row + 1) * width:
-            row += 1
-        if coverage[m] < 1.0 - TINY:
-            of_winding[row - box[1], pixels[m] - row * width - box[0]] = of_coverage[m]
-    for p in range(owner.shape[0]):
-        row = pixels[owner[p]] // width
-        of_winding[row - box[1], pixels[owner[p]] - row * width - box[0]] = 0.0
-
-
-@njit(**JIT)
-def _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient):
-    """Add what the coverage's gradient asks of the outline, and go from pixels to metres."""
-    projected, outline, pixels, coverage, owner, edge, weights = trace
-    if pixels.shape[0] > 0:
-        width = np.int64(lens[5])
-        box = np.empty(4, np.int64)
-        _find_box(pixels, width, box)
-        of_winding = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
-        _spread(pixels, width, coverage, of_coverage, owner, box, of_winding)
-        columns, rows, ends = _room_for_pieces(box)
-        outline_gradient(outline, projected, box, of_winding, on_screen, columns, rows, ends)
-        overlap_gradient(outline, projected, owner, edge, weights, of_coverage, on_screen)
-    to_metres(projected, vertices, lens, on_screen, gradient)
-
-
-@njit(**LOOP)
-def _take(pixels, picture_gradient, scale, of_coverage):
-    for m in range(pixels.shape[0]):
-        of_coverage[m] = picture_gradient[np.uint32(pixels[m])] * scale
+        of_coverage[m] = picture_gradient[np.uint32(pixels[m]), 0] * scale
 
 
 @entry
 def cover_body_gradient(vertices, lens, trace, picture_gradient, scale, gradient):
-    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W)."""
-    of_coverage = np.empty(trace[2].shape[0], np.float64)
-    _take(trace[2], picture_gradient, scale, of_coverage)
-    _move_outline(vertices, lens, trace, of_coverage, np.zeros((vertices.shape[0], 3), np.float64), gradient)
+    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W, 1)."""
+    projected, outline, pixels, _, owner, edge, shares = trace
+    on_screen, of_coverage = np.zeros((vertices.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
+    take(pixels, picture_gradient, scale, of_coverage)
+    pull_outline(outline, projected, owner, edge, shares, of_coverage, on_screen)
+    to_metres(projected, vertices, lens, on_screen, gradient)
 
 
 @entry
 def draw_body_gradient(
-    vertices, lens, faces, uv, uv_faces, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
+    vertices, lens, faces, uv, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
 ):
     """Fill `gradient` (V, 3), add to `texture_gradient`, from that of the picture (H W, 4), times scale.
 
     An empty `gradient` or `texture_gradient` leaves that one out.
     """
-    projected, outline, pixels, coverage, _, _, _ = trace
-    on_screen = np.zeros((gradient.shape[0], 3), np.float64)
-    of_coverage = np.empty(pixels.shape[0], np.float64)
+    projected, outline, pixels, coverage, owner, edge, shares = trace
+    on_screen, of_coverage = np.zeros((gradient.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
     shade_gradient(
-        np.int64(lens[5]), faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+        np.int64(lens[5]), faces, uv, texture, projected, outline, pixels, coverage, codes,
         picture_gradient, scale, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:
-        _move_outline(vertices, lens, trace, of_coverage, on_screen, gradient)
+        pull_outline(outline, projected, owner, edge, shares, of_coverage, on_screen)
+        to_metres(projected, vertices, lens, on_screen, gradient)

@@ -13,9 +13,11 @@ R_S by the squared distance, unused).
 import numpy as np
 from numba import njit
 
+from hfb.render.kernels import take
 from hfb.render.kernels_compile import INLINE, JIT, LOOP, entry
-from hfb.render.kernels_outline import closest_parameter, find_front, project, to_metres
-from hfb.render.kernels_surface import fill_depth, shade, shade_gradient
+from hfb.render.kernels_outline import closest_parameter, code_of, mask_for
+from hfb.render.kernels_screen import project, to_metres
+from hfb.render.kernels_surface import see_faces, shade, shade_gradient
 
 TIE = 1e-9
 
@@ -52,19 +54,19 @@ def _sift(distance, side, slot, k, value, which):
 
 
 @njit(**LOOP)
-def _count_open(nearest, open_before):
+def _count_open(seen, open_before):
     """Running count, along each row, of the pixels that show no body; returns their number."""
     total = 0
-    for r in range(nearest.shape[0]):
+    for r in range(seen.shape[0]):
         open_before[r, 0] = 0
-        for c in range(nearest.shape[1]):
-            open_before[r, c + 1] = open_before[r, c] + (nearest[r, c] <= 0.0)
-        total += open_before[r, nearest.shape[1]]
+        for c in range(seen.shape[1]):
+            open_before[r, c + 1] = open_before[r, c] + (seen[r, c] <= 0)
+        total += open_before[r, seen.shape[1]]
     return total
 
 
 @njit(**LOOP)
-def _reach_out(projected, faces, reach, box, nearest, open_before, slots, distance, side):
+def _reach_out(projected, faces, reach, box, seen, open_before, slots, distance, side):
     """Keep for each pixel of the halo the squared distances and sides of its nearest faces; returns their number."""
     found = 0
     left, top, right, bottom = box[0], box[1], box[2], box[3]
@@ -84,7 +86,7 @@ def _reach_out(projected, faces, reach, box, nearest, open_before, slots, distan
             if open_before[r, c_to + 1 - left] == open_before[r, c_from - left]:
                 continue
             for c in range(c_from - left, c_to - left + 1):
-                if nearest[r, c] > 0.0:
+                if seen[r, c] > 0:
                     continue
                 slot = slots[r, c] - 1
                 if slot < 0:
@@ -128,16 +130,16 @@ def _combine(distance, slot, inverse_delta, missed, slopes):
 
 @njit(**LOOP)
 def _list_pixels(
-    box, width, nearest, code, slots, faces, inverse_delta, distance, side, missed, slopes,
+    box, width, seen, mask, slots, faces, inverse_delta, distance, side, missed, slopes,
     pixels, codes, coverage, outline, owner, of_side, weights,
 ):  # fmt: skip
     """Fill the lists of the trace, pixels in reading order; returns the numbers of pixels, halo pixels and pairs."""
     n, halo, pairs = 0, 0, 0
-    for r in range(nearest.shape[0]):
-        for c in range(nearest.shape[1]):
+    for r in range(seen.shape[0]):
+        for c in range(seen.shape[1]):
             slot = slots[r, c] - 1
-            if nearest[r, c] > 0.0:
-                codes[n], coverage[n] = code[r, c], 1.0
+            if seen[r, c] > 0:
+                codes[n], coverage[n] = code_of(seen[r, c], mask), 1.0
             elif slot >= 0:
                 codes[n], coverage[n] = ~halo, _combine(distance, slot, inverse_delta, missed, slopes)
                 best = side[slot, _nearest_face(distance, side, slot)]
@@ -156,38 +158,34 @@ def _list_pixels(
 
 
 @njit(**JIT)
-def _trace(projected, faces, box, width, nearest, code, soft):
+def _trace(projected, faces, box, width, seen, mask, soft):
     """(outline, pixels, coverage, owners, sides, weights, codes) of one body's soft silhouette."""
-    height, breadth = nearest.shape
+    height, breadth = seen.shape
     open_before = np.empty((height, breadth + 1), np.int32)
-    n_open = _count_open(nearest, open_before)
+    n_open = _count_open(seen, open_before)
     most = int(soft[2])
     slots = np.zeros((height, breadth), np.int32)
     distance, side = np.empty((n_open, most), np.float64), np.empty((n_open, most), np.int32)
-    n_halo = _reach_out(projected, faces, soft[1], box, nearest, open_before, slots, distance, side)
+    n_halo = _reach_out(projected, faces, soft[1], box, seen, open_before, slots, distance, side)
     room = height * breadth - n_open + n_halo
     pixels, codes, coverage = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.float64)
     outline, owner = np.empty((n_halo, 3), np.uint32), np.empty(n_halo * most, np.int32)
     of_side, weights = np.empty(n_halo * most, np.int32), np.empty((n_halo * most, 2), np.float64)
     _, _, pairs = _list_pixels(
-        box, width, nearest, code, slots, faces, soft[0], distance, side, np.empty(most), np.empty(most),
+        box, width, seen, mask, slots, faces, soft[0], distance, side, np.empty(most), np.empty(most),
         pixels, codes, coverage, outline, owner, of_side, weights,
     )  # fmt: skip
-    return outline, pixels, coverage, owner[:pairs].copy(), of_side[:pairs].copy(), weights[:pairs].copy(), codes
+    return (outline, pixels, coverage, owner[:pairs], of_side[:pairs], weights[:pairs], codes)
 
 
 @njit(**JIT)
 def _soften(vertices, lens, soft, faces):
     """Project, draw the centres, reach out: (projected, then what `_trace` returns)."""
     box = np.empty(4, np.int64)
-    projected, front = np.empty((vertices.shape[0], 3), np.float64), np.empty(faces.shape[0], np.bool_)
+    projected, mask = np.empty((vertices.shape[0], 3), np.float64), mask_for(faces, faces)
     project(vertices, lens, soft[1], projected, box)
-    nearest = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
-    code = np.empty(nearest.shape, np.int32)
-    if nearest.size > 0:
-        find_front(projected, faces, front)
-        fill_depth(projected, faces, front, box, nearest, code)
-    return projected, _trace(projected, faces, box, np.int64(lens[5]), nearest, code, soft)
+    seen, _ = see_faces(projected, faces, box, mask)
+    return projected, _trace(projected, faces, box, np.int64(lens[5]), seen, mask, soft)
 
 
 @entry
@@ -198,11 +196,11 @@ def cover_body_softly(vertices, lens, soft, faces):
 
 
 @entry
-def draw_body_softly(vertices, lens, soft, faces, uv, uv_faces, texture):
+def draw_body_softly(vertices, lens, soft, faces, uv, texture):
     """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
     projected, (outline, pixels, coverage, owner, of_side, weights, codes) = _soften(vertices, lens, soft, faces)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
-    shade(pixels, codes, coverage, np.int64(lens[5]), outline, projected, faces, uv, uv_faces, texture, colours)
+    shade(pixels, codes, coverage, np.int64(lens[5]), outline, projected, faces, uv, texture, colours)
     return projected, outline, pixels, coverage, owner, of_side, weights, codes, colours
 
 
@@ -227,17 +225,17 @@ def _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_cov
 
 @entry
 def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, scale, gradient):
-    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W)."""
+    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W, 1)."""
     projected, _, pixels, _, owner, of_side, weights = trace
-    of_coverage = picture_gradient[pixels].astype(np.float64) * scale
-    on_screen = np.zeros((vertices.shape[0], 3), np.float64)
+    on_screen, of_coverage = np.zeros((vertices.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
+    take(pixels, picture_gradient, scale, of_coverage)
     _pull_faces(np.int64(lens[5]), faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
     to_metres(projected, vertices, lens, on_screen, gradient)
 
 
 @entry
 def draw_body_softly_gradient(
-    vertices, lens, faces, uv, uv_faces, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
+    vertices, lens, faces, uv, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
 ):
     """Fill `gradient` (V, 3), add to `texture_gradient`, from that of the picture (H W, 4), times scale.
 
@@ -247,7 +245,7 @@ def draw_body_softly_gradient(
     width = np.int64(lens[5])
     on_screen, of_coverage = np.zeros((gradient.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
     shade_gradient(
-        width, faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+        width, faces, uv, texture, projected, outline, pixels, coverage, codes,
         picture_gradient, scale, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:

@@ -1,4 +1,4 @@
-"""Compiled parts: projection, the outline of the front faces, and the exact share of each pixel inside it.
+"""Compiled parts: the exact share of each pixel that lies inside the outline of the front faces.
 
 The front faces of a body form an oriented patchwork; the edges where it ends are its outline. The number of
 front layers over a point is the winding number of the projected outline about it (Stokes), and the mean of
@@ -6,8 +6,6 @@ that number over a pixel is a sum of trapezoids, one per piece of outline in the
 (signed-area accumulation, the way fonts are rasterised). Where one strand of outline crosses a pixel, that mean
 is the covered share; where layers may overlap, `kernels_overlap` finds the share. Cost: the outline's length,
 whatever the number of faces.
-
-Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right, bottom) in whole pixels.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -17,80 +15,32 @@ from numba import njit
 
 from hfb.render.kernels_compile import INLINE, LOOP
 
+NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
-GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = 1, 2, 4, 8, 16, 32  # what a pixel's outline does
-FAR_PX = 1e9  # a corner projected farther out than this is not used
+GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8, 16, 32)  # what a pixel's outline does
 
 
-@njit(**LOOP)
-def project(vertices, lens, margin, projected, box):
-    """Fill `projected` (V, 3) with x, y [px] and 1/z, 0 where the vertex cannot be used; `box` with their bounds,
-    enlarged by a margin [px] and cut to the picture."""
-    fx, fy, cx, cy, near, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6]
-    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    for i in range(vertices.shape[0]):
-        projected[i, 2] = 0.0
-        z = np.float64(vertices[i, 2])
-        if z > near:  # false for NaN too
-            inverse = 1.0 / z
-            x = fx * np.float64(vertices[i, 0]) * inverse + cx
-            y = fy * np.float64(vertices[i, 1]) * inverse + cy
-            if abs(x) < FAR_PX and abs(y) < FAR_PX and inverse > 0.0:
-                projected[i, 0], projected[i, 1], projected[i, 2] = x, y, inverse
-                left, right = min(left, x), max(right, x)
-                top, bottom = min(top, y), max(bottom, y)
-    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
-    if left > right:
-        box[0], box[1], box[2], box[3] = 0, 0, 0, 0
-        return
-    box[0] = int(max(0.0, np.floor(min(left, width))))
-    box[1] = int(max(0.0, np.floor(min(top, height))))
-    box[2] = int(min(width, np.floor(max(right, 0.0)) + 1))
-    box[3] = int(min(height, np.floor(max(bottom, 0.0)) + 1))
-    if box[0] >= box[2] or box[1] >= box[3]:
-        box[0], box[1], box[2], box[3] = 0, 0, 0, 0
+@njit(**INLINE)
+def mask_for(faces, edges):
+    """Bits that hold any index of a face or an edge."""
+    mask = 1
+    while mask < faces.shape[0] or mask < edges.shape[0]:
+        mask *= 2
+    return mask - 1
 
 
-@njit(**LOOP)
-def to_metres(projected, vertices, lens, on_screen, gradient):
-    """Chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z."""
-    fx, fy = lens[0], lens[1]
-    for i in range(vertices.shape[0]):
-        q = projected[i, 2]
-        gx, gy = on_screen[i, 0] * fx, on_screen[i, 1] * fy
-        gradient[i, 0] = gx * q
-        gradient[i, 1] = gy * q
-        by_inverse = on_screen[i, 2] + gx * np.float64(vertices[i, 0]) + gy * np.float64(vertices[i, 1])
-        gradient[i, 2] = -q * q * by_inverse
+@njit(**INLINE)
+def pack(value, index, mask):
+    """A positive number and, in its last bits, an index: ordered as the numbers are (to some 11 digits)."""
+    return (np.float64(value).view(np.int64) & ~mask) | index
 
 
-@njit(**LOOP)
-def find_front(projected, faces, front):
-    """Mark the faces that look at the camera: negative signed area in (x right, y down)."""
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = (projected[j, 0] - projected[i, 0]) * (projected[k, 1] - projected[i, 1]) - (
-            projected[k, 0] - projected[i, 0]
-        ) * (projected[j, 1] - projected[i, 1])
-        usable = projected[i, 2] > 0.0 and projected[j, 2] > 0.0 and projected[k, 2] > 0.0
-        front[f] = usable and area < 0.0
-
-
-@njit(**LOOP)
-def find_outline(front, edge_vertices, edge_faces, outline):
-    """Fill rows (from, to, front face), directed as the front face traverses the edge; returns their number."""
-    n = 0
-    for e in range(edge_faces.shape[0]):
-        first, second = edge_faces[e, 0], edge_faces[e, 1]
-        is_first = front[first]
-        is_second = front[second] if second >= 0 else False
-        if is_first != is_second:
-            if is_first:
-                outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 0], edge_vertices[e, 1], first
-            else:
-                outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 1], edge_vertices[e, 0], second
-            n += 1
-    return n
+@njit(**INLINE)
+def code_of(seen, mask):
+    """What a pixel shows: a face f as f, the outline edge k as ~k."""
+    if seen > 0:
+        return seen & mask
+    return ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
 
 
 @njit(**LOOP)
@@ -165,6 +115,22 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
     return _walk(x0, y0, dx, dy, at_left, tb, box, dx < 0, n, columns, rows, ends), ta
 
 
+@njit(**INLINE)
+def closest_parameter(px, py, x0, y0, dx, dy):
+    """Parameter in [0, 1] of the point of an edge closest to (px, py)."""
+    squared_length = dx * dx + dy * dy
+    if squared_length == 0.0:
+        return 0.0
+    return min(max(((px - x0) * dx + (py - y0) * dy) / squared_length, 0.0), 1.0)
+
+
+@njit(**INLINE)
+def squared_distance(px, py, x0, y0, dx, dy):
+    """Squared distance [px^2] of (px, py) from an edge."""
+    t = closest_parameter(px, py, x0, y0, dx, dy)
+    return (x0 + t * dx - px) ** 2 + (y0 + t * dy - py) ** 2
+
+
 @njit(**LOOP)
 def count_pieces(outline, projected, box):
     """No fewer than the pieces into which pixel borders cut the outline."""
@@ -179,18 +145,18 @@ def count_pieces(outline, projected, box):
 
 @njit(**LOOP)
 def wind_outline(
-    outline, projected, box, winding, marks, first, last, nearest, code, columns, rows, ends,
+    outline, projected, box, winding, marks, first, last, seen, mask, columns, rows, ends,
     piece_pixel, piece_edge, piece_span,
 ):  # fmt: skip
     """Add every outline edge to `winding` (region rows, columns + 1), whose running row sums are mean winding.
 
-    marks: what the outline does in each pixel. first, last: per region row the columns touched. nearest, code:
-    the z-buffer; where no face covers the pixel's centre (nearest <= 0) it receives squared distance - 4 and code
-    ~k of the closest outline edge k; an empty `nearest` leaves that out. columns, rows, ends: room for the
-    pieces of one edge. piece_*: every piece's region pixel (-1: none), edge, and span on it; returns their number.
+    marks: what the outline does in each pixel. first, last: per region row the columns touched. seen: where no face
+    is seen at the pixel's centre (<= 0) it receives the closest outline edge k, as -pack(4 - squared distance,
+    mask - k): of equals the first; an empty `seen` leaves that out. columns, rows, ends: room for the pieces of one
+    edge. piece_*: every piece's region pixel (-1: none), edge, and span on it; returns their number.
     """
     left, top = box[0], box[1]
-    coloured = nearest.shape[0] > 0
+    coloured = seen.shape[0] > 0
     total = 0
     breadth = box[2] - left
     for k in range(outline.shape[0]):
@@ -220,11 +186,9 @@ def wind_outline(
                 if t > 0.0:
                     mark |= ENTERED_AGAIN if mark & ENTERED else ENTERED
                 marks[row, column] = mark
-                if coloured and nearest[row, column] <= 0.0:
-                    key = squared_distance(columns[p] + 0.5, rows[p] + 0.5, x0, y0, dx, dy) - 4.0
-                    if key < nearest[row, column] - TINY:  # ties: the first edge, whatever the rounding
-                        nearest[row, column] = key
-                        code[row, column] = ~k
+                if coloured and seen[row, column] <= 0:
+                    squared = squared_distance(columns[p] + 0.5, rows[p] + 0.5, x0, y0, dx, dy)
+                    seen[row, column] = min(seen[row, column], -pack(4.0 - squared, mask - k, mask))
             total += 1
             t = t_end
     return total
@@ -240,35 +204,20 @@ def may_overlap(mark):
     return (mark & ENTERED_AGAIN) != 0 or turns_back
 
 
-@njit(**INLINE)
-def closest_parameter(px, py, x0, y0, dx, dy):
-    """Parameter in [0, 1] of the point of an edge closest to (px, py)."""
-    squared_length = dx * dx + dy * dy
-    if squared_length == 0.0:
-        return 0.0
-    return min(max(((px - x0) * dx + (py - y0) * dy) / squared_length, 0.0), 1.0)
-
-
-@njit(**INLINE)
-def squared_distance(px, py, x0, y0, dx, dy):
-    """Squared distance [px^2] of (px, py) from an edge."""
-    t = closest_parameter(px, py, x0, y0, dx, dy)
-    return (x0 + t * dx - px) ** 2 + (y0 + t * dy - py) ** 2
-
-
 @njit(**LOOP)
-def collect(winding, marks, first, last, box, width, code, pixels, codes, windings, unsure, record):
+def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, windings, place, unsure):
     """List the pixels with any coverage, row by row: index, code, mean winding. Returns their number and that of
-    the unsure ones, where layers may overlap; `unsure` (region) receives their running number + 1, `record` their
-    place in the list.
+    the unsure ones, where layers may overlap.
 
-    An empty `code` (silhouette only) leaves the codes out.
+    unsure: their places in the list. place (region): 1 + place in the list of a pixel that the outline crosses,
+    - 1 - place in `unsure` of an unsure one, 0 elsewhere. An empty `seen` (silhouette only) leaves the codes out.
     """
     n, n_unsure = 0, 0
-    coloured = code.shape[0] > 0
+    coloured = seen.shape[0] > 0
+    breadth = box[2] - box[0]
     for row in range(box[3] - box[1]):
         total = 0.0
-        for column in range(first[row], box[2] - box[0]):
+        for column in range(first[row], breadth):
             if column <= last[row] + 1:
                 total += winding[row, column]
             elif total <= TINY:  # past the last edge nothing changes any more
@@ -277,37 +226,53 @@ def collect(winding, marks, first, last, box, width, code, pixels, codes, windin
                 pixels[n] = (row + box[1]) * width + column + box[0]
                 windings[n] = total
                 if coloured:
-                    codes[n] = code[row, column]
+                    codes[n] = code_of(seen[row, column], mask)
                 if may_overlap(marks[row, column]):
-                    record[n_unsure] = n
+                    unsure[n_unsure] = n
                     n_unsure += 1
-                    unsure[row * (box[2] - box[0]) + column] = n_unsure
+                    place[row * breadth + column] = -n_unsure
+                elif total < 1.0 - TINY:
+                    place[row * breadth + column] = n + 1
                 n += 1
     return n, n_unsure
 
 
 @njit(**LOOP)
-def outline_gradient(outline, projected, box, pixel_gradient, gradient, columns, rows, ends):
-    """Add to `gradient` (V, 3) of x, y what the mean windings' `pixel_gradient` (region) asks of the outline.
+def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, weights, owner, edge, shares):
+    """List the pieces that can change a pixel's coverage: the pixel's place, the edge, and how much its two ends
+    move it (integrals of 1 - t and t along the piece). `weights` has them for the unsure pixels. Returns the number.
 
-    Moving the piece p(t), ta <= t <= tb, by v(t) changes the pixel's mean winding by the integral of
-    cross(v, dp): the swept area. The edge's ends take their shares (1 - t) and t.
+    A full pixel stays full: its pieces are left out.
     """
-    for k in range(outline.shape[0]):
+    n = 0
+    for p in range(piece_pixel.shape[0]):
+        at = place[piece_pixel[p]] if piece_pixel[p] >= 0 else 0
+        if at > 0:
+            t1, t2 = piece_span[p, 0], piece_span[p, 1]
+            shares[n, 1] = 0.5 * (t2 * t2 - t1 * t1)
+            shares[n, 0] = t2 - t1 - shares[n, 1]
+            owner[n], edge[n] = at - 1, piece_edge[p]
+            n += 1
+        elif at < 0 and weights[p, 0] + weights[p, 1] > 0.0 and coverage[unsure[-1 - at]] < 1.0 - TINY:
+            shares[n, 0], shares[n, 1] = weights[p, 0], weights[p, 1]
+            owner[n], edge[n] = unsure[-1 - at], piece_edge[p]
+            n += 1
+    return n
+
+
+@njit(**LOOP)
+def pull_outline(outline, projected, owner, edge, shares, of_coverage, gradient):
+    """Add to `gradient` (V, 3) of x, y what the pixels' coverage asks of the outline.
+
+    Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. The
+    edge's ends take their shares (1 - t) and t.
+    """
+    for p in range(owner.shape[0]):
+        k = np.uint32(edge[p])
         i, j = outline[k, 0], outline[k, 1]
-        x0, y0 = projected[i, 0], projected[i, 1]
-        dx, dy = projected[j, 0] - x0, projected[j, 1] - y0
-        pieces, t = cut_edge(x0, y0, dx, dy, box, columns, rows, ends)
-        at_start, at_end = 0.0, 0.0
-        for p in range(pieces):
-            t_end = ends[p]
-            if columns[p] >= 0:
-                g = pixel_gradient[rows[p] - box[1], columns[p] - box[0]]
-                second = 0.5 * (t_end * t_end - t * t)
-                at_end += g * second
-                at_start += g * (t_end - t - second)
-            t = t_end
-        gradient[i, 0] -= dy * at_start
-        gradient[i, 1] += dx * at_start
-        gradient[j, 0] -= dy * at_end
-        gradient[j, 1] += dx * at_end
+        g = of_coverage[np.uint32(owner[p])]
+        dx, dy = (projected[j, 0] - projected[i, 0]) * g, (projected[j, 1] - projected[i, 1]) * g
+        gradient[i, 0] -= dy * shares[p, 0]
+        gradient[i, 1] += dx * shares[p, 0]
+        gradient[j, 0] -= dy * shares[p, 1]
+        gradient[j, 1] += dx * shares[p, 1]

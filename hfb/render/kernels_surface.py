@@ -10,47 +10,75 @@ body's colour, and the colour is continuous as the outline passes the centre.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, LOOP
-from hfb.render.kernels_outline import closest_parameter
+from hfb.render.kernels_compile import INLINE, JIT, LOOP
+from hfb.render.kernels_outline import NOTHING, closest_parameter, pack
 
-NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
 
 
 @njit(**LOOP)
-def fill_depth(projected, faces, front, box, nearest, code):
-    """Z-buffer of the front faces over the region: 1/z (0: none) in `nearest`, the face in `code`."""
-    left, top, right, bottom = box[0], box[1], box[2], box[3]
+def find_candidates(projected, faces, front, box, candidates):
+    """Mark the faces that look at the camera (as `find_front`) and list those with a pixel's centre in their bounding
+    box; returns the number of these.
+
+    Without branches: most faces are smaller than a pixel, and whether one holds a centre is a coin flip that no
+    processor predicts.
+    """
+    n = 0
+    left, top, right, bottom = box[0], box[1], box[2] - 1.0, box[3] - 1.0
     for f in range(faces.shape[0]):
-        if not front[f]:
-            continue
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
         x2, y2 = projected[k, 0], projected[k, 1]
-        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
-        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
-        if c_from > c_to:
-            continue
-        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
-        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
-        if r_from > r_to:
-            continue
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        usable = (projected[i, 2] > 0.0) & (projected[j, 2] > 0.0) & (projected[k, 2] > 0.0)
+        front[f] = usable & (area < 0.0)
+        across = np.ceil(max(min(x0, x1, x2) - 0.5, left)) <= min(max(x0, x1, x2) - 0.5, right)
+        down = np.ceil(max(min(y0, y1, y2) - 0.5, top)) <= min(max(y0, y1, y2) - 0.5, bottom)
+        candidates[n] = f
+        n += front[f] & across & down
+    return n
+
+
+@njit(**LOOP)
+def fill_depth(projected, faces, candidates, box, mask, seen):
+    """Let the faces listed compete for the pixels' centres: `seen` (region) keeps the largest 1/z, and the face in
+    the bits of the mask. One number for both, as the larger of two numbers can be taken without a branch."""
+    left, top, right, bottom = box[0], box[1], box[2], box[3]
+    for m in range(candidates.shape[0]):
+        f = candidates[m]
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
+        x2, y2 = projected[k, 0], projected[k, 1]
+        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
         inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
         b1_x, b1_y = (y2 - y0) * inverse, (x0 - x2) * inverse
         b2_x, b2_y = (y0 - y1) * inverse, (x1 - x0) * inverse
-        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
+        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
+        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
+        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
+        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
         for r in range(r_from, r_to + 1):
             py = r + 0.5 - y0
             for c in range(c_from, c_to + 1):
                 px = c + 0.5 - x0
-                b1 = px * b1_x + py * b1_y
-                b2 = px * b2_x + py * b2_y
+                b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
                 b0 = 1.0 - b1 - b2
-                if b0 >= ON_EDGE and b1 >= ON_EDGE and b2 >= ON_EDGE:
-                    depth = b0 * z0 + b1 * z1 + b2 * z2
-                    if depth > nearest[r - top, c - left]:
-                        nearest[r - top, c - left] = depth
-                        code[r - top, c - left] = f
+                inside = -np.int64(min(b0, b1, b2) >= ON_EDGE)
+                mine = pack(b0 * z0 + b1 * z1 + b2 * z2, np.int64(f), mask) & inside
+                seen[r - top, c - left] = max(seen[r - top, c - left], mine)
+
+
+@njit(**JIT)
+def see_faces(projected, faces, box, mask):
+    """Which face that looks at the camera is seen at each pixel's centre: (`seen` of the region, which look at it)."""
+    front = np.zeros(faces.shape[0], np.bool_)
+    seen = np.zeros((box[3] - box[1], box[2] - box[0]), np.int64)
+    if seen.size > 0:
+        candidates = np.empty(faces.shape[0], np.uint32)
+        n = find_candidates(projected, faces, front, box, candidates)
+        fill_depth(projected, faces, candidates[:n], box, mask, seen)
+    return seen, front
 
 
 @njit(**INLINE)
@@ -75,28 +103,27 @@ def face_point(px, py, projected, i, j, k):
 
 
 @njit(**INLINE)
-def uv_of_face(px, py, projected, faces, uv, uv_faces, f):
+def uv_of_face(px, py, projected, faces, uv, f):
     """Texture coordinates seen at a pixel position of face f: perspective-correct."""
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     b0, b1, b2, _, _, _, _ = face_point(px, py, projected, i, j, k)
     w0, w1, w2 = b0 * projected[i, 2], b1 * projected[j, 2], b2 * projected[k, 2]
     scale = 1.0 / (w0 + w1 + w2)
-    a, b, c = uv_faces[f, 0], uv_faces[f, 1], uv_faces[f, 2]
     return (
-        (w0 * uv[a, 0] + w1 * uv[b, 0] + w2 * uv[c, 0]) * scale,
-        (w0 * uv[a, 1] + w1 * uv[b, 1] + w2 * uv[c, 1]) * scale,
+        (w0 * uv[f, 0, 0] + w1 * uv[f, 1, 0] + w2 * uv[f, 2, 0]) * scale,
+        (w0 * uv[f, 0, 1] + w1 * uv[f, 1, 1] + w2 * uv[f, 2, 1]) * scale,
     )
 
 
 @njit(**INLINE)
-def uv_of_edge(px, py, projected, faces, uv, uv_faces, start, end, f):
+def uv_of_edge(px, py, projected, faces, uv, start, end, f):
     """Texture coordinates at the point of an outline edge (of front face f) closest to a pixel position."""
     x0, y0 = projected[start, 0], projected[start, 1]
     t = closest_parameter(px, py, x0, y0, projected[end, 0] - x0, projected[end, 1] - y0)
-    i, j = uv_faces[f, corner_of(faces, f, start)], uv_faces[f, corner_of(faces, f, end)]
+    i, j = corner_of(faces, f, start), corner_of(faces, f, end)
     w0, w1 = (1.0 - t) * projected[start, 2], t * projected[end, 2]
     scale = 1.0 / (w0 + w1)
-    return (w0 * uv[i, 0] + w1 * uv[j, 0]) * scale, (w0 * uv[i, 1] + w1 * uv[j, 1]) * scale
+    return (w0 * uv[f, i, 0] + w1 * uv[f, j, 0]) * scale, (w0 * uv[f, i, 1] + w1 * uv[f, j, 1]) * scale
 
 
 @njit(**INLINE)
@@ -110,7 +137,7 @@ def texel_cell(coordinate, size):
 
 
 @njit(**LOOP)
-def shade(pixels, codes, coverage, width, outline, projected, faces, uv, uv_faces, texture, colours):
+def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, colours):
     """Fill `colours` (n, 4): coverage times the texture (bilinear, clamped at its border), whose 4th channel is 1."""
     size = texture.shape[0]
     step = min(size - 1, 1)
@@ -122,10 +149,10 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, uv_face
         px, py = pixels[m] - row * width + 0.5, row + 0.5
         alpha = min(coverage[m], 1.0)
         if code >= 0:
-            u, v = uv_of_face(px, py, projected, faces, uv, uv_faces, np.uint32(code))
+            u, v = uv_of_face(px, py, projected, faces, uv, np.uint32(code))
         elif code != NOTHING:
             k = np.uint32(~code)
-            u, v = uv_of_edge(px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2])
+            u, v = uv_of_edge(px, py, projected, faces, uv, outline[k, 0], outline[k, 1], outline[k, 2])
         else:
             colours[m, 0], colours[m, 1], colours[m, 2], colours[m, 3] = 0.0, 0.0, 0.0, alpha
             continue
@@ -184,7 +211,7 @@ def sample_gradient(u, v, texture, alpha, g, texture_gradient):
 
 
 @njit(**INLINE)
-def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, texture_gradient, gradient):
+def face_gradient(px, py, projected, faces, uv, f, texture, alpha, g, texture_gradient, gradient):
     """Way back of one pixel that shows face f: returns the pull on alpha, adds those on the corners.
 
     A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of
@@ -193,8 +220,7 @@ def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, 
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     b0, b1, b2, b1_x, b1_y, b2_x, b2_y = face_point(px, py, projected, i, j, k)
     z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
-    a, b, c = uv_faces[f, 0], uv_faces[f, 1], uv_faces[f, 2]
-    u0, v0, u1, v1, u2, v2 = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
+    u0, v0, u1, v1, u2, v2 = uv[f, 0, 0], uv[f, 0, 1], uv[f, 1, 0], uv[f, 1, 1], uv[f, 2, 0], uv[f, 2, 1]
     w0, w1, w2 = b0 * z0, b1 * z1, b2 * z2
     scale = 1.0 / (w0 + w1 + w2)
     u, v = (w0 * u0 + w1 * u1 + w2 * u2) * scale, (w0 * v0 + w1 * v1 + w2 * v2) * scale
@@ -221,22 +247,22 @@ def face_gradient(px, py, projected, faces, uv, uv_faces, f, texture, alpha, g, 
 
 
 @njit(**INLINE)
-def edge_gradient(px, py, projected, faces, uv, uv_faces, start, end, f, texture, alpha, g, texture_gradient, gradient):
+def edge_gradient(px, py, projected, faces, uv, start, end, f, texture, alpha, g, texture_gradient, gradient):
     """Way back of one rim pixel: returns the pull on alpha, adds those on the two ends of its outline edge."""
     x0, y0 = projected[start, 0], projected[start, 1]
     dx, dy = projected[end, 0] - x0, projected[end, 1] - y0
     t = closest_parameter(px, py, x0, y0, dx, dy)
-    i, j = uv_faces[f, corner_of(faces, f, start)], uv_faces[f, corner_of(faces, f, end)]
+    i, j = corner_of(faces, f, start), corner_of(faces, f, end)
+    u0, v0, u1, v1 = uv[f, i, 0], uv[f, i, 1], uv[f, j, 0], uv[f, j, 1]
     z0, z1 = projected[start, 2], projected[end, 2]
     scale = 1.0 / ((1.0 - t) * z0 + t * z1)
     share = t * z1 * scale
-    u = uv[i, 0] + share * (uv[j, 0] - uv[i, 0])
-    v = uv[i, 1] + share * (uv[j, 1] - uv[i, 1])
+    u, v = u0 + share * (u1 - u0), v0 + share * (v1 - v0)
     of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, g, texture_gradient)
     if gradient.shape[0] == 0:
         return of_alpha
     # d share / dt = z0 z1 scale^2
-    difference = (slope_u * (uv[j, 0] - uv[i, 0]) + slope_v * (uv[j, 1] - uv[i, 1])) * scale * scale
+    difference = (slope_u * (u1 - u0) + slope_v * (v1 - v0)) * scale * scale
     gradient[start, 2] -= (1.0 - t) * t * z1 * difference
     gradient[end, 2] += (1.0 - t) * t * z0 * difference
     if 0.0 < t < 1.0:
@@ -252,7 +278,7 @@ def edge_gradient(px, py, projected, faces, uv, uv_faces, start, end, f, texture
 
 @njit(**LOOP)
 def shade_gradient(
-    width, faces, uv, uv_faces, texture, projected, outline, pixels, coverage, codes,
+    width, faces, uv, texture, projected, outline, pixels, coverage, codes,
     picture_gradient, scale, of_coverage, on_screen, texture_gradient,
 ):  # fmt: skip
     """Way back of `shade`: fills the coverage's gradient, adds to the corners' and to the texture's."""
@@ -272,12 +298,12 @@ def shade_gradient(
         )
         if code >= 0:
             of_coverage[m] = face_gradient(
-                px, py, projected, faces, uv, uv_faces, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
+                px, py, projected, faces, uv, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
             )
         elif code != NOTHING:
             k = np.uint32(~code)
             of_coverage[m] = edge_gradient(
-                px, py, projected, faces, uv, uv_faces, outline[k, 0], outline[k, 1], outline[k, 2],
+                px, py, projected, faces, uv, outline[k, 0], outline[k, 1], outline[k, 2],
                 texture, alpha, g, texture_gradient, on_screen,
             )  # fmt: skip
         else:

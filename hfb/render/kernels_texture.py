@@ -5,18 +5,18 @@
 import numpy as np
 
 from hfb.render.kernels_compile import entry
-from hfb.render.kernels_outline import find_front, project
-from hfb.render.kernels_surface import fill_depth, texel_cell, uv_of_face
+from hfb.render.kernels_outline import code_of, mask_for
+from hfb.render.kernels_screen import project
+from hfb.render.kernels_surface import see_faces, texel_cell, uv_of_face
 
 
 @entry
-def paint_charts(uv, uv_faces, owner):
+def paint_charts(uv, owner):
     """Write into `owner` (A, A) the first face whose chart covers each texel's centre."""
     size = owner.shape[0]
-    for f in range(uv_faces.shape[0]):
-        i, j, k = uv_faces[f, 0], uv_faces[f, 1], uv_faces[f, 2]
-        x0, y0, x1, y1 = uv[i, 0] * size, uv[i, 1] * size, uv[j, 0] * size, uv[j, 1] * size
-        x2, y2 = uv[k, 0] * size, uv[k, 1] * size
+    for f in range(uv.shape[0]):
+        x0, y0, x1, y1 = uv[f, 0, 0] * size, uv[f, 0, 1] * size, uv[f, 1, 0] * size, uv[f, 1, 1] * size
+        x2, y2 = uv[f, 2, 0] * size, uv[f, 2, 1] * size
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if area == 0.0:
             continue
@@ -30,23 +30,18 @@ def paint_charts(uv, uv_faces, owner):
 
 
 @entry
-def mark_seen(vertices, lens, faces, uv, uv_faces, seen):
+def mark_seen(vertices, lens, faces, uv, seen):
     """Set `seen` (A, A) where the body's visible points take their colour from."""
     size = seen.shape[0]
-    projected, front = np.empty((vertices.shape[0], 3), np.float64), np.empty(faces.shape[0], np.bool_)
-    box = np.empty(4, np.int64)
+    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 3), np.float64)
     project(vertices, lens, 0.0, projected, box)
-    if box[0] >= box[2]:
-        return
-    find_front(projected, faces, front)
-    nearest = np.zeros((box[3] - box[1], box[2] - box[0]), np.float64)
-    code = np.empty(nearest.shape, np.int32)
-    fill_depth(projected, faces, front, box, nearest, code)
+    mask = mask_for(faces, faces)
+    nearest, _ = see_faces(projected, faces, box, mask)
     for r in range(nearest.shape[0]):
         for c in range(nearest.shape[1]):
-            if nearest[r, c] > 0.0:
-                f = np.uint32(code[r, c])
-                u, v = uv_of_face(c + box[0] + 0.5, r + box[1] + 0.5, projected, faces, uv, uv_faces, f)
+            if nearest[r, c] > 0:
+                f = np.uint32(code_of(nearest[r, c], mask))
+                u, v = uv_of_face(c + box[0] + 0.5, r + box[1] + 0.5, projected, faces, uv, f)
                 column, _, _ = texel_cell(u, size)
                 row, _, _ = texel_cell(v, size)
                 after_column, after_row = min(column + 1, size - 1), min(row + 1, size - 1)

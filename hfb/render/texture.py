@@ -33,13 +33,17 @@ def sample_texture(texture: Float[Tensor, "A A 3"], uv: Float[Tensor, "n 2"]) ->
     return (1 - below) * upper + below * lower
 
 
+def corner_uv(mesh: Mesh) -> Float[Tensor, "F 3 2"]:
+    """Texture coordinates of each face's corners."""
+    return mesh.uv.detach()[mesh.uv_faces.long()]
+
+
 def texel_faces(mesh: Mesh, size: int) -> Int[Tensor, "A A"]:
     """For each texel of an A x A texture the face whose chart covers its centre; -1 in the void between charts."""
     from hfb.render.kernels_texture import paint_charts
 
     owner = np.full((size, size), -1, np.int32)
-    uv = mesh.uv.detach().double().numpy()
-    paint_charts(uv, mesh.uv_faces.to(torch.int32).numpy(), owner)
+    paint_charts(corner_uv(mesh).double().numpy(), owner)
     return torch.from_numpy(owner)
 
 
@@ -51,10 +55,9 @@ def visible_texels(
 
     seen = np.zeros((size, size), np.bool_)
     view = np.array([camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height], np.float64)
-    faces, uv_faces = (table.to(torch.int32).numpy() for table in (mesh.faces, mesh.uv_faces))
-    uv = mesh.uv.detach().double().numpy()
+    faces, uv = mesh.faces.to(torch.int32).numpy().view(np.uint32), corner_uv(mesh).double().numpy()
     for body in vertices.detach().contiguous().numpy():
-        mark_seen(body, view, faces, uv, uv_faces, seen)
+        mark_seen(body, view, faces, uv, seen)
     return torch.from_numpy(seen)
 
 

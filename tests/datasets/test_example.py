@@ -47,7 +47,8 @@ def test_the_motion_renders_to_its_silhouettes(example: ExamplePaths) -> None:
         torch.from_numpy(truth.motion.joints[[0, 30]]), atol=1e-5, rtol=0,
     )  # fmt: skip
     scores = truth_scores(truth.motion, truth, body, rasterizer)
-    assert scores["iou"] > 0.999 and scores["mpjpe_mm"] < 1e-3
+    assert scores["iou"] > 0.999
+    assert scores["mpjpe_mm"] < 1e-3
 
 
 def test_a_motion_without_silhouettes_is_no_truth(example: ExamplePaths, tmp_path: Path) -> None:

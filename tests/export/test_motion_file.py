@@ -34,7 +34,7 @@ def test_round_trip(tmp_path: Path) -> None:
         assert all(file[name].dtype != object for name in file.files)
 
 
-@pytest.mark.parametrize("content", (b"", b"not a zip", b"PK\x03\x04broken"))
+@pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04broken"])
 def test_damaged_files_are_said_so(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "motion.npz"
     path.write_bytes(content)

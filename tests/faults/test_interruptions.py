@@ -18,7 +18,7 @@ from flows.fit_image import fit_image
 from hfb.config import RunConfig, FitConfig, Stage
 from tasks import progress
 frame, plate, first, out = map(Path, sys.argv[1:])
-config = RunConfig(fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=400),)))
+config = RunConfig(fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)))
 with progress.showing(progress.Plain(sys.stderr, first_s=0.05)):
     fit_image([frame], plate, out, config, first_bodies=[first])
 """

@@ -12,8 +12,8 @@ from hfb.motion.trajectory import trajectory_at_rest
 from hfb.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
 from hfb.render.texture import texel_faces
+from hfb.rotations import axis_angle_to_matrix
 from tests.scenes import moving_scene
 
 PARAMETERS = ("rotation", "translation", "betas", "texture")
@@ -34,7 +34,13 @@ def objective_and_leaves(kind: str, silhouette: str, backend: str) -> tuple[Obje
     )
     texels = texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, 16))
     objective = Objective(
-        seen, body, make_rasterizer(silhouette, backend, 1), AnatomicalPrior(), EVERY_TERM, subframes=3, texels=texels,
+        seen,
+        body,
+        make_rasterizer(silhouette, backend, 1),
+        AnatomicalPrior(),
+        EVERY_TERM,
+        subframes=3,
+        texels=texels,
         first=axis_angle_to_matrix(torch.stack([first.pose for first in scene.middle]).double()),
     )
     generator = torch.Generator().manual_seed(5)
@@ -58,15 +64,19 @@ def objective_and_leaves(kind: str, silhouette: str, backend: str) -> tuple[Obje
 
 
 def loss_of(objective: Objective, kind: str, leaves: dict[str, torch.Tensor]) -> torch.Tensor:
-    still = trajectory_at_rest(leaves["rotation"][:, 0, :, :3].detach(), leaves["translation"][:, 0, :3].detach(), 2, kind)
-    trajectory = replace(still, anchor=torch.tensor([[0.0, 0.1, 3.4]] * 2, dtype=torch.float64) if kind != "quaternion" else still.anchor)
+    still = trajectory_at_rest(
+        leaves["rotation"][:, 0, :, :3].detach(), leaves["translation"][:, 0, :3].detach(), 2, kind
+    )
+    trajectory = replace(
+        still, anchor=torch.tensor([[0.0, 0.1, 3.4]] * 2, dtype=torch.float64) if kind != "quaternion" else still.anchor
+    )
     trajectory = trajectory.with_coefficients(leaves["rotation"], leaves["translation"])
     return objective.total(objective.terms(trajectory, leaves["betas"], leaves["texture"]))
 
 
-@pytest.mark.parametrize("kind", ("quaternion", "axis-angle"))
-@pytest.mark.parametrize("silhouette", ("coverage", "dibr"))
-@pytest.mark.parametrize("backend", ("cpu", "reference"))
+@pytest.mark.parametrize("kind", ["quaternion", "axis-angle"])
+@pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_gradients_match_finite_differences(kind: str, silhouette: str, backend: str) -> None:
     objective, leaves = objective_and_leaves(kind, silhouette, backend)
     loss = loss_of(objective, kind, leaves)

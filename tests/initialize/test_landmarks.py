@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from hfb.initialize import landmarks
+from hfb.initialize import initializer, landmarks
+from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import make_initializer
 from hfb.initialize.landmarks import LANDMARK, PoseNetworks, Region, cut_region, networks_ready
 from hfb.initialize.person_landmarks import draw_stick_figure, find_landmarks
@@ -76,12 +78,14 @@ def test_a_real_blurred_walk(shared_data: Path) -> None:
 
 
 @needs_networks
-def test_an_empty_room_has_no_person() -> None:
+def test_an_empty_room_falls_back_to_the_matte(monkeypatch: pytest.MonkeyPatch) -> None:
     room = np.random.default_rng(0).random((120, 160, 3)).astype(np.float32) * 0.1 + 0.4
     matte = np.zeros((120, 160), np.float32)
     matte[40:80, 60:90] = 1
     found = find_landmarks(PoseNetworks(), room, matte)
     assert found is None or found[1] < 0.35
+    searched = FirstBody(torch.zeros(24, 3), torch.zeros(3), torch.zeros(10), "matte")
+    monkeypatch.setattr(initializer, "search_by_matte", lambda *_: (searched, 0.5))
     camera = PinholeCamera.from_focal(200.0, 120, 160)
     first = make_initializer(InitConfig(method="auto"))(room, room, matte, camera, load_default_body())
-    assert first.source == "matte"
+    assert first is searched

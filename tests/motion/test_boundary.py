@@ -23,7 +23,7 @@ def split_quadratic(interval_u: float) -> Trajectory:
     return trajectory.with_coefficients(trajectory.rotation, translation)
 
 
-@pytest.mark.parametrize("interval_u", (1.0, 1.4))
+@pytest.mark.parametrize("interval_u", [1.0, 1.4])
 def test_a_continuing_motion_costs_nothing(interval_u: float) -> None:
     shaped = load_default_body(torch.float64).shape(torch.zeros(10, dtype=torch.float64))
     trajectory = split_quadratic(interval_u)

@@ -31,7 +31,8 @@ def moving(trajectory: Trajectory, seed: int = 1, size: float = 0.2) -> Trajecto
 @given(st.integers(2, 64))
 def test_the_clock_covers_the_exposure_evenly(subframes: int) -> None:
     u = subframe_clock(subframes, torch.float64).numpy()
-    assert u[0] == 0 and u[-1] == 1
+    assert u[0] == 0
+    assert u[-1] == 1
     np.testing.assert_allclose(np.diff(u), 1 / (subframes - 1))
 
 
@@ -59,7 +60,7 @@ def test_at_rest_every_subframe_is_the_first_body(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("origin", (0.0, 0.5))
+@pytest.mark.parametrize("origin", [0.0, 0.5])
 def test_rotations_are_rotations(kind: str, origin: float) -> None:
     trajectory = moving(trajectory_at_rest(*random_poses(2), 3, kind, origin))
     rotations, _ = trajectory.at(subframe_clock(6, torch.float64))

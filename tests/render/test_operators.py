@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from hfb.render import cpu
+from hfb.render import operators
 from hfb.render.camera import PinholeCamera
+from hfb.render.cpu import CpuRasterizer
 from hfb.render.rasterizer import make_rasterizer
 from tests.render.bodies import at, ball, smooth_texture
 
@@ -18,8 +19,8 @@ def test_operators_are_well_formed(silhouette: str, textured: bool) -> None:
     vertices, mesh = ball(subdivisions=1)
     body = torch.cat([at(vertices, 0.1, 0, 2.0), at(vertices, 0.2, 0, 2.0)]).requires_grad_()
     texture = smooth_texture(8).requires_grad_() if textured else None
-    arguments = cpu.CpuRasterizer(silhouette, 1).arguments(body, texture, CAMERA, mesh, True)
-    torch.library.opcheck(cpu.draw, arguments, test_utils=CHECKS)
+    arguments = CpuRasterizer(silhouette, 1).arguments(body, texture, CAMERA, mesh, True)
+    torch.library.opcheck(operators.draw, arguments, test_utils=CHECKS)
 
 
 def test_a_texture_that_is_not_fitted_costs_no_gradient() -> None:
