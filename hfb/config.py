@@ -135,7 +135,7 @@ _BEST = FitConfig(
         Stage(size_px=128, iterations=70),
         Stage(size_px=256, iterations=70, cosine=True),
     ),
-    weights=Weights(image=30, matte=2, pose=0.05, shape=0.002, motion=0.015, boundary=1, start=0.3),
+    weights=Weights(image=30, matte=2, pose=0.03, shape=0.002, motion=0.01, boundary=1, start=0.5),
 )
 
 
