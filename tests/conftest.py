@@ -6,6 +6,7 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from hypothesis import settings
 from jaxtyping import install_import_hook
 
 import hfb
@@ -17,3 +18,7 @@ _LEAVES = [
     if not module.ispkg and "kernels" not in module.name
 ]
 install_import_hook(_LEAVES, "tests.typechecking.checked")
+
+# A first call compiles kernels or waits for a busy machine: how long a case takes is no matter of right or wrong.
+settings.register_profile("hfb", deadline=None, derandomize=True)
+settings.load_profile("hfb")
