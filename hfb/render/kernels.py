@@ -13,10 +13,10 @@ import numpy as np
 from numba import njit
 
 from hfb.render.kernels_compile import JIT, LOOP, entry, loop_entry
-from hfb.render.kernels_outline import collect, count_pieces, mask_for, pull_outline, weigh_pieces, wind_outline
+from hfb.render.kernels_outline import collect, count_pieces, pull_outline, weigh_pieces, wind_outline
 from hfb.render.kernels_overlap import chain_pieces, resolve
-from hfb.render.kernels_screen import find_front, find_outline, project, to_metres
-from hfb.render.kernels_surface import see_faces, shade, shade_gradient
+from hfb.render.kernels_screen import find_front, find_outline, mask_for, project, see_faces, to_metres
+from hfb.render.kernels_surface import shade, shade_gradient
 
 
 @njit(**JIT)

@@ -14,33 +14,10 @@ import numpy as np
 from numba import njit
 
 from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.render.kernels_screen import code_of, pack
 
-NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
 GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8, 16, 32)  # what a pixel's outline does
-
-
-@njit(**INLINE)
-def mask_for(faces, edges):
-    """Bits that hold any index of a face or an edge."""
-    mask = 1
-    while mask < faces.shape[0] or mask < edges.shape[0]:
-        mask *= 2
-    return mask - 1
-
-
-@njit(**INLINE)
-def pack(value, index, mask):
-    """A positive number and, in its last bits, an index: ordered as the numbers are (to some 11 digits)."""
-    return (np.float64(value).view(np.int64) & ~mask) | index
-
-
-@njit(**INLINE)
-def code_of(seen, mask):
-    """What a pixel shows: a face f as f, the outline edge k as ~k."""
-    if seen > 0:
-        return seen & mask
-    return ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
 
 
 @njit(**LOOP)

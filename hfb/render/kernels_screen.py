@@ -1,4 +1,5 @@
-"""Compiled parts: vertices on the screen, and the outline of the faces that look at the camera.
+"""Compiled parts: vertices on the screen, which face is seen at each pixel's centre, and the outline of those that
+look at the camera.
 
 Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right, bottom) in whole pixels; `lens` is
 (fx, fy, cx, cy, nearest depth used, width, height).
@@ -9,9 +10,34 @@ Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right,
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import LOOP
+from hfb.render.kernels_compile import INLINE, JIT, LOOP
 
+NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
+ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
 FAR_PX = 1e9  # a corner projected farther out than this is not used
+
+
+@njit(**INLINE)
+def mask_for(faces, edges):
+    """Bits that hold any index of a face or an edge."""
+    mask = 1
+    while mask < faces.shape[0] or mask < edges.shape[0]:
+        mask *= 2
+    return mask - 1
+
+
+@njit(**INLINE)
+def pack(value, index, mask):
+    """A positive number and, in its last bits, an index: ordered as the numbers are (to some 11 digits)."""
+    return (np.float64(value).view(np.int64) & ~mask) | index
+
+
+@njit(**INLINE)
+def code_of(seen, mask):
+    """What a pixel shows: a face f as f, the outline edge k as ~k."""
+    if seen > 0:
+        return seen & mask
+    return ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
 
 
 @njit(**LOOP)
@@ -75,7 +101,7 @@ def find_outline(front, edge_vertices, edge_faces, outline):
     for e in range(edge_faces.shape[0]):
         first, second = edge_faces[e, 0], edge_faces[e, 1]
         is_first = front[first]
-        is_second = front[second] if second >= 0 else False
+        is_second = front[second] if second < front.shape[0] else False
         if is_first != is_second:
             if is_first:
                 outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 0], edge_vertices[e, 1], first
@@ -83,3 +109,68 @@ def find_outline(front, edge_vertices, edge_faces, outline):
                 outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 1], edge_vertices[e, 0], second
             n += 1
     return n
+
+
+@njit(**LOOP)
+def find_candidates(projected, faces, front, box, candidates):
+    """Mark the faces that look at the camera (as `find_front`) and list those with a pixel's centre in their bounding
+    box; returns the number of these.
+
+    Without branches: most faces are smaller than a pixel, and whether one holds a centre is a coin flip that no
+    processor predicts.
+    """
+    n = 0
+    left, top, right, bottom = box[0], box[1], box[2] - 1.0, box[3] - 1.0
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
+        x2, y2 = projected[k, 0], projected[k, 1]
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        usable = (projected[i, 2] > 0.0) & (projected[j, 2] > 0.0) & (projected[k, 2] > 0.0)
+        front[f] = usable & (area < 0.0)
+        across = np.ceil(max(min(x0, x1, x2) - 0.5, left)) <= min(max(x0, x1, x2) - 0.5, right)
+        down = np.ceil(max(min(y0, y1, y2) - 0.5, top)) <= min(max(y0, y1, y2) - 0.5, bottom)
+        candidates[n] = f
+        n += front[f] & across & down
+    return n
+
+
+@njit(**LOOP)
+def fill_depth(projected, faces, candidates, box, mask, seen):
+    """Let the faces listed compete for the pixels' centres: `seen` (region) keeps the largest 1/z, and the face in
+    the bits of the mask. One number for both, as the larger of two numbers can be taken without a branch."""
+    left, top, right, bottom = box[0], box[1], box[2], box[3]
+    for m in range(candidates.shape[0]):
+        f = candidates[m]
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
+        x2, y2 = projected[k, 0], projected[k, 1]
+        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
+        inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+        b1_x, b1_y = (y2 - y0) * inverse, (x0 - x2) * inverse
+        b2_x, b2_y = (y0 - y1) * inverse, (x1 - x0) * inverse
+        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
+        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
+        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
+        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
+        for r in range(r_from, r_to + 1):
+            py = r + 0.5 - y0
+            for c in range(c_from, c_to + 1):
+                px = c + 0.5 - x0
+                b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
+                b0 = 1.0 - b1 - b2
+                inside = -np.int64(min(b0, b1, b2) >= ON_EDGE)
+                mine = pack(b0 * z0 + b1 * z1 + b2 * z2, np.int64(f), mask) & inside
+                seen[r - top, c - left] = max(seen[r - top, c - left], mine)
+
+
+@njit(**JIT)
+def see_faces(projected, faces, box, mask):
+    """Which face that looks at the camera is seen at each pixel's centre: (`seen` of the region, which look at it)."""
+    front = np.zeros(faces.shape[0], np.bool_)
+    seen = np.zeros((box[3] - box[1], box[2] - box[0]), np.int64)
+    if seen.size > 0:
+        candidates = np.empty(faces.shape[0], np.uint32)
+        n = find_candidates(projected, faces, front, box, candidates)
+        fill_depth(projected, faces, candidates[:n], box, mask, seen)
+    return seen, front

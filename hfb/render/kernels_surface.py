@@ -1,4 +1,4 @@
-"""Compiled parts: which face is seen at each pixel's centre, its texture colour, and the way back.
+"""Compiled parts: the texture's colour at each pixel, and the way back.
 
 The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body
 but the pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the
@@ -10,75 +10,9 @@ body's colour, and the colour is continuous as the outline passes the centre.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, JIT, LOOP
-from hfb.render.kernels_outline import NOTHING, closest_parameter, pack
-
-ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
-
-
-@njit(**LOOP)
-def find_candidates(projected, faces, front, box, candidates):
-    """Mark the faces that look at the camera (as `find_front`) and list those with a pixel's centre in their bounding
-    box; returns the number of these.
-
-    Without branches: most faces are smaller than a pixel, and whether one holds a centre is a coin flip that no
-    processor predicts.
-    """
-    n = 0
-    left, top, right, bottom = box[0], box[1], box[2] - 1.0, box[3] - 1.0
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
-        x2, y2 = projected[k, 0], projected[k, 1]
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        usable = (projected[i, 2] > 0.0) & (projected[j, 2] > 0.0) & (projected[k, 2] > 0.0)
-        front[f] = usable & (area < 0.0)
-        across = np.ceil(max(min(x0, x1, x2) - 0.5, left)) <= min(max(x0, x1, x2) - 0.5, right)
-        down = np.ceil(max(min(y0, y1, y2) - 0.5, top)) <= min(max(y0, y1, y2) - 0.5, bottom)
-        candidates[n] = f
-        n += front[f] & across & down
-    return n
-
-
-@njit(**LOOP)
-def fill_depth(projected, faces, candidates, box, mask, seen):
-    """Let the faces listed compete for the pixels' centres: `seen` (region) keeps the largest 1/z, and the face in
-    the bits of the mask. One number for both, as the larger of two numbers can be taken without a branch."""
-    left, top, right, bottom = box[0], box[1], box[2], box[3]
-    for m in range(candidates.shape[0]):
-        f = candidates[m]
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
-        x2, y2 = projected[k, 0], projected[k, 1]
-        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
-        inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
-        b1_x, b1_y = (y2 - y0) * inverse, (x0 - x2) * inverse
-        b2_x, b2_y = (y0 - y1) * inverse, (x1 - x0) * inverse
-        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
-        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
-        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
-        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
-        for r in range(r_from, r_to + 1):
-            py = r + 0.5 - y0
-            for c in range(c_from, c_to + 1):
-                px = c + 0.5 - x0
-                b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
-                b0 = 1.0 - b1 - b2
-                inside = -np.int64(min(b0, b1, b2) >= ON_EDGE)
-                mine = pack(b0 * z0 + b1 * z1 + b2 * z2, np.int64(f), mask) & inside
-                seen[r - top, c - left] = max(seen[r - top, c - left], mine)
-
-
-@njit(**JIT)
-def see_faces(projected, faces, box, mask):
-    """Which face that looks at the camera is seen at each pixel's centre: (`seen` of the region, which look at it)."""
-    front = np.zeros(faces.shape[0], np.bool_)
-    seen = np.zeros((box[3] - box[1], box[2] - box[0]), np.int64)
-    if seen.size > 0:
-        candidates = np.empty(faces.shape[0], np.uint32)
-        n = find_candidates(projected, faces, front, box, candidates)
-        fill_depth(projected, faces, candidates[:n], box, mask, seen)
-    return seen, front
+from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.render.kernels_outline import closest_parameter
+from hfb.render.kernels_screen import NOTHING
 
 
 @njit(**INLINE)

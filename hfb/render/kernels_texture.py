@@ -5,9 +5,8 @@
 import numpy as np
 
 from hfb.render.kernels_compile import entry
-from hfb.render.kernels_outline import code_of, mask_for
-from hfb.render.kernels_screen import project
-from hfb.render.kernels_surface import see_faces, texel_cell, uv_of_face
+from hfb.render.kernels_screen import code_of, mask_for, project, see_faces
+from hfb.render.kernels_surface import texel_cell, uv_of_face
 
 
 @entry

@@ -17,13 +17,12 @@ TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the
 PARTS = 8  # tensors kept of each body: its trace (see `kernels`) and its pixels' codes
 
 
-def _indices(topology: Sequence[Tensor]) -> tuple[Array, Array, Array]:
-    """Faces, edges, and the edges' faces; unsigned but for the last, where -1 is none.
+def _indices(topology: Sequence[Tensor]) -> list[Array]:
+    """Faces, edges, and the edges' faces, unsigned (-1, no face, becomes the largest number).
 
     Unsigned because numba tests every signed index for being negative.
     """
-    faces, edge_vertices, edge_faces = (table.numpy() for table in topology)
-    return faces.view(np.uint32), edge_vertices.view(np.uint32), edge_faces
+    return [table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology]
 
 
 @torch.library.custom_op("hfb::draw", mutates_args=())
@@ -35,7 +34,8 @@ def draw(
 
     Args:
         vertices: (S, V, 3) [m]. texture: (A, A, 4), linear RGB and ones; with A = 0 only silhouettes are drawn.
-        uv: (F, 3, 2), of the faces' corners. topology: int32 tables faces, edge_vertices, edge_faces of the mesh.
+        uv: (F, 3, 2), of the faces' corners. topology: tables faces, edge_vertices, edge_faces of the mesh, int16
+            (read as unsigned) where that holds them, else int32.
         lens: fx, fy, cx, cy, nearest depth used, width, height. soft: DIB-R's 1 / delta [1/px^2], reach [px] and
             number of faces; zeros for exact coverage.
         mean: average the pictures. threads: to draw with.
@@ -90,7 +90,9 @@ def _(
     soft: Sequence[float], mean: bool, threads: int,
 ) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
     context, coloured = torch.library.get_ctx(), texture.shape[0] > 0
-    whole = topology[0].new_empty
+
+    def whole(*size: int | torch.SymInt) -> Tensor:
+        return vertices.new_empty(*size, dtype=torch.int32)
 
     def real(*size: int | torch.SymInt) -> Tensor:
         return vertices.new_empty(*size, dtype=torch.float64)
@@ -99,7 +101,12 @@ def _(
     for _ in range(len(vertices)):
         edges, pixels, pieces = (context.new_dynamic_size() for _ in range(3))
         kept += [real(vertices.shape[1], 3), whole(edges, 3), whole(pixels), real(pixels)]
-        kept += [whole(pieces), whole(pieces), real(pieces, 2), whole(pixels if coloured else 0)]
+        kept += [
+            whole(pieces),
+            whole(pieces),
+            real(pieces) if soft[0] > 0 else real(pieces, 2),
+            whole(pixels if coloured else 0),
+        ]
     size = 1 if mean else len(vertices), int(lens[6]), int(lens[5]), 4 if coloured else 1
     return vertices.new_empty(*size), kept
 

@@ -6,7 +6,7 @@ import torch
 from hfb.body.mesh import Mesh
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
-from tests.render.bodies import at, ball, people, person_mesh, smooth_texture, two_balls
+from tests.render.bodies import at, ball, box, limb, people, person_mesh, smooth_texture, two_balls
 
 CAMERA = PinholeCamera.from_focal(80.0, 64, 56)
 
@@ -82,6 +82,31 @@ def test_the_silhouette_alone_has_the_same_gradient(silhouette) -> None:
         gradients.append(body.grad)
     assert_same_direction_and_size(gradients[1], gradients[0], 1e-12)
     assert_same_direction_and_size(gradients[2], gradients[0], 1e-12)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
+def test_any_scene_agrees_with_the_reference(silhouette: str, seed: int) -> None:
+    """Turned solids anywhere, also around and behind the lens, in pictures of any size from one pixel on."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float) -> float:
+        return low + (high - low) * torch.rand((), generator=generator).item()
+
+    vertices, mesh = (ball(0.5, 1), box((0.3, 0.6, 0.2)), limb(), two_balls())[seed % 4]
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))[0]
+    turned = vertices @ (turn * torch.det(turn).sign()).T
+    bodies = torch.cat([at(turned, uniform(-0.5, 0.5), uniform(-0.5, 0.5), uniform(-0.3, 3.0)) for _ in range(3)])
+    height, width, focal = int(uniform(1, 30)), int(uniform(1, 30)), 3 * 130 ** uniform(0, 1)
+    camera = PinholeCamera(focal, 1.1 * focal, uniform(-5, width + 5), uniform(-5, height + 5), height, width)
+    results = []
+    for backend in ("cpu", "reference"):
+        leaf = bodies.clone().requires_grad_()
+        picture = make_rasterizer(silhouette, backend, 1).render_mean(leaf, smooth_texture(16), camera, mesh)
+        (picture * torch.linspace(0, 1, picture.numel(), dtype=torch.float64).view_as(picture)).sum().backward()
+        results.append((picture.detach(), leaf.grad))
+    for found, expected in zip(*results, strict=True):
+        assert (found - expected).norm() <= 1e-9 * expected.norm() + 1e-12
 
 
 def slope(loss, vertices: torch.Tensor, direction: torch.Tensor, step: float) -> float:
