@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flows import summary
+from flows import judging, summary
 from flows.options import add_config_flags, run_config
 from hfb import __version__
 from hfb.errors import InputError
@@ -64,6 +64,22 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = _command(commands, "demo", _demo, "the whole chain on an example with known truth")
     add_config_flags(demo)
+
+    synth = _command(commands, "synth", _synth, "write the cases of a set: pictures, and what happened")
+    synth.add_argument("set", choices=judging.SETS, help="which set")
+    synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
+    judging.add_set_flags(synth)
+
+    benchmark = _command(commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots")
+    benchmark.add_argument("set", choices=judging.SETS, help="which set")
+    benchmark.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
+    judging.add_set_flags(benchmark)
+    judging.add_method_flags(benchmark)
+
+    reproduce = _command(commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers")
+    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a file of infra/experiments, by name")
+    judging.add_set_flags(reproduce, count=None)
+    judging.add_method_flags(reproduce, methods=None)
 
     models = _command(commands, "models", _models, "the pose networks: what is there, and get the rest", seeded=True)
     models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
@@ -122,6 +138,71 @@ def _demo(given: argparse.Namespace) -> None:
 
     result = _through_prefect(given, out, load)
     _report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+
+
+def _synth(given: argparse.Namespace) -> None:
+    spec = judging.set_spec(given, given.frames)
+    out = given.out or Path("runs") / f"{given.set}-cases"
+
+    def load() -> Chain:
+        from flows.benchmark import run_synthesis
+
+        return _when_ready(lambda: run_synthesis(spec, given.count, out, given.workers))
+
+    result = _through_prefect(given, out, load)
+    _tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
+
+
+def _benchmark(given: argparse.Namespace) -> None:
+    out = given.out or Path("runs") / given.set
+    _tell_benchmark(given, _benchmarked(given, given.frames, out))
+
+
+def _reproduce(given: argparse.Namespace) -> None:
+    from hfb.evaluate.experiments import beside_paper
+    from hfb.media.atomic import write_bytes_atomic
+
+    experiment = judging.experiment_of(given.experiment)
+    given.set, given.fill = experiment.set, experiment.fill
+    given.count = given.count or experiment.count
+    given.methods = given.methods or ",".join(experiment.methods)
+    out = given.out or Path("runs") / given.experiment
+    result = _benchmarked(given, experiment.frames, out)
+    text = beside_paper(experiment, result)
+    write_bytes_atomic(out / "beside_paper.md", text.encode())
+    _tell(given, result, text)
+
+
+def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str, Any]:
+    judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
+    judging.set_spec(given, frames)
+
+    def load() -> Chain:
+        from flows.benchmark import run_benchmark
+
+        plan = judging.plan_of(given, frames)
+        return _when_ready(lambda: run_benchmark(plan, out, given.workers))
+
+    return _through_prefect(given, out, load)
+
+
+def _when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
+    def chain(ready: Callable[[], None]) -> dict[str, Any]:
+        ready()
+        return work()
+
+    return chain
+
+
+def _tell_benchmark(given: argparse.Namespace, result: dict[str, Any]) -> None:
+    _tell(given, result, judging.benchmark_text(result))
+
+
+def _tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
+    if given.json:
+        print(json.dumps(result))
+    elif not given.quiet:
+        print(text)
 
 
 def _models(given: argparse.Namespace) -> None:

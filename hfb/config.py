@@ -42,7 +42,7 @@ class ExposureConfig(Record):
 class MattingConfig(Record):
     """How the person's share of each pixel is found."""
 
-    method: Literal["known-background"] = Field("known-background", description="matting method")
+    method: Literal["known-background", "network"] = Field("known-background", description="matting method")
 
 
 class InitConfig(Record):

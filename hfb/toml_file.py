@@ -2,6 +2,7 @@
 
 import difflib
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,6 +42,15 @@ def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> Re
         return record.model_validate(content)
     except ValidationError as error:
         raise InputError(f"{source}: {_sentence(error.errors()[0], record)}") from error
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain content with some entries, at any depth, replaced by others."""
+    content = dict(base)
+    for key, value in over.items():
+        old = content.get(key)
+        content[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return content
 
 
 def _sentence(error: ErrorDetails, record: type[BaseModel]) -> str:

@@ -7,10 +7,11 @@ from hfb.config import FitConfig
 from hfb.datasets.truth import load_truth
 from hfb.evaluate.protocol import at_rest, picture_scores, reblur, truth_scores
 from hfb.export.motion_file import load_motion
+from hfb.initialize.first_body import load_first_body
 from hfb.media.atomic import write_bytes_atomic
 from hfb.render.rasterizer import make_rasterizer
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
-from tasks.scene import load_chosen_body, load_first_body, load_observation, load_texture
+from tasks.scene import load_chosen_body, load_observation, load_texture
 from tasks.task import task
 
 
@@ -29,7 +30,7 @@ def evaluate(
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
     fitted, _ = load_motion(fit.motion.path)
-    still = at_rest([load_first_body(first) for first in first_bodies], fitted, model)
+    still = at_rest([load_first_body(first.path) for first in first_bodies], fitted, model)
     texture = load_texture(fit.texture)
     scores: dict[str, float] = {}
     known = load_truth(truth.path) if truth else None

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from hfb.config import InitConfig
-from hfb.export.motion_file import write_arrays
+from hfb.initialize.first_body import load_first_body, save_first_body
 from hfb.initialize.initializer import make_initializer
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.scene import first_body_arrays, load_chosen_body, load_first_body, load_observation
+from tasks.scene import load_chosen_body, load_observation
 from tasks.task import task
 
 
@@ -33,10 +33,10 @@ def first_body(
         seen.frames_linear[index], seen.plate_linear, seen.mattes[index], seen.camera, load_chosen_body(body)
     )
     path = folder / f"first_body_{index}.npz"
-    write_arrays(path, first_body_arrays(found))
+    save_first_body(path, found)
     return FirstBodyHandle.of(path, source=found.source)
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:
     """A first body that the caller brought."""
-    return FirstBodyHandle(**file.model_dump(), source=load_first_body(file).source)
+    return FirstBodyHandle(**file.model_dump(), source=load_first_body(file.path).source)

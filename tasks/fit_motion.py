@@ -6,12 +6,13 @@ from pathlib import Path
 from hfb.config import FitConfig
 from hfb.export.motion_file import save_motion, write_arrays
 from hfb.fit.loop import fit
+from hfb.initialize.first_body import load_first_body
 from hfb.media.atomic import write_bytes_atomic
 from hfb.media.pictures import write_png
 from hfb.priors.load import load_pose_prior
 from tasks import progress
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle
-from tasks.scene import load_chosen_body, load_first_body, load_observation
+from tasks.scene import load_chosen_body, load_observation
 from tasks.task import task
 
 
@@ -30,7 +31,7 @@ def fit_motion(
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     result = fit(
         observation,
-        [load_first_body(first) for first in first_bodies],
+        [load_first_body(first.path) for first in first_bodies],
         model,
         config,
         seed,

@@ -65,7 +65,7 @@ def take_inputs(
         pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
         truth=input_file(truth) if truth else None,
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
-        networks=_networks_at_hand() if config.init.method != "matte" and not first_bodies else (),
+        networks=networks_at_hand() if config.init.method != "matte" and not first_bodies else (),
     )
 
 
@@ -81,7 +81,7 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
     return assumed
 
 
-def _networks_at_hand() -> tuple[FileHandle, ...]:
+def networks_at_hand() -> tuple[FileHandle, ...]:
     """The pose networks that `hfb models` has fetched: with new ones the first bodies are estimated again."""
     found = (network_path(network) for network in NETWORKS)
     return tuple(FileHandle.of(path) for path in found if path is not None)

@@ -8,7 +8,6 @@ from torch import Tensor
 
 from hfb.body.assets import load_body
 from hfb.body.model import Body
-from hfb.initialize.first_body import FirstBody
 from hfb.media.pictures import read_matte, read_picture_srgb
 from hfb.observation import Observation
 from hfb.photometry import linear_to_srgb, srgb_to_linear
@@ -50,19 +49,3 @@ def load_texture(texture: FileHandle) -> Tensor:
     """The fitted texture (A, A, 3), in the clip's light."""
     with np.load(texture.path, allow_pickle=False) as file:
         return torch.from_numpy(file["texture"])
-
-
-def first_body_arrays(first: FirstBody) -> dict[str, np.ndarray]:
-    """The members of a first-body file."""
-    return {
-        "pose": first.pose.double().numpy(),
-        "translation": first.translation.double().numpy(),
-        "betas": first.betas.double().numpy(),
-        "source": np.array(first.source),
-    }
-
-
-def load_first_body(first: FileHandle) -> FirstBody:
-    with np.load(first.path, allow_pickle=False) as file:
-        numbers = {name: torch.from_numpy(file[name]).float() for name in ("pose", "translation", "betas")}
-        return FirstBody(**numbers, source=str(file["source"]))

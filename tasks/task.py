@@ -22,6 +22,8 @@ from typing import Any, ParamSpec, Protocol, TypeVar, cast
 import prefect
 from prefect.cache_policies import NO_CACHE
 from prefect.context import TaskRunContext
+from prefect.futures import PrefectFuture
+from prefect.states import State
 
 import hfb
 import tasks
@@ -34,11 +36,19 @@ R = TypeVar("R")
 
 
 class Step(Protocol[P, R]):
-    """A task of this project; ``fn`` is the bare function, which needs no server."""
+    """A task of this project.
+
+    ``fn`` is the bare function, which needs no server. ``submit`` starts a run beside others (see tasks/many.py),
+    ``again`` one that takes no earlier result.
+    """
 
     fn: Callable[P, R]
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R: ...
+
+    def submit(self, *args: P.args, **kwargs: P.kwargs) -> PrefectFuture[R]: ...
+
+    def again(self, *args: P.args, **kwargs: P.kwargs) -> State[R]: ...
 
 
 def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, R]]:
@@ -53,6 +63,9 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
         caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
         step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(function)
 
+        def again(*args: P.args, **kwargs: P.kwargs) -> State[R]:
+            return cast(State[R], step.with_options(refresh_cache=True)(*args, **kwargs, return_state=True))
+
         @functools.wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
             with progress.step(label) as shown:
@@ -60,15 +73,17 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
                 result = state.result()
                 shown.reused = state.name == "Cached"
                 try:
-                    _verify(result)
+                    verify(result)
                 except StaleFile as stale:
                     _log.warning("%s: made again, since %s", label, stale)
                     shown.reused = False
-                    result = step.with_options(refresh_cache=True)(*args, **kwargs)
-                    _verify(result)
+                    result = again(*args, **kwargs).result()
+                    verify(result)
                 return cast(R, result)
 
-        call.fn = function  # type: ignore[attr-defined]
+        offered = {"fn": function, "submit": step.submit, "again": again}
+        for name, member in offered.items():
+            setattr(call, name, member)
         return cast(Step[P, R], call)
 
     return decorate
@@ -98,6 +113,7 @@ def _cache_key(context: TaskRunContext, parameters: dict[str, Any]) -> str:
     return cache_key(context.task.name, parameters)
 
 
-def _verify(result: object) -> None:
+def verify(result: object) -> None:
+    """Raises StaleFile where a file that a result names is gone or no longer what it was."""
     for file in files_in(result):
         file.verify()

@@ -89,17 +89,22 @@ class StoreLost(Exception):
 
 
 @contextmanager
-def recorded_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Iterator[Run]:
+def recorded_run(
+    name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str], parent: Run | None = None
+) -> Iterator[Run]:
     """Find or create the run of a problem; FINISHED, FAILED or KILLED when the block ends.
 
     A run that is found FINISHED is complete: it holds everything already, and stays as it is.
 
     Args:
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
+        parent: the run under which this one is shown.
 
     Raises:
         StoreLost: the store cannot be reached or written.
     """
+    if parent is not None:
+        tags = {**tags, "mlflow.parentRunId": parent.run_id}
     from mlflow.exceptions import MlflowException
     from sqlalchemy.exc import SQLAlchemyError
 
@@ -130,14 +135,15 @@ def open_store() -> None:
         _experiment(_client(tracking_uri()))
 
 
-def log_histories(run: Run, histories: Mapping[str, Sequence[float]]) -> None:
-    """Metrics with one value per step; logging the same again leaves one point per step."""
+def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> None:
+    """Metrics with one value per step, None for a step without; logging the same again leaves one point per step."""
     from mlflow.entities import Metric
 
     metrics = [
         Metric(name, float(value), run.first_millisecond + step, step)
         for name, values in histories.items()
         for step, value in enumerate(values)
+        if value is not None
     ]
     client = _client(run.uri)
     for start in range(0, len(metrics), _METRICS_PER_BATCH):

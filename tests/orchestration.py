@@ -93,14 +93,12 @@ def true_first_body(path: Path) -> Path:
     import torch
 
     from hfb.datasets.truth import load_truth
-    from hfb.export.motion_file import write_arrays
-    from hfb.initialize.first_body import FirstBody
-    from tasks.scene import first_body_arrays
+    from hfb.initialize.first_body import FirstBody, save_first_body
 
     true = load_truth(example() / "truth.npz").motion
     middle = len(true.poses) // 2
     numbers = (true.poses[middle].reshape(24, 3), true.trans[middle], true.betas)
-    write_arrays(path, first_body_arrays(FirstBody(*(torch.from_numpy(one).float() for one in numbers), "truth")))
+    save_first_body(path, FirstBody(*(torch.from_numpy(one).float() for one in numbers), "truth"))
     return path
 
 

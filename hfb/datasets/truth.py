@@ -1,14 +1,20 @@
-"""truth.npz: what really happened in a synthetic case, for evaluation only."""
+"""truth.npz: what really happened in a case, for evaluation only.
 
+A synthetic case knows the whole motion and every silhouette (`Truth`); real video knows where some joints were
+(`JointTruth`). The file's members tell which it is.
+"""
+
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from hfb.body.skeleton import JOINT_COUNT
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion, motion_arrays, write_arrays
 from hfb.motion.sampled import SampledMotion
-from hfb.shapes import Array, Bool
+from hfb.shapes import Array, Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -18,6 +24,24 @@ class Truth:
     motion: SampledMotion
     silhouettes: Bool[Array, "R H W"]
     betas_space: str
+
+
+@dataclass(frozen=True)
+class JointTruth:
+    """Where some joints of a person in a real video were.
+
+    Attributes:
+        joints: camera coordinates [m]; NaN (all three numbers) where a joint is unknown at an instant.
+        smpl_joints: the SMPL joints that they stand for, 0..23.
+        times_s: time since the first shutter opened [s]. frame_index: the frame each row belongs to.
+        names: of the joints, as their source calls them.
+    """
+
+    joints: Float[Array, "R P 3"]
+    smpl_joints: Int[Array, "P"]
+    times_s: Float[Array, "R"]
+    frame_index: Int[Array, "R"]
+    names: tuple[str, ...]
 
 
 def save_truth(path: Path, truth: Truth) -> None:
@@ -41,3 +65,68 @@ def load_truth(path: Path) -> Truth:
             raise InputError(f"{path} holds a motion but no true silhouettes; make a case with `hfb demo`")
         bits = np.unpackbits(file["silhouettes"], axis=-1, count=int(file["silhouette_width"]))
     return Truth(motion, bits.astype(bool), betas_space)
+
+
+def save_joint_truth(path: Path, truth: JointTruth) -> None:
+    """Write known joints whole or not at all (.npz, no pickle)."""
+    write_arrays(
+        path,
+        {
+            "joints": truth.joints, "smpl_joints": truth.smpl_joints, "times_s": truth.times_s,
+            "frame_index": truth.frame_index, "names": np.array(truth.names, dtype=np.str_),
+        },
+    )  # fmt: skip
+
+
+def load_joint_truth(path: Path) -> JointTruth:
+    """Read the known joints of a real video.
+
+    Raises:
+        InputError: missing, damaged, or its members do not fit each other.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            truth = JointTruth(
+                joints=np.asarray(file["joints"], np.float64),
+                smpl_joints=np.asarray(file["smpl_joints"], np.int64),
+                times_s=np.asarray(file["times_s"], np.float64),
+                frame_index=np.asarray(file["frame_index"], np.int64),
+                names=tuple(str(name) for name in np.atleast_1d(file["names"])),
+            )
+    except FileNotFoundError:
+        raise InputError(f"there is no truth file at {path}") from None
+    except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not a truth file of hfb ({error}); make the case again") from None
+    wrong = _what_does_not_fit(truth)
+    if wrong:
+        raise InputError(f"{path} is not a truth file of hfb ({wrong}); make the case again")
+    return truth
+
+
+def load_truth_of(path: Path) -> Truth | JointTruth:
+    """Read either kind of truth file.
+
+    Raises:
+        InputError: neither kind.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            joints_alone = "smpl_joints" in file
+    except FileNotFoundError:
+        raise InputError(f"there is no truth file at {path}") from None
+    except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not a truth file of hfb ({error}); make the case again") from None
+    return load_joint_truth(path) if joints_alone else load_truth(path)
+
+
+def _what_does_not_fit(truth: JointTruth) -> str:
+    """Empty where rows, joints and names agree in number and every joint is one of SMPL's, once."""
+    count = len(truth.names)
+    if truth.joints.ndim != 3 or truth.joints.shape[1:] != (count, 3) or truth.smpl_joints.shape != (count,):
+        return "joints, smpl_joints and names differ in number"
+    if {truth.times_s.shape, truth.frame_index.shape} != {truth.joints.shape[:1]}:
+        return "joints, times_s and frame_index differ in number"
+    known = set(truth.smpl_joints.tolist())
+    if len(known) != count or not known <= set(range(JOINT_COUNT)):
+        return "smpl_joints must be different numbers from 0 to 23"
+    return ""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hfb.shapes import Array, Float
+from hfb.shapes import Array, Bool, Float
 
 
 def best_rotation(source: Float[Array, "*s P 3"], target: Float[Array, "*s P 3"]) -> Float[Array, "*s 3 3"]:
@@ -29,9 +29,21 @@ def align_similarity(source: Float[Array, "R J 3"], target: Float[Array, "R J 3"
 
     A source shrunk to one point is moved onto the target's centre.
     """
-    source_centre, target_centre = source.mean(1, keepdims=True), target.mean(1, keepdims=True)
-    source, target = source - source_centre, target - target_centre
-    turned = source @ np.swapaxes(best_rotation(source, target), -1, -2)
-    spread = (source * source).sum((1, 2))
-    scale = (turned * target).sum((1, 2)) / np.where(spread > 0, spread, 1)
-    return scale[:, None, None] * turned + target_centre
+    return align_known(source, target, np.ones(source.shape[:2], dtype=bool))
+
+
+def align_known(
+    source: Float[Array, "R J 3"], target: Float[Array, "R J 3"], known: Bool[Array, "R J"]
+) -> Float[Array, "R J 3"]:
+    """`align_similarity` by the known joints of each row; the others move along with them.
+
+    Unknown joints must be finite. A row without a known joint comes out somewhere.
+    """
+    weights = known[..., None].astype(source.dtype)
+    count = np.maximum(weights.sum(1, keepdims=True), 1)
+    source_centre, target_centre = (weights * source).sum(1, keepdims=True), (weights * target).sum(1, keepdims=True)
+    source, target = source - source_centre / count, target - target_centre / count
+    turned = source @ np.swapaxes(best_rotation(weights * source, weights * target), -1, -2)
+    spread = (weights * source * source).sum((1, 2))
+    scale = (weights * turned * target).sum((1, 2)) / np.where(spread > 0, spread, 1)
+    return scale[:, None, None] * turned + target_centre / count

@@ -1,7 +1,8 @@
 """How far a motion is from the truth, and a picture from the one it explains.
 
 Joints are SMPL's 24 in metres, camera coordinates; R counts sub-frames, frame after frame. Everything is computed
-in float64, errors are in millimetres.
+in float64, errors are in millimetres. A real video's truth knows only some joints, and those not always:
+`subset_errors` leaves out what is NaN there; nothing else does.
 """
 
 import math
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hfb.body.skeleton import H36M_14
-from hfb.evaluate.alignment import align_similarity, rotate_sequence
+from hfb.evaluate.alignment import align_known, align_similarity, rotate_sequence
 from hfb.shapes import Array, Bool, Float
 
 _PELVIS = 0
@@ -46,6 +47,63 @@ def in_plane_depth_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J
     """MPJPE's residuals split along the camera's axes: mean length across the view (x, y), mean |z| along it [mm]."""
     residual = _aligned_residual(predicted, truth)
     return 1000 * float(np.linalg.norm(residual[..., :2], axis=-1).mean()), 1000 * float(abs(residual[..., 2]).mean())
+
+
+def joint_errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "J"]:
+    """`mpjpe_mm` joint by joint: each one's mean over the sub-frames [mm], after the same alignment of all of them."""
+    return 1000 * np.linalg.norm(_aligned_residual(predicted, truth), axis=-1).mean(0)
+
+
+@dataclass(frozen=True)
+class SubsetErrors:
+    """Errors over the joints that the truth knows [mm]; NaN where it knows too little to tell.
+
+    Attributes:
+        mpjpe_mm, in_plane_mm, depth_mm: after one rotation of the sequence, centred as asked, over the sub-frames in
+            which the centre is known.
+        pa_mpjpe_mm: after a similarity per sub-frame, over those with three known joints or more.
+        joints_mm: MPJPE joint by joint.
+    """
+
+    mpjpe_mm: float
+    pa_mpjpe_mm: float
+    in_plane_mm: float
+    depth_mm: float
+    joints_mm: Float[Array, "P"]
+
+
+def subset_errors(
+    predicted: Float[Array, "R P 3"], truth: Float[Array, "R P 3"], centre: Sequence[int]
+) -> SubsetErrors:
+    """Errors where only some joints are known, at some instants.
+
+    Args:
+        predicted: the same joints as in the truth.
+        truth: NaN where a joint is unknown at an instant; such a joint counts nowhere, neither in an alignment nor in a
+            mean.
+        centre: positions within P whose mean stands in for the pelvis, such as the two hips; a sub-frame in which one
+            of them is unknown is left out of MPJPE.
+
+    Raises:
+        ValueError: the prediction is not finite where the truth is known.
+    """
+    source, target = _float64(predicted), _float64(truth)
+    known = np.isfinite(target).all(-1)
+    if not np.isfinite(source[known]).all():
+        raise ValueError("the prediction is not finite")
+    source, target = np.where(known[..., None], source, 0), np.where(known[..., None], target, 0)
+    counted = known & known[:, list(centre)].all(1)[:, None]
+    residual = _aligned_residual(source, target, list(centre), counted)
+    errors = 1000 * np.where(counted, np.linalg.norm(residual, axis=-1), np.nan)
+    similar = known & (known.sum(1) >= 3)[:, None]
+    pa_residual = align_known(source, target, similar) - target
+    return SubsetErrors(
+        mpjpe_mm=_mean_of_known(errors),
+        pa_mpjpe_mm=1000 * _mean_of_known(np.where(similar, np.linalg.norm(pa_residual, axis=-1), np.nan)),
+        in_plane_mm=1000 * _mean_of_known(np.where(counted, np.linalg.norm(residual[..., :2], axis=-1), np.nan)),
+        depth_mm=1000 * _mean_of_known(np.where(counted, abs(residual[..., 2]), np.nan)),
+        joints_mm=np.array([_mean_of_known(column) for column in errors.T]),
+    )
 
 
 def reverse_time(joints: Float[Array, "R J 3"], frames: int = 1) -> Float[Array, "R J 3"]:
@@ -150,16 +208,54 @@ def psnr_db(
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
+def ssim(
+    predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
+) -> float:
+    """Structural similarity of pictures in [0, 1], 1 where they are equal (Wang et al. 2004, eq. 13, mean of channels).
+
+    The paper's own settings: a Gaussian window of sigma 1.5 (11 pixels), biased covariances, K1 .01, K2 .03.
+
+    Args:
+        mask: weight per pixel of the map of similarities, such as the matte; when not given, or when it is empty, the
+            mean is over the picture but for a rim of half a window.
+
+    Raises:
+        ValueError: a picture smaller than the window.
+    """
+    from skimage.metrics import structural_similarity  # slow to import, and few need it
+
+    whole, per_pixel = structural_similarity(
+        _float64(predicted), _float64(truth), gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        data_range=1.0, channel_axis=-1, full=True,
+    )  # fmt: skip
+    if mask is None or mask.sum() <= 0:
+        return float(whole)
+    return float(np.average(per_pixel.mean(-1), weights=_float64(mask)))
+
+
 def _float64(values: Array) -> Array:
     return np.asarray(values, dtype=np.float64)
 
 
-def _aligned_residual(predicted: Array, truth: Array) -> Array:
-    """predicted - truth, both centred on the pelvis, the prediction turned by one rotation."""
+def _aligned_residual(
+    predicted: Array, truth: Array, centre: Sequence[int] = (_PELVIS,), counted: Array | None = None
+) -> Array:
+    """predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
+
+    The rotation is the best one for the counted joints; the residual of others means nothing.
+    """
     source, target = _float64(predicted), _float64(truth)
-    source = source - source[:, _PELVIS : _PELVIS + 1]
-    target = target - target[:, _PELVIS : _PELVIS + 1]
+    source = source - source[:, centre].mean(1, keepdims=True)
+    target = target - target[:, centre].mean(1, keepdims=True)
+    if counted is not None:
+        source, target = source * counted[..., None], target * counted[..., None]
     return rotate_sequence(source, target) - target
+
+
+def _mean_of_known(values: Array) -> float:
+    """Mean without the NaN; NaN of none."""
+    known = np.isfinite(values)
+    return float(values[known].mean()) if known.any() else math.nan
 
 
 def _mean_mm(residual: Array, joints: Sequence[int] | None) -> float:

@@ -1,8 +1,17 @@
 """The static body that every fit starts from."""
 
+import zipfile
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+import torch
+
+from hfb.errors import InputError
+from hfb.export.motion_file import write_arrays
 from hfb.shapes import Float, Tensor
+
+_NUMBERS = {"pose": (24, 3), "translation": (3,), "betas": (10,)}
 
 
 @dataclass(frozen=True)
@@ -20,3 +29,30 @@ class FirstBody:
     translation: Float[Tensor, "3"]
     betas: Float[Tensor, "10"]
     source: str
+
+
+def save_first_body(path: Path, first: FirstBody) -> None:
+    """Write a first body (.npz, no pickle) whole or not at all."""
+    numbers = {name: getattr(first, name).double().numpy() for name in _NUMBERS}
+    write_arrays(path, numbers | {"source": np.array(first.source)})
+
+
+def load_first_body(path: Path) -> FirstBody:
+    """Read a first body.
+
+    Raises:
+        InputError: missing, damaged, or of other shapes.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            numbers = {name: file[name] for name in _NUMBERS}
+            source = str(file["source"])
+    except FileNotFoundError:
+        raise InputError(f"there is no first body at {path}") from None
+    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not a first body of hfb ({error})") from None
+    for name, shape in _NUMBERS.items():
+        if numbers[name].shape != shape or not np.isfinite(numbers[name]).all():
+            raise InputError(f"{path} is not a first body of hfb: {name} must be {shape} finite numbers")
+    tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
+    return FirstBody(**tensors, source=source)

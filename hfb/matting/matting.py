@@ -16,8 +16,10 @@ Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the us
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
-_LEAST_SHARE = 2e-4  # of the picture's area; less is no person
-_MOST_SHARE = 0.75
+LEAST_SHARE = 2e-4
+"""Of the picture's area; less is no person."""
+MOST_SHARE = 0.75
+"""Of the picture's area; where more changed the plate is another one."""
 
 
 @runtime_checkable
@@ -33,6 +35,10 @@ def make_matting(config: MattingConfig) -> Matting:
     """The matting method that the configuration names."""
     if config.method == "known-background":
         return KnownBackground()
+    if config.method == "network":
+        from hfb.matting.network import NetworkMatting  # it needs this module
+
+        return NetworkMatting()
     raise ValueError(f"unknown matting method {config.method}")
 
 
@@ -49,7 +55,7 @@ class KnownBackground:
         _check_presence(found)
         height, width = frame.shape[:2]
         scale = np.array([height, width]) / found.body.shape
-        top, left, bottom, right = _scaled_box(
+        top, left, bottom, right = scaled_box(
             matte_region(found.body.astype(np.float32), margin=0.3), scale, height, width
         )
         inner = (slice(top, bottom), slice(left, right))
@@ -60,8 +66,8 @@ class KnownBackground:
         matte = np.zeros((height, width), np.float32)
         size = (right - left, bottom - top)
         matte[inner] = cv2.resize(alpha, size, interpolation=cv2.INTER_LINEAR)
-        if matte.sum() < _LEAST_SHARE * matte.size:
-            raise _nobody()
+        if matte.sum() < LEAST_SHARE * matte.size:
+            raise nobody_found()
         return matte
 
 
@@ -87,7 +93,7 @@ def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: flo
     """
     rows, columns = np.flatnonzero((matte > threshold).any(1)), np.flatnonzero((matte > threshold).any(0))
     if not rows.size:
-        raise _nobody()
+        raise nobody_found()
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     extra = round(margin * max(bottom - top, right - left))
     height, width = matte.shape
@@ -124,25 +130,32 @@ def shrink(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 
 
 
 def _check_presence(found: Evidence) -> None:
-    if found.body.mean() < _LEAST_SHARE:
-        raise _nobody()
-    if (found.change > 6).mean() > _MOST_SHARE:
-        raise InputError(
-            "the frame differs from the background plate nearly everywhere; "
-            "check that the plate is of the same scene, camera position and exposure."
-        )
+    if found.body.mean() < LEAST_SHARE:
+        raise nobody_found()
+    if (found.change > 6).mean() > MOST_SHARE:
+        raise another_scene()
 
 
-def _nobody() -> InputError:
+def another_scene() -> InputError:
+    """What to raise where nearly everything changed."""
+    return InputError(
+        "the frame differs from the background plate nearly everywhere; "
+        "check that the plate is of the same scene, camera position and exposure."
+    )
+
+
+def nobody_found() -> InputError:
+    """What to raise where frame and plate are the same but for noise."""
     return InputError(
         "no person was found: the frame does not differ from the background plate; "
         "give a plate without the person, and a frame with them."
     )
 
 
-def _scaled_box(
+def scaled_box(
     box: tuple[int, int, int, int], scale: Float[Array, "2"], height: int, width: int
 ) -> tuple[int, int, int, int]:
+    """(top, left, bottom, right) in the picture of which the box is seen `scale` (down, across) times smaller."""
     top, left, bottom, right = box
     return (
         int(top * scale[0]), int(left * scale[1]),

@@ -77,11 +77,11 @@ def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
         cells += [0.5 + _RESIDUAL_GAIN / 2 * row.residual, row.novel_views]
         name = "input" if len(rows) == 1 else f"input {number}"
         captions = [name, "matte", *row.labels, "re-blurred", f"residual x{_RESIDUAL_GAIN:.0f}", "from the side"]
-        lines.append(np.concatenate([_cell(*pair) for pair in zip(cells, captions, strict=True)], 1))
+        lines.append(np.concatenate([captioned(*pair) for pair in zip(cells, captions, strict=True)], 1))
     return np.concatenate(lines, 0).clip(0, 1)
 
 
-def _cell(picture: Array, caption: str) -> Array:
+def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X 3"]:
     """A picture under its caption, with a margin to its right and below."""
     height, width = picture.shape[:2]
     band = np.full((_CAPTION_PX, width + _GAP_PX, 3), 255, dtype=np.uint8)  # OpenCV 5 writes on 8 bits only

@@ -154,3 +154,110 @@ def test_psnr_by_hand_and_under_a_mask():
     mask[:, 0] = 0.3
     assert metrics.psnr_db(predicted, truth, mask) == pytest.approx(20, abs=1e-5)
     assert metrics.psnr_db(truth, truth) == math.inf
+
+
+def test_the_offset_of_one_joint_counts_once_among_all(truth):
+    # Along the joint's own arm from the pelvis, where it is nearly out of reach of the one rotation.
+    still = np.repeat(truth[:1] - truth[0, 0], 4, axis=0)
+    arm = still[0, 20] / np.linalg.norm(still[0, 20])
+    predicted = still.copy()
+    predicted[:, 20] += 1e-3 * arm
+    assert metrics.mpjpe_mm(predicted, still) == pytest.approx(1 / 24, rel=1e-6)
+    errors = metrics.joint_errors_mm(predicted, still)
+    assert errors[20] == pytest.approx(1)
+    assert np.delete(errors, 20) == pytest.approx(0, abs=1e-9)
+
+
+def test_joint_errors_are_the_parts_of_mpjpe(truth):
+    noisy = truth + np.random.default_rng(6).normal(0, 0.02, truth.shape)
+    errors = metrics.joint_errors_mm(noisy, truth)
+    assert errors.shape == (24,)
+    assert errors[0] == 0  # the pelvis
+    assert errors.mean() == pytest.approx(metrics.mpjpe_mm(noisy, truth))
+    for joint in (3, 17):
+        assert errors[joint] == pytest.approx(metrics.mpjpe_mm(noisy, truth, [joint]))
+
+
+def test_with_every_joint_known_a_subset_is_judged_as_the_whole(truth):
+    noisy = truth @ _rotation(0.2, 0.1, 0).T + np.random.default_rng(7).normal(0, 0.02, truth.shape)
+    found = metrics.subset_errors(noisy, truth, [0])
+    assert found.mpjpe_mm == pytest.approx(metrics.mpjpe_mm(noisy, truth))
+    assert found.pa_mpjpe_mm == pytest.approx(metrics.pa_mpjpe_mm(noisy, truth))
+    assert (found.in_plane_mm, found.depth_mm) == pytest.approx(metrics.in_plane_depth_mm(noisy, truth))
+    np.testing.assert_allclose(found.joints_mm, metrics.joint_errors_mm(noisy, truth))
+
+
+def test_a_subset_by_hand_around_the_middle_of_its_hips():
+    truth = np.array([[[1, 0, 5], [-1, 0, 5], [0, 1, 5], [0, -1, 5]]] * 2, dtype=float)
+    predicted = truth + np.array([0.3, 0, 1.0])  # elsewhere in space: does not count
+    predicted[0, 2, 1] += 0.04  # along its arm: no rotation mends that
+    found = metrics.subset_errors(predicted, truth, [0, 1])
+    assert found.mpjpe_mm == pytest.approx(40 / 8)
+    assert found.joints_mm == pytest.approx([0, 0, 20, 0], abs=1e-9)
+    assert (found.in_plane_mm, found.depth_mm) == pytest.approx((5, 0))
+
+
+def test_unknown_joints_count_nowhere(truth):
+    rng = np.random.default_rng(8)
+    noisy = truth + rng.normal(0, 0.03, truth.shape)
+    gaps = truth.copy()
+    gaps[2, 5:] = np.nan
+    gaps[:, 23] = np.nan
+    elsewhere = noisy.copy()
+    elsewhere[2, 5:] += 100  # whatever the prediction says there
+    elsewhere[:, 23] = -3
+    one, other = (metrics.subset_errors(each, gaps, [1, 2]) for each in (noisy, elsewhere))
+    np.testing.assert_allclose(one.joints_mm, other.joints_mm)
+    assert one.mpjpe_mm == pytest.approx(other.mpjpe_mm)
+    assert one.pa_mpjpe_mm == pytest.approx(other.pa_mpjpe_mm)
+    assert math.isnan(one.joints_mm[23])
+    # A joint that is never known is as good as one that is not asked for.
+    assert metrics.subset_errors(noisy[:, :23], gaps[:, :23], [1, 2]).mpjpe_mm == pytest.approx(one.mpjpe_mm)
+    exact = metrics.subset_errors(2 * truth @ _rotation(0.5, 1, 0).T, gaps, [1, 2])
+    assert exact.pa_mpjpe_mm == pytest.approx(0, abs=1e-9)
+
+
+def test_without_its_centre_a_sub_frame_counts_for_pa_mpjpe_alone(truth):
+    noisy = truth + np.random.default_rng(9).normal(0, 0.03, truth.shape)
+    gaps = truth.copy()
+    gaps[4:, 1] = np.nan  # one hip of two
+    found = metrics.subset_errors(noisy, gaps, [1, 2])
+    assert found.mpjpe_mm == pytest.approx(metrics.subset_errors(noisy[:4], truth[:4], [1, 2]).mpjpe_mm)
+    assert found.pa_mpjpe_mm != pytest.approx(metrics.subset_errors(noisy[:4], truth[:4], [1, 2]).pa_mpjpe_mm)
+
+
+def test_of_nothing_known_nothing_is_said(truth):
+    found = metrics.subset_errors(truth, np.full_like(truth, np.nan), [1, 2])
+    assert all(math.isnan(value) for value in (found.mpjpe_mm, found.pa_mpjpe_mm, found.in_plane_mm, found.depth_mm))
+    assert np.isnan(found.joints_mm).all()
+    with_a_broken_prediction = truth.copy()
+    with_a_broken_prediction[0, 3] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        metrics.subset_errors(with_a_broken_prediction, truth, [1, 2])
+
+
+def test_ssim_of_equal_pictures_is_one_and_of_noise_near_zero():
+    rng = np.random.default_rng(10)
+    picture = rng.random((24, 30, 3))
+    assert metrics.ssim(picture, picture) == pytest.approx(1)
+    assert metrics.ssim(picture, picture, np.ones((24, 30))) == pytest.approx(1)
+    assert abs(metrics.ssim(rng.random((24, 30, 3)), picture)) < 0.15
+    assert metrics.ssim(picture, 1 - picture) < -0.9  # the opposite structure
+
+
+def test_ssim_of_flat_pictures_by_hand():
+    # Without structure only the luminance term is left: (2 a b + C1) / (a^2 + b^2 + C1), C1 = .01^2.
+    one, other = np.full((16, 16, 3), 0.5), np.full((16, 16, 3), 0.3)
+    assert metrics.ssim(one, other) == pytest.approx((2 * 0.15 + 1e-4) / (0.34 + 1e-4))
+
+
+def test_ssim_under_a_mask_sees_the_mask_alone():
+    rng = np.random.default_rng(11)
+    truth = rng.random((40, 40, 3))
+    predicted = truth.copy()
+    predicted[:, 25:] = rng.random((40, 15, 3))
+    left, right = np.zeros((2, 40, 40))
+    left[:, :18], right[:, 34:] = 0.4, 1  # half a window (5 px) away from the border between good and bad
+    assert metrics.ssim(predicted, truth, left) == pytest.approx(1)
+    assert metrics.ssim(predicted, truth, right) < 0.3
+    assert metrics.ssim(predicted, truth, 0 * left) == metrics.ssim(predicted, truth)

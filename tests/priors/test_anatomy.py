@@ -1,18 +1,21 @@
 """The anatomical prior: real poses pass, impossible ones do not, and left and right are the same."""
 
 from math import pi, radians
+from pathlib import Path
 
 import pytest
 import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
+from hfb.datasets.motions.bvh import read_bvh
+from hfb.datasets.motions.retargeting import retarget
 from hfb.priors.anatomy import AnatomicalPrior, twist_swing
 from hfb.priors.pose import PosePrior
 from hfb.rotations import axis_angle_to_matrix, axis_angle_to_quaternion, multiply_quaternions, quaternion_to_axis_angle
-from tests.priors import mocap
 
 PRIOR = AnatomicalPrior()
+_MOCAP = Path(__file__).parents[3] / "shared" / "data" / "cmu_bvh"
 
 
 def _pose(**degrees: tuple[float, float, float]) -> torch.Tensor:
@@ -79,10 +82,10 @@ def test_twisted_bodies_cost_more_than_a_whole_ordinary_pose(impossible):
 
 def test_real_poses_are_within_the_limits():
     names = ("09_01", "09_12_a", "10_01", "10_05", "13_10_a", "13_11", "13_26_a", "13_30_a", "13_33", "13_37")
-    paths = [mocap.FOLDER / f"cmu_{name}.bvh" for name in names]  # runs, kicks, jumps, reaching, squats, a ladder ...
+    paths = [_MOCAP / f"cmu_{name}.bvh" for name in names]  # runs, kicks, jumps, reaching, squats, a ladder ...
     if not all(path.is_file() for path in paths):
         pytest.skip("the shared motion capture is not here")
-    poses = torch.cat([torch.from_numpy(mocap.smpl_poses(path)[::6, 1:]) for path in paths])
+    poses = torch.cat([torch.from_numpy(retarget(read_bvh(path))[0][::6, 1:]) for path in paths])
     assert len(poses) > 500
     limits, total = PRIOR.limit_penalty(poses), PRIOR(poses)
     assert (limits < 5).double().mean() >= 0.99

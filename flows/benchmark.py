@@ -1,0 +1,180 @@
+"""Methods against cases of known truth: make the set, run everything on it from the same starts, and tabulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from prefect import flow
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from flows.workplace import publish, workplace
+from hfb.baselines.method_spec import MethodSpec
+from hfb.config import InitConfig, MattingConfig, Record
+from hfb.datasets.real.real_spec import RealSpec
+from hfb.errors import InputError
+from tasks import progress, tracking
+from tasks.benchmark_results import ResultsHandle, gallery, record_benchmark, tabulate
+from tasks.cases import (
+    CaseHandle,
+    ReadyHandle,
+    SourcesHandle,
+    Spec,
+    find_sources,
+    listing_of,
+    make_case,
+    see_case,
+    set_name,
+)
+from tasks.inputs import input_file, networks_at_hand
+from tasks.judge_case import JudgedHandle, judge_case
+from tasks.many import Outcome, run_all
+from tasks.workers import workers
+
+
+class BenchmarkPlan(Record):
+    """Everything that decides a benchmark's figures; how many workers compute them does not."""
+
+    spec: Spec
+    count: int
+    methods: tuple[MethodSpec, ...]
+    start: Literal["simulated", "estimated"]
+    matting: MattingConfig = MattingConfig()
+    init: InitConfig = InitConfig()
+    body: Path | None = None
+
+
+def run_benchmark(plan: BenchmarkPlan, out: Path, worker_count: int) -> dict[str, Any]:
+    """See `_benchmark`; the number of workers is a property of the flow run."""
+    with workers(worker_count):
+        return _benchmark.with_options(task_runner=_threads(worker_count))(plan, out)
+
+
+def run_synthesis(spec: Spec, count: int, out: Path, worker_count: int) -> dict[str, Any]:
+    """See `_synthesis`."""
+    with workers(worker_count):
+        return _synthesis.with_options(task_runner=_threads(worker_count))(spec, count, out)
+
+
+def _threads(count: int) -> Any:  # Prefect's own types do not take its own runner
+    """One thread per worker process: a task waits while its process computes."""
+    return ThreadPoolTaskRunner(max_workers=count)
+
+
+@flow(name="synthesis", persist_result=False)
+def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
+    """Write the cases of a set, ``out/case_0001`` and so on.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: not one case could be made.
+    """
+    with workplace(out) as folder:
+        sources, cases, skipped = _made(spec, count, folder, out)
+        result = {
+            "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
+            "seed": spec.seed, "out": str(out.resolve()), "sources": len(sources.usable),
+        }  # fmt: skip
+        publish(out, {}, result)
+    return result
+
+
+@flow(name="benchmark", persist_result=False)
+def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
+    """Cases, mattes and starts, methods, tables; recorded in MLflow, published in ``out``.
+
+    A case that cannot be made or seen is left out for every method, and named in the summary.
+
+    Returns:
+        the content of result.json: the summary, and where things are.
+
+    Raises:
+        InputError: something given cannot be used, or not one case is left.
+    """
+    spec = plan.spec
+    with workplace(out) as folder:
+        body = input_file(plan.body) if plan.body else None
+        networks = networks_at_hand() if plan.start == "estimated" and plan.init.method != "matte" else ()
+        _, cases, skipped = _made(spec, plan.count, folder, out / "cases")
+        seen = run_all(
+            see_case,
+            [(case, plan.start, plan.matting, plan.init, networks, body, folder) for case in cases],
+            "mattes and starts",
+        )
+        ready: list[ReadyHandle] = _successes(seen, [f"case {case.number}" for case in cases], skipped)
+        judged = run_all(
+            judge_case,
+            [(one, method, body, out / "methods") for one in ready for method in plan.methods],
+            "methods",
+        )
+        rows = _successes(judged, [f"case {one.case.number}, {m.name}" for one in ready for m in plan.methods], skipped)
+        names = tuple(method.name for method in plan.methods)
+        results = tabulate(
+            tuple(rows), set_name(spec), spec.frames, names, len(ready), spec.seed, skipped, _notes(plan), folder
+        )  # fmt: skip
+        looks = gallery(tuple(rows), plan.methods[0].name, folder)
+        result = _result(plan, results, rows, out)
+        try:
+            run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, looks)
+            result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
+        except tracking.StoreLost as lost:
+            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
+        publish(out, {**results.files(), "gallery.png": looks.path}, result)
+    return result
+
+
+def _made(
+    spec: Spec, count: int, folder: Path, cases_folder: Path
+) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
+    """The cases that could be made, and why others could not."""
+    folders = [getattr(spec, name, None) for name in ("motions", "backgrounds", "textures", "videos")]
+    for given in folders:
+        if given is not None and not given.is_dir():
+            raise InputError(f"{given} is no folder")
+    sources = find_sources(spec, listing_of(*folders), folder)
+    for name, reason in sources.refused.items():
+        progress.say(f"left out: {name}: {reason}")
+    skipped = dict(sources.refused)
+    numbers = range(1, count + 1)
+    made = run_all(make_case, [(spec, number, sources, cases_folder) for number in numbers], "cases")
+    return sources, _successes(made, [f"case {number}" for number in numbers], skipped), skipped
+
+
+def _successes(outcomes: list[Outcome[Any]], names: list[str], skipped: dict[str, str]) -> list[Any]:
+    """The results, failures moved to ``skipped``; raises the first failure where nothing else is left."""
+    for name, outcome in zip(names, outcomes, strict=True):
+        if outcome.error is not None:
+            skipped[name] = str(outcome.error) or type(outcome.error).__name__
+            progress.say(f"left out: {name}: {skipped[name]}")
+    results = [outcome.result for outcome in outcomes if outcome.error is None]
+    if not results and outcomes:
+        first = next(outcome.error for outcome in outcomes if outcome.error is not None)
+        raise first
+    return results
+
+
+def _result(plan: BenchmarkPlan, results: ResultsHandle, rows: list[JudgedHandle], out: Path) -> dict[str, Any]:
+    return {**results.content(), "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
+
+
+def _notes(plan: BenchmarkPlan) -> tuple[str, ...]:
+    """What a reader of the table has to know."""
+    start = "simulated after the paper's METRO" if plan.start == "simulated" else f"estimated ({plan.init.method})"
+    notes = [f"starts: {start}", f"mattes: {plan.matting.method}"]
+    if isinstance(plan.spec, RealSpec):
+        return (*notes, f"every picture is the mean of {plan.spec.average} frames in linear light")
+    motions = plan.spec.motions.name if plan.spec.motions else "procedural"
+    notes += [f"motions: {motions}", f"fill: {plan.spec.fill}"]
+    if plan.spec.easy:
+        notes.append("EASY: the truth is drawn with the fit's own mesh and without noise; not to be quoted")
+    return tuple(notes)
+
+
+def _params(plan: BenchmarkPlan) -> dict[str, Any]:
+    return plan.model_dump(mode="json", exclude={"methods"})
+
+
+def _options(plan: BenchmarkPlan) -> dict[str, Any]:
+    return {method.name: method.model_dump(mode="json") for method in plan.methods}

@@ -1,0 +1,70 @@
+"""Human from Blur itself, as one of the methods."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from hfb.baselines.frames import one_by_one, one_torch_thread
+from hfb.baselines.rows import row_times_s
+from hfb.body.model import Body
+from hfb.config import RunConfig
+from hfb.datasets.case import Case
+from hfb.evaluate.protocol import pose_rows
+from hfb.fit.loop import FitResult, fit
+from hfb.initialize.first_body import FirstBody
+from hfb.motion.sampled import SampledMotion
+from hfb.observation import Observation
+from hfb.prediction import Prediction
+from hfb.priors.load import load_pose_prior
+from hfb.render.rasterizer import make_rasterizer
+from hfb.shapes import Array, Float
+
+
+class HumanFromBlur:
+    """A fit by eq. (11), of all frames together or of each alone, drawn with exact silhouettes at every row."""
+
+    def __init__(self, name: str, config: RunConfig, frames_alone: bool, body: Body) -> None:
+        self.name = name
+        self._config = config
+        self._frames_alone = frames_alone
+        self._body = body
+        self._prior = load_pose_prior(config.prior.pose)
+        # The rows are drawn alike for every method, whatever silhouette its loss was made of.
+        self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """Poses and appearance; the case is not looked at."""
+        if not self._frames_alone:
+            result = self._fit(observation, starts)
+            return Prediction(result.motion, None, self._draw(result, observation), result.seconds)
+        frames = one_by_one(observation)
+        results = [self._fit(frame, [start]) for frame, start in zip(frames, starts, strict=True)]
+        pictures = np.concatenate([self._draw(one, frame) for one, frame in zip(results, frames, strict=True)])
+        seconds = sum(result.seconds for result in results)
+        # Each frame has found a shape of its own, the joined motion holds their mean: what is drawn is each frame's.
+        return Prediction(_joined(results, observation), pictures[..., 3] >= 0.5, pictures, seconds)
+
+    def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
+        return fit(observation, starts, self._body, self._config.fit, self._config.seed, self._prior)
+
+    def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:
+        with torch.no_grad(), one_torch_thread():
+            vertices = pose_rows(result.motion, np.arange(len(result.motion.poses)), self._body).vertices
+            return self._rasterizer.render(vertices, result.texture, observation.camera, self._body.mesh).numpy()
+
+
+def _joined(results: Sequence[FitResult], observation: Observation) -> SampledMotion:
+    """Single frames' motions one after another on the clip's own clock; joints are those of each frame's shape."""
+    motions = [result.motion for result in results]
+    times_s, frame_index = row_times_s(observation, len(motions[0].poses))
+    return replace(
+        motions[0],
+        poses=np.concatenate([motion.poses for motion in motions]),
+        trans=np.concatenate([motion.trans for motion in motions]),
+        joints=np.concatenate([motion.joints for motion in motions]),
+        betas=np.mean([motion.betas for motion in motions], axis=0),
+        times_s=times_s,
+        frame_index=frame_index,
+    )

@@ -1,0 +1,202 @@
+"""A user's network, TorchScript or ONNX, on one thread of the CPU.
+
+A network is a program: run those you trust. No Python object of a file is ever unpickled: what is no TorchScript
+archive and no ONNX file is refused.
+"""
+
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+
+from hfb.baselines.frames import one_torch_thread
+from hfb.errors import InputError
+from hfb.shapes import Array, Float
+
+_IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]
+_IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What a network gave, in its own order.
+
+    Attributes:
+        source: the network's file, for messages.
+        names: of the outputs; empty texts where it has none.
+    """
+
+    source: Path
+    names: tuple[str, ...]
+    arrays: tuple[Float[Array, "..."], ...]
+
+    def get(self, key: int | str) -> Float[Array, "..."]:
+        """One of them.
+
+        Raises:
+            InputError: there is no such output.
+        """
+        if isinstance(key, int) and key < len(self.arrays):
+            return self.arrays[key]
+        if isinstance(key, str) and key in self.names:
+            return self.arrays[self.names.index(key)]
+        shapes = ", ".join(
+            f"{index} {name} {array.shape}".replace("  ", " ")
+            for index, (name, array) in enumerate(zip(self.names, self.arrays, strict=True))
+        )
+        raise InputError(f"{self.source} has no output {key!r}; it has {shapes}")
+
+
+@runtime_checkable
+class Network(Protocol):
+    """Pictures in, arrays out."""
+
+    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+        """Run it. Raises InputError where it fails, FloatingPointError where an output is not finite."""
+        ...
+
+
+def load_network(path: Path) -> Network:
+    """Open a network file.
+
+    Raises:
+        InputError: missing, damaged, or neither TorchScript nor ONNX.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a TorchScript or ONNX network")
+    if path.suffix.lower() == ".onnx":
+        return OnnxNetwork(path)
+    _check_torchscript(path)
+    return TorchScriptNetwork(path)
+
+
+class TorchScriptNetwork:
+    """A `Network` out of torch.jit.save's archive."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._module = torch.jit.load(str(path), map_location="cpu").eval()
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"{path}: torch cannot read this TorchScript file ({_first_line(error)})") from None
+
+    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+        """See `Network`."""
+        try:
+            with torch.inference_mode(), one_torch_thread():
+                result = self._module(*[torch.from_numpy(np.ascontiguousarray(one)) for one in inputs])
+        except (RuntimeError, TypeError, ValueError) as error:
+            raise _failed(self._path, inputs, error) from None
+        return _finite(self._path, *_flat(result, self._path))
+
+
+class OnnxNetwork:
+    """A `Network` run by onnxruntime."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import onnxruntime
+        except ImportError:
+            raise InputError(
+                f"{path}: ONNX networks need onnxruntime; install it with pip install 'hfb[onnx]'"
+            ) from None
+        self._path = path
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # its own exception classes share no base but this
+            raise InputError(f"{path}: onnxruntime cannot read this file ({_first_line(error)})") from None
+
+    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+        """See `Network`."""
+        names = [one.name for one in self._session.get_inputs()]
+        if len(names) != len(inputs):
+            raise InputError(
+                f"{self._path} takes {len(names)} inputs and was given {len(inputs)}: "
+                'set frames in its layout ("one", "stacked" or "list")'
+            )
+        try:
+            arrays = self._session.run(None, dict(zip(names, inputs, strict=True)))
+        except Exception as error:  # see above
+            raise _failed(self._path, inputs, error) from None
+        known = tuple(one.name for one in self._session.get_outputs())
+        return _finite(self._path, known, tuple(np.asarray(one, np.float32) for one in arrays))
+
+
+def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels: str) -> Float[Array, "1 3 H W"]:
+    """A picture as networks take it."""
+    planes = np.ascontiguousarray(picture_srgb.transpose(2, 0, 1), np.float32)
+    if normalisation == "signed":
+        planes = 2 * planes - 1
+    elif normalisation == "imagenet":
+        planes = (planes - _IMAGENET_MEAN) / _IMAGENET_DEVIATION
+    return np.ascontiguousarray(planes[::-1] if channels == "bgr" else planes)[None]
+
+
+def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: str) -> Float[Array, "N H W 3"]:
+    """The inverse of `normalised`, clipped to what a picture can be."""
+    rgb = planes[:, ::-1] if channels == "bgr" else planes
+    if normalisation == "signed":
+        rgb = (rgb + 1) / 2
+    elif normalisation == "imagenet":
+        rgb = rgb * _IMAGENET_DEVIATION + _IMAGENET_MEAN
+    return np.ascontiguousarray(np.clip(rgb, 0, 1).transpose(0, 2, 3, 1), np.float32)
+
+
+def _check_torchscript(path: Path) -> None:
+    """TorchScript is an archive with code; a state dict or a whole pickled model has none."""
+    advice = "export it with torch.jit.trace(model, example).save(FILE), or as ONNX"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {name.partition("/")[2] for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError):
+        raise InputError(f"{path} is a plain pickle or no network; for safety none is opened: {advice}") from None
+    if "constants.pkl" not in members or not any(name.startswith("code/") for name in members):
+        raise InputError(f"{path} holds weights or a pickled model but no network that runs by itself: {advice}")
+
+
+def _flat(result: Any, path: Path) -> tuple[tuple[str, ...], tuple[Float[Array, "..."], ...]]:
+    """Tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
+    if isinstance(result, torch.Tensor):
+        return ("",), (result.float().numpy(),)
+    parts: list[tuple[str, Any]]
+    if isinstance(result, dict):
+        parts = [(str(name), part) for name, part in result.items()]
+    elif isinstance(result, (tuple, list)):
+        parts = [("", part) for part in result]
+    else:
+        raise InputError(f"{path} gave a {type(result).__name__}; it must give tensors")
+    names: list[str] = []
+    arrays: list[Array] = []
+    for name, part in parts:
+        inner_names, inner = _flat(part, path)
+        names += [name if len(inner) == 1 and name else inner_name for inner_name in inner_names]
+        arrays += inner
+    return tuple(names), tuple(arrays)
+
+
+def _finite(path: Path, names: tuple[str, ...], arrays: tuple[Float[Array, "..."], ...]) -> Outputs:
+    if not arrays:
+        raise InputError(f"{path} gave nothing")
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise FloatingPointError(f"{path} gave numbers that are not finite")
+    return Outputs(path, names, arrays)
+
+
+def _failed(path: Path, inputs: Sequence[Array], error: Exception) -> InputError:
+    shapes = ", ".join(str(one.shape) for one in inputs)
+    return InputError(
+        f"{path} failed on inputs of {shapes} ({_first_line(error)}); check its layout in the chains file"
+    )
+
+
+def _first_line(error: Exception) -> str:
+    """What went wrong, without torch's trace: its last line says it."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1][:200] if lines else type(error).__name__

@@ -1,0 +1,82 @@
+"""A case on disk: what a user would have, and beside it what really happened.
+
+    case_0001/frame_0.png background.png clip.toml        what the methods see
+              start_0.npz                                 the static estimate that every method starts from
+              matte_0.png sharp_0.png truth.npz           the truth, for evaluation and for oracles that say so
+              case.json                                   how it was made
+
+More frames: frame_1.png, ... of the same camera.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hfb.errors import InputError
+
+
+@dataclass(frozen=True)
+class Case:
+    """Where the files of one case lie, and the few facts by which cases are sorted.
+
+    Attributes:
+        number: from 1, its place in the set.
+        blur_rate: mean over the frames of |union of R_S(i)| / |R_S(1)| - 1.
+        facts: the whole content of case.json.
+    """
+
+    folder: Path
+    number: int
+    frames: int
+    blur_rate: float
+    facts: dict[str, Any]
+
+    def frame_paths(self) -> list[Path]:
+        """The blurred pictures, in time."""
+        return [self.folder / f"frame_{index}.png" for index in range(self.frames)]
+
+    @property
+    def background(self) -> Path:
+        """The same view without the person."""
+        return self.folder / "background.png"
+
+    @property
+    def clip(self) -> Path:
+        """Camera and shutter, as a user would know them."""
+        return self.folder / "clip.toml"
+
+    @property
+    def truth(self) -> Path:
+        """What really happened."""
+        return self.folder / "truth.npz"
+
+    def start_paths(self) -> list[Path]:
+        """The static estimates, one per frame; they need not be there."""
+        return [self.folder / f"start_{index}.npz" for index in range(self.frames)]
+
+    def true_matte_paths(self) -> list[Path]:
+        """The exact mattes."""
+        return [self.folder / f"matte_{index}.png" for index in range(self.frames)]
+
+    def sharp_paths(self) -> list[Path]:
+        """Per frame, its true sub-frames side by side (straight alpha)."""
+        return [self.folder / f"sharp_{index}.png" for index in range(self.frames)]
+
+
+def case_name(number: int) -> str:
+    """The folder's name of a case."""
+    return f"case_{number:04d}"
+
+
+def load_case(folder: Path) -> Case:
+    """Open a case folder.
+
+    Raises:
+        InputError: no case lies there.
+    """
+    try:
+        facts = json.loads((folder / "case.json").read_text(encoding="utf-8"))
+        return Case(folder, int(facts["number"]), int(facts["frames"]), float(facts["blur_rate"]), facts)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder} is no case folder ({error}); make a set with `hfb synth`") from None

@@ -1,0 +1,97 @@
+"""The clocks of synthetic cases: how long the shutter may be open, and at which instants the truth is known."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hfb.motion.clock import subframe_times_s
+from hfb.shapes import Array, Float
+
+_AMASS_HZ, _AMASS_FRAMES = 120, range(5, 61)
+_CAPE_HZ = 600
+_SEVENTHS = range(5, 11)
+"""A frame has 7 k + 1 instants: 36 to 71, among them the eight of a fit with eight sub-frames."""
+_LARGEST_GAP = 0.25
+_STEP_PX = 2.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """T exposures of one camera, in seconds of a recording.
+
+    Attributes:
+        start_s: when the first shutter opens, from the recording's first frame.
+        exposure_s: each time. interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
+        instants: per exposure, both ends included.
+    """
+
+    start_s: float
+    exposure_s: float
+    interval_s: float
+    frames: int
+    instants: int
+
+    @property
+    def fps(self) -> float:
+        """Pictures per second."""
+        return 1 / self.interval_s
+
+    def times_s(self) -> Float[Array, "R"]:
+        """Every instant in the recording's time, frame after frame."""
+        return self.start_s + subframe_times_s(self.frames, self.instants, self.exposure_s, self.interval_s)[0]
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """What may be chosen of a clock.
+
+    Attributes:
+        exposures_s: possible exposure times, ascending. grid_hz: of which all instants are multiples; None for any.
+    """
+
+    exposures_s: tuple[float, ...]
+    grid_hz: int | None
+
+    def nearest(self, exposure_s: float) -> int:
+        """Which possible exposure is nearest, by ratio."""
+        return int(np.abs(np.log(np.asarray(self.exposures_s) / exposure_s)).argmin())
+
+    def clock(self, exposure: int, start_s: float, gap: float, frames: int, motion_px: float) -> Clock:
+        """The clock of a possible exposure.
+
+        Args:
+            gap: between exposures, in units of an exposure. motion_px: greatest speed of a joint [px per exposure];
+                it moves at most two pixels from instant to instant, as far as 71 instants allow.
+        """
+        exposure_s = self.exposures_s[exposure]
+        gap_s = gap * exposure_s
+        wanted = next((k for k in _SEVENTHS if 7 * k * _STEP_PX >= motion_px), _SEVENTHS[-1])
+        if self.grid_hz is not None:
+            start_s, gap_s = (int(value * self.grid_hz) / self.grid_hz for value in (start_s, gap_s))
+            possible = _instant_sevenths(round(exposure_s * self.grid_hz))
+            wanted = next((k for k in possible if k >= wanted), possible[-1])
+        fps = 1 / (exposure_s + gap_s)
+        if gap_s == 0:  # the reciprocal's rounding must not leave an interval shorter than the exposure
+            fps = fps if 1 / fps >= exposure_s else math.nextafter(fps, 0)
+        return Clock(start_s, exposure_s, 1 / fps, frames, 7 * wanted + 1)
+
+
+def _instant_sevenths(steps: int) -> list[int]:
+    """Which k make 7 k equal steps out of an exposure of that many grid steps."""
+    return [k for k in _SEVENTHS if steps % (7 * k) == 0]
+
+
+def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
+    """BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them."""
+    if name == "bt-amass":
+        return Shutter(tuple(count / _AMASS_HZ for count in _AMASS_FRAMES), None)
+    longest = _SEVENTHS[-1] * 4 * 7
+    lengths = [steps for steps in range(1, longest + 1) if _instant_sevenths(steps)]
+    return Shutter(tuple(steps / _CAPE_HZ for steps in lengths), _CAPE_HZ)
+
+
+def draw_gap(rng: np.random.Generator) -> float:
+    """The time between two exposures, in units of one."""
+    return float(rng.uniform(0, _LARGEST_GAP))

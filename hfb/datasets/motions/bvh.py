@@ -1,0 +1,258 @@
+"""BVH files: a skeleton and its joint angles over time, as text."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hfb.datasets.motions.quaternions import multiply, rotate
+from hfb.errors import InputError
+from hfb.shapes import Array, Float
+
+_MAX_BYTES = 256 << 20
+_MAX_JOINTS = 1000
+_MAX_FPS = 10_000
+_POSITIONS = {"xposition": 0, "yposition": 1, "zposition": 2}
+_ROTATIONS = {"xrotation": 0, "yrotation": 1, "zrotation": 2}
+
+
+@dataclass(frozen=True)
+class BvhMotion:
+    """What the file says, in its own units and axes; parents come before their children.
+
+    Attributes:
+        names: of the joints. parents: number of each joint's parent, -1 for the root.
+        offsets: from the parent, in the parent's frame. ends: where the file has an end site, from its joint; else 0.
+        rotations: of each joint in its parent's frame, unit quaternions (w, x, y, z).
+        places: of each joint in its parent's frame: its position channels where it has them, else its offset.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Float[Array, "N 3"]
+    ends: Float[Array, "N 3"]
+    rotations: Float[Array, "F N 4"]
+    places: Float[Array, "F N 3"]
+    fps: float
+
+    def world(self) -> tuple[Float[Array, "F N 4"], Float[Array, "F N 3"]]:
+        """World rotation and position of every joint."""
+        rotations, places = self.rotations.copy(), self.places.copy()
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                rotations[:, joint] = multiply(rotations[:, parent], self.rotations[:, joint])
+                places[:, joint] = places[:, parent] + rotate(rotations[:, parent], self.places[:, joint])
+        return rotations, places
+
+    def rest(self) -> Float[Array, "N 3"]:
+        """Joints of the pose in which every angle is zero."""
+        places = self.offsets.copy()
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                places[joint] += places[parent]
+        return places
+
+
+@dataclass
+class _Joint:
+    name: str
+    parent: int
+    offset: list[float] | None = None
+    end: list[float] | None = None
+    channels: list[str] | None = None
+
+
+def read_bvh(path: Path) -> BvhMotion:
+    """Read one file.
+
+    Raises:
+        InputError: not a BVH file, cut off, or damaged; the text names the line.
+    """
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(f"{path} is larger than {_MAX_BYTES >> 20} MB; cut the recording into shorter BVH files")
+        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a .bvh file") from error
+    try:
+        return _parse(text)
+    except InputError as error:
+        raise InputError(f"{path} is not a usable BVH file: {error}; export it again") from error
+
+
+def _parse(text: str) -> BvhMotion:
+    if not text.lstrip().startswith("HIERARCHY"):
+        raise InputError("it does not begin with HIERARCHY")
+    separator = re.search(r"^[ \t]*MOTION[ \t\r]*$", text, re.MULTILINE)
+    if separator is None:
+        raise InputError("it has no MOTION part (cut off?)")
+    head, motion = text[: separator.start()], text[separator.start() :]
+    joints = _Hierarchy(head).joints
+    first_line = head.count("\n") + 1
+    counts = [len(joint.channels or ()) for joint in joints]
+    values, fps = _read_motion(motion, sum(counts), first_line)
+    rotations = np.zeros((len(values), len(joints), 4))
+    offsets = np.array([joint.offset for joint in joints], dtype=np.float64)
+    places = np.repeat(offsets[None], len(values), 0)
+    starts = np.cumsum([0, *counts])
+    by_order: dict[tuple[int, ...], list[tuple[int, list[int]]]] = {}
+    for number, joint in enumerate(joints):
+        channels = joint.channels or []
+        turns = [(starts[number] + k, _ROTATIONS[c]) for k, c in enumerate(channels) if c in _ROTATIONS]
+        by_order.setdefault(tuple(axis for _, axis in turns), []).append((number, [column for column, _ in turns]))
+        for k, channel in enumerate(channels):
+            if channel in _POSITIONS:
+                places[:, number, _POSITIONS[channel]] = values[:, starts[number] + k]
+    for order, members in by_order.items():
+        numbers = [number for number, _ in members]
+        angles = np.deg2rad(values[:, [columns for _, columns in members]]) if order else None
+        rotations[:, numbers] = _from_euler(order, angles, (len(values), len(numbers)))
+    ends = np.array([joint.end or (0.0, 0.0, 0.0) for joint in joints])
+    names, parents = tuple(joint.name for joint in joints), tuple(joint.parent for joint in joints)
+    return BvhMotion(names, parents, offsets, ends, rotations, places, fps)
+
+
+def _from_euler(
+    order: tuple[int, ...], angles: Float[Array, "F M c"] | None, shape: tuple[int, int]
+) -> Float[Array, "F M 4"]:
+    """Turns about the joint's own axes, the first channel first (it is the outermost matrix)."""
+    total = np.zeros((*shape, 4))
+    total[..., 0] = 1
+    for channel, axis in enumerate(order):
+        assert angles is not None
+        turn = np.zeros((*shape, 4))
+        turn[..., 0], turn[..., 1 + axis] = np.cos(angles[..., channel] / 2), np.sin(angles[..., channel] / 2)
+        total = turn if channel == 0 else multiply(total, turn)
+    return total
+
+
+class _Hierarchy:
+    """The skeleton's part of the file, word by word."""
+
+    def __init__(self, text: str) -> None:
+        self._words = [(word, line) for line, row in enumerate(text.splitlines(), 1) for word in row.split()]
+        self._next = 1  # after HIERARCHY
+        self.joints: list[_Joint] = []
+        stack: list[int] = []
+        while self._next < len(self._words):
+            word, line = self._take()
+            if word in ("ROOT", "JOINT"):
+                stack.append(self._open_joint(word, stack, line))
+            elif word == "End":
+                self._end_site(stack, line)
+            elif word == "}" and stack:
+                self._close(self.joints[stack.pop()], line)
+            elif word == "OFFSET" and stack and self.joints[stack[-1]].offset is None:
+                self.joints[stack[-1]].offset = self._numbers(3)
+            elif word == "CHANNELS" and stack and self.joints[stack[-1]].channels is None:
+                self.joints[stack[-1]].channels = self._channels(line)
+            else:
+                raise InputError(f"line {line}: {word[:40]!r} has no place there")
+        if stack or not self.joints:
+            raise InputError("its skeleton is not closed by }" if stack else "it has no ROOT")
+
+    def _take(self) -> tuple[str, int]:
+        if self._next >= len(self._words):
+            raise InputError("its skeleton breaks off")
+        self._next += 1
+        return self._words[self._next - 1]
+
+    def _open_joint(self, word: str, stack: list[int], line: int) -> int:
+        words = []
+        while (part := self._take())[0] != "{":
+            words.append(part[0])
+        name = " ".join(words)
+        if not name or (word == "ROOT") != (not stack) or (word == "ROOT" and self.joints):
+            raise InputError(f"line {line}: {word} {name[:40]!r} has no name, or is not where one skeleton has it")
+        if len(self.joints) >= _MAX_JOINTS:
+            raise InputError(f"line {line}: more than {_MAX_JOINTS} joints")
+        self.joints.append(_Joint(name, stack[-1] if stack else -1))
+        return len(self.joints) - 1
+
+    def _end_site(self, stack: list[int], line: int) -> None:
+        words = [self._take()[0] for _ in range(3)]
+        if words != ["Site", "{", "OFFSET"] or not stack:
+            raise InputError(f"line {line}: an End Site needs {{ OFFSET x y z }}")
+        self.joints[stack[-1]].end = self._numbers(3)
+        if self._take()[0] != "}":
+            raise InputError(f"line {line}: an End Site needs {{ OFFSET x y z }}")
+
+    def _close(self, joint: _Joint, line: int) -> None:
+        if joint.offset is None:
+            raise InputError(f"line {line}: joint {joint.name[:40]!r} has no OFFSET")
+
+    def _channels(self, line: int) -> list[str]:
+        word, _ = self._take()
+        if word not in {"0", "1", "2", "3", "4", "5", "6"}:
+            raise InputError(f"line {line}: {word[:40]!r} is not a number of channels from 0 to 6")
+        names = [self._take()[0].lower() for _ in range(int(word))]
+        unknown = [name for name in names if name not in _POSITIONS and name not in _ROTATIONS]
+        if unknown or len(set(names)) < len(names):
+            raise InputError(
+                f"line {line}: channels {' '.join(names)[:80]!r} are not X/Y/Zposition, X/Y/Zrotation once"
+            )
+        return names
+
+    def _numbers(self, count: int) -> list[float]:
+        taken = [self._take() for _ in range(count)]
+        try:
+            numbers = [float(word) for word, _ in taken]
+        except ValueError:
+            numbers = [np.nan]
+        if not np.all(np.isfinite(numbers)) or np.abs(numbers).max() > 1e6:
+            raise InputError(f"line {taken[0][1]}: {' '.join(word for word, _ in taken)[:80]!r} is not an offset")
+        return numbers
+
+
+def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array, "F C"], float]:
+    """The table of channel values and the frame rate."""
+    lines = text.split("\n", 3)
+    if len(lines) < 4:
+        raise InputError("its MOTION part has no frames (cut off?)")
+    frames_word, time_word = (line.rpartition(":")[2].strip() for line in lines[1:3])
+    if not lines[1].strip().lower().startswith("frames:") or not frames_word.isdecimal() or len(frames_word) > 9:
+        raise InputError(f"line {first_line + 1}: {lines[1].strip()[:40]!r} is not 'Frames: N'")
+    try:
+        frame_s = float(time_word)
+    except ValueError:
+        frame_s = np.nan
+    if not lines[2].strip().lower().startswith("frame time:") or not 1 / _MAX_FPS <= frame_s <= 10:
+        raise InputError(f"line {first_line + 2}: {lines[2].strip()[:40]!r} is not 'Frame Time: seconds'")
+    frames = int(frames_word)
+    if frames < 2:
+        raise InputError(f"it has {frames} frames, a motion needs two")
+    if columns == 0:
+        raise InputError("its joints have no channels")
+    try:
+        values = np.fromstring(lines[3], sep=" ")
+    except (ValueError, DeprecationWarning):
+        values = np.array([])
+    if len(values) != frames * columns or not np.isfinite(values).all():
+        raise InputError(_why(lines[3], frames, columns, first_line + 3))
+    return values.reshape(frames, columns), _frames_per_second(frame_s)
+
+
+def _why(text: str, frames: int, columns: int, first_line: int) -> str:
+    """What is wrong with the table of values: the first line that shows it."""
+    rows = 0
+    for number, row in enumerate(text.splitlines(), first_line):
+        words = row.split()
+        if not words:
+            continue
+        rows += 1
+        try:
+            values = [float(word) for word in words]
+        except ValueError:
+            return f"line {number}: {row.strip()[:40]!r} is not a row of numbers"
+        if not np.all(np.isfinite(values)):
+            return f"line {number}: a value is not finite"
+        if len(words) != columns:
+            return f"line {number} has {len(words)} values, its joints have {columns} channels"
+    return f"it announces {frames} frames and has {rows} (cut off?)"
+
+
+def _frames_per_second(frame_s: float) -> float:
+    """Files round the time of a frame (.0083333 s): a whole number of frames per second where that explains it."""
+    fps = 1 / frame_s
+    return float(round(fps)) if abs(fps - round(fps)) < 3e-4 * fps else fps

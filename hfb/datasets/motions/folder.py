@@ -1,0 +1,72 @@
+"""A folder of recordings as a source of motions."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from hfb.datasets.motion_clip import MotionClip
+from hfb.datasets.motions.bvh import read_bvh
+from hfb.datasets.motions.cape import FRAME_FILE, load_cape
+from hfb.datasets.motions.retargeting import retarget
+from hfb.datasets.motions.smpl_motions import check_clip, load_smpl_motion
+from hfb.errors import InputError
+
+_KEPT = 4
+"""Clips held in memory by each process: neighbouring cases often share one."""
+
+
+class FolderMotions:
+    """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
+
+    Hidden files are no recordings. A folder that holds the frames of a CAPE sequence is one motion.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """List the recordings.
+
+        Raises:
+            InputError: no such folder, or no recording in it.
+        """
+        if not folder.is_dir():
+            raise InputError(f"{folder} is no folder; give one with motion files, or leave it out for built-in motions")
+        found: dict[str, list[Path]] = {}
+        for path in folder.rglob("*"):
+            relative = path.relative_to(folder)
+            if any(part.startswith(".") for part in relative.parts) or not path.is_file():
+                continue
+            frame = FRAME_FILE.match(path.name)
+            if frame:
+                within = relative.parent / frame["sequence"]
+                name = relative.parent if relative.parent.name == frame["sequence"] else within
+                found.setdefault(name.as_posix(), []).append(path)
+            elif path.suffix.lower() in (".npz", ".bvh"):
+                found[relative.as_posix()] = [path]
+        if not found:
+            raise InputError(
+                f"{folder} has no motion in it; expected are AMASS files (.npz), BVH files (.bvh), "
+                "CAPE sequences (folders of SEQUENCE.000001.npz) or motion files of hfb (.npz)"
+            )
+        self._found = [(name, tuple(sorted(found[name]))) for name in sorted(found)]
+
+    def names(self) -> Sequence[str]:
+        """Paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
+        return [name for name, _ in self._found]
+
+    def load(self, index: int) -> MotionClip:
+        """Read one of them; see `MotionSource`."""
+        name, paths = self._found[index]
+        return _load(name, paths)
+
+
+@lru_cache(maxsize=_KEPT)
+def _load(name: str, paths: tuple[Path, ...]) -> MotionClip:
+    if FRAME_FILE.match(paths[0].name):
+        return load_cape(paths, name)
+    if paths[0].suffix.lower() == ".npz":
+        return load_smpl_motion(paths[0], name)
+    motion = read_bvh(paths[0])
+    try:
+        poses, translations = retarget(motion)
+    except InputError as error:
+        raise InputError(f"{paths[0]} cannot be brought to SMPL's skeleton: {error}") from error
+    return check_clip(name, paths[0], poses.reshape(len(poses), 72), translations, motion.fps)

@@ -1,0 +1,114 @@
+"""Which joint of a foreign skeleton is which of SMPL's: limbs and head by name, trunk by how they hang together."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hfb.errors import InputError
+
+_LIMBS: dict[str, tuple[str, ...]] = {
+    "hip": ("thigh", "upleg", "upperleg", "femur", "hip"),
+    "knee": ("shin", "calf", "leg", "lowerleg", "lowleg", "knee", "tibia"),
+    "ankle": ("foot", "ankle"),
+    "shoulder": ("shldr", "upperarm", "uparm", "arm", "humerus", "shoulder"),
+    "elbow": ("forearm", "lowerarm", "lowarm", "elbow", "radius"),
+    "wrist": ("hand", "wrist"),
+}
+"""What a limb's joint is called, without its side; the first that the skeleton has counts.
+
+Seen in: CMU's database by cgspeed for Daz figures (lThigh, lShldr) and for MotionBuilder (LeftUpLeg, LeftArm), iClone's
+Character Creator (CC_Base_L_Thigh), Mixamo (mixamorig:LeftUpLeg), 3ds Max' Biped (Bip01 L Thigh), Unreal (thigh_l),
+Vicon's and others' LeftHip / LeftKnee / LeftAnkle.
+"""
+
+_HEAD = ("head",)
+_TOE = ("toe", "toebase", "toes", "toe0", "ball")
+_PREFIX = re.compile(r"^(mixamorig\d*|ccbase|bip\d+|bip|character\d*|def)(?=[a-z])")
+
+
+@dataclass(frozen=True)
+class JointMap:
+    """Numbers of a skeleton's joints; None where it has none of that kind.
+
+    Attributes:
+        limbs: by SMPL's name (`left_knee`).
+        pelvis: the joint that both legs and the trunk hang from. chest: the one that both arms hang from.
+        collars: what each shoulder hangs from, where that moves apart from the chest.
+    """
+
+    pelvis: int
+    chest: int
+    head: int
+    limbs: dict[str, int]
+    collars: dict[str, int | None]
+    toes: dict[str, int | None]
+
+
+def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
+    """Find a person's joints in a skeleton.
+
+    Raises:
+        InputError: some are missing; the text names them.
+    """
+    known: dict[str, int] = {}
+    for number, name in enumerate(names):
+        known.setdefault(_normal(name), number)
+    limbs: dict[str, int] = {}
+    missing = []
+    for side in ("left", "right"):
+        for part, aliases in _LIMBS.items():
+            found = _find(known, [sided for alias in aliases for sided in _sided(side, alias)])
+            if found is None:
+                missing.append(f"{side} {part}")
+            else:
+                limbs[f"{side}_{part}"] = found
+    head = _find(known, _HEAD)
+    if head is None:
+        missing.append("head")
+    if missing or head is None:
+        raise InputError(
+            f"its skeleton has no joint known as {', '.join(missing)} (its joints are {', '.join(names)[:300]}); "
+            "rename them as Mixamo or CMU do (LeftUpLeg, LeftLeg, LeftFoot, LeftArm, LeftForeArm, LeftHand, Head)"
+        )
+    above = [_chain(parents, number) for number in range(len(names))]
+    for side in ("left", "right"):
+        for chain in (("hip", "knee", "ankle"), ("shoulder", "elbow", "wrist")):
+            numbers = [limbs[f"{side}_{part}"] for part in chain]
+            if numbers[0] not in above[numbers[1]] or numbers[1] not in above[numbers[2]]:
+                raise InputError(f"its {side} {', '.join(chain)} do not hang from one another")
+    chest = _common(above, limbs["left_shoulder"], limbs["right_shoulder"])
+    pelvis = _common(above, _common(above, limbs["left_hip"], limbs["right_hip"]), chest)
+    collars: dict[str, int | None] = {}
+    toes: dict[str, int | None] = {}
+    for side in ("left", "right"):
+        over = parents[limbs[f"{side}_shoulder"]]
+        collars[side] = over if over not in (chest, -1) else None
+        toes[side] = _find(known, [sided for alias in _TOE for sided in _sided(side, alias)])
+    return JointMap(pelvis, chest, head, limbs, collars, toes)
+
+
+def _normal(name: str) -> str:
+    """Without its name space, prefix, case and punctuation."""
+    plain = re.sub(r"[^a-z0-9]", "", name.rpartition(":")[2].lower())
+    return _PREFIX.sub("", plain)
+
+
+def _sided(side: str, part: str) -> tuple[str, ...]:
+    return (f"{side[0]}{part}", f"{side}{part}", f"{part}{side[0]}", f"{part}{side}")
+
+
+def _find(known: dict[str, int], aliases: Sequence[str]) -> int | None:
+    return next((known[alias] for alias in aliases if alias in known), None)
+
+
+def _chain(parents: Sequence[int], joint: int) -> list[int]:
+    """The joint and all above it."""
+    chain = [joint]
+    while parents[chain[-1]] >= 0:
+        chain.append(parents[chain[-1]])
+    return chain
+
+
+def _common(above: Sequence[Sequence[int]], first: int, second: int) -> int:
+    """The lowest joint that both hang from."""
+    return next(joint for joint in above[first] if joint in above[second])

@@ -1,0 +1,185 @@
+"""3D joints that somebody measured: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
+
+Detectors and SMPL put their joints at slightly different places of the body: hips and shoulders lie 2 to 5 cm apart.
+The neck of a detector is the middle of the shoulders, SMPL's lies above it, so it is left out, as are nose, head, toes
+and heels, for which SMPL has no joint at the same place.
+"""
+
+import math
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hfb.body.skeleton import JOINT_NAMES
+from hfb.errors import InputError
+from hfb.shapes import Array, Float, Int
+
+_FILE_LIMIT = 256 << 20
+_UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+_LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+_SIDES = {"left": "left", "right": "right", "l": "left", "r": "right"}
+_FAR_M = 1000.0
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Named points over time, in the world of a calibration.
+
+    Attributes:
+        frames: number of each row's frame, increasing, on the clock of the recording (0 is its first frame).
+        rate_hz: rows per second; None where the file leaves it to the video.
+        names: as in the file. xyz_m: NaN where a point is unknown.
+    """
+
+    frames: Int[Array, "F"]
+    rate_hz: float | None
+    names: tuple[str, ...]
+    xyz_m: Float[Array, "F M 3"]
+
+    def turned(self) -> "Markers":
+        """The same points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
+        return replace(self, xyz_m=np.ascontiguousarray(self.xyz_m[..., [2, 0, 1]]))
+
+    def rows(self, first: int, count: int) -> Float[Array, "n M 3"]:
+        """The points of consecutive frames; NaN for frames that the file does not have."""
+        found = np.full((count, len(self.names), 3), np.nan)
+        at = np.searchsorted(self.frames, np.arange(first, first + count))
+        known = at < len(self.frames)
+        known[known] = self.frames[at[known]] == np.arange(first, first + count)[known]
+        found[known] = self.xyz_m[at[known]]
+        return found
+
+
+def smpl_joint(name: str) -> int | None:
+    """The SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like."""
+    word = "".join(letter for letter in name.lower() if letter.isalnum())
+    for limb in _LIMBS:
+        side = _SIDES.get(word.removesuffix(limb)) or _SIDES.get(word.removeprefix(limb))
+        if side and limb in word:
+            return JOINT_NAMES.index(f"{side}_{limb}")
+    return None
+
+
+def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """(columns of the markers that show SMPL joints, those joints), by joint; the first of doubles."""
+    joints: dict[int, int] = {}
+    for column, name in enumerate(names):
+        joint = smpl_joint(name)
+        if joint is not None:
+            joints.setdefault(joint, column)
+    return [joints[joint] for joint in sorted(joints)], sorted(joints)
+
+
+def read_joints_npz(path: Path) -> Markers:
+    """Read joints3d.npz: frames (F,), names (M,), xyz (F,M,3) in metres in the calibration's world.
+
+    Raises:
+        InputError: missing, damaged, too large, or of other shapes.
+    """
+    fix = "give frames (F,), names (M,) and xyz (F, M, 3) in metres"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _FILE_LIMIT:
+                raise InputError(f"{path}: unpacked it has over {_FILE_LIMIT >> 20} MiB; {fix}.")
+        with np.load(path, allow_pickle=False) as file:
+            frames, names, xyz = (file[name] for name in ("frames", "names", "xyz"))
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(f"{path}: {error.args[0]}; {fix}.") from None
+    except Exception as error:  # a broken archive makes zipfile and numpy raise nearly anything
+        raise InputError(f"{path}: can't be read as joints ({type(error).__name__}); {fix}.") from None
+    if frames.dtype.kind not in "iu" or names.dtype.kind not in "US" or xyz.dtype.kind != "f":
+        raise InputError(f"{path}: holds other kinds of values; {fix}.")
+    if names.ndim != 1 or xyz.shape != (frames.size, names.size, 3) or frames.shape != (frames.size,):
+        raise InputError(f"{path}: has frames {frames.shape}, names {names.shape}, xyz {xyz.shape}; {fix}.")
+    text = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name) for name in names)
+    return _checked(Markers(frames.astype(np.int64), None, text, xyz.astype(np.float64)), path)
+
+
+def read_trc(path: Path) -> Markers:
+    """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
+
+    A gap is an empty cell. Rows are placed by their time: frame = time * rate.
+
+    Raises:
+        InputError: missing, no .trc, or inconsistent; the text says in which line.
+    """
+    lines = _lines(path)
+    if len(lines) < 6 or not lines[0].lstrip("\ufeff").startswith("PathFileType"):
+        raise InputError(f"{path}: is no .trc file (its first line must start with PathFileType); export it again.")
+    keys, values = lines[1].split(), lines[2].split()
+    facts = dict(zip(keys, values, strict=False))
+    rate, count = _positive(path, facts, "DataRate"), _positive(path, facts, "NumMarkers")
+    unit = facts.get("Units", "").lower()
+    if unit not in _UNITS_M:
+        raise InputError(f"{path}: Units is {facts.get('Units')!r}; it must be m, cm or mm.")
+    names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
+    if len(names) != count:
+        raise InputError(f"{path}: NumMarkers says {count:g} and line 4 names {len(names)} markers; export it again.")
+    times, points = [], []
+    for number, line in enumerate(lines[5:], start=6):
+        if line.strip():
+            time_s, point = _row(path, number, line, len(names))
+            times.append(time_s)
+            points.append(point)
+    if not times:
+        raise InputError(f"{path}: has a header and no row of points; export it again.")
+    frames = np.round(np.array(times) * rate)
+    if np.abs(np.array(times) * rate - frames).max() > 0.1:
+        raise InputError(f"{path}: its times do not lie on its DataRate of {rate:g} Hz; export it again.")
+    return _checked(Markers(frames.astype(np.int64), rate, names, np.stack(points) * _UNITS_M[unit]), path)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if path.stat().st_size > _FILE_LIMIT:
+            raise InputError(f"{path}: has over {_FILE_LIMIT >> 20} MiB, too many for a .trc file.")
+        return path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not text, so no .trc file; export it again.") from None
+    except OSError as error:
+        raise InputError(f"{path}: can't be read ({error.strerror}); check the path.") from None
+
+
+def _positive(path: Path, facts: dict[str, str], key: str) -> float:
+    try:
+        value = float(facts[key])
+        if not 0 < value < 1e6:
+            raise ValueError
+    except (KeyError, ValueError):
+        raise InputError(f"{path}: {key} in its header is {facts.get(key)!r}, not a positive number.") from None
+    return value
+
+
+def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float[Array, "M 3"]]:
+    cells = [cell.strip() for cell in line.split("\t")]
+    while len(cells) > 2 + 3 * markers and not cells[-1]:
+        cells.pop()
+    cells += [""] * (2 + 3 * markers - len(cells))  # editors cut off the tabs of gaps at a line's end
+    if len(cells) != 2 + 3 * markers:
+        raise InputError(f"{path}: line {number} has {len(cells)} columns, {2 + 3 * markers} belong to its markers.")
+    try:
+        time_s = float(cells[1])
+        point = np.array([float(cell) if cell else math.nan for cell in cells[2:]]).reshape(markers, 3)
+    except ValueError as error:
+        raise InputError(f"{path}: line {number} holds something that is no number ({error}).") from None
+    if not math.isfinite(time_s) or not 0 <= time_s < 1e6:
+        raise InputError(f"{path}: line {number} has the time {cells[1]}; times are seconds from 0.")
+    return time_s, point
+
+
+def _checked(markers: Markers, path: Path) -> Markers:
+    """Whole points or none; frames in order; sizes that a room can hold."""
+    if not len(markers.frames) or (np.diff(markers.frames) <= 0).any() or markers.frames[0] < 0:
+        raise InputError(f"{path}: its frames must increase from 0 or more, one row each.")
+    if len(set(markers.names)) != len(markers.names):
+        raise InputError(f"{path}: two markers have one name; rename one.")
+    xyz = np.where(np.isfinite(markers.xyz_m).all(-1, keepdims=True), markers.xyz_m, np.nan)
+    if not np.isfinite(xyz).any():
+        raise InputError(f"{path}: holds no known point; export it again.")
+    if np.nanmax(np.abs(xyz)) > _FAR_M:
+        raise InputError(f"{path}: a point is farther than {_FAR_M:g} m away; check its units.")
+    return replace(markers, xyz_m=xyz)

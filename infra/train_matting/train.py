@@ -1,0 +1,162 @@
+"""Train the matting network: `python train.py --bank train.npy --photos FOLDER... --out FOLDER`.
+
+Every iteration draws a few new scenes and takes the rest of its batch from the latest ones, flipped and with other
+colour channels: drawing costs more than learning. The same options and seed see the same pictures in the same order.
+"""
+
+import argparse
+import json
+import math
+import time
+from collections import deque
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from plates import PATTERNS, ROOMS, make_patterns, make_rooms, read_photos
+from scenes import Difficulty, draw_scene
+from torch import nn
+from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+from torch.utils.data import DataLoader, IterableDataset
+
+from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
+
+_REMEMBERED = 480
+_EVERY_S = 120
+
+
+class Scenes(IterableDataset):
+    """New scenes, one after another, for ever."""
+
+    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int) -> None:
+        self.banks, self.photos, self.size_px, self.seed = banks, photos, size_px, seed
+
+    def __iter__(self):
+        """(features and alpha) as (CHANNELS + 1, size, size) float16."""
+        cv2.setNumThreads(1)
+        torch.set_num_threads(1)
+        figures = [np.load(path, mmap_mode="r") for path in self.banks]
+        real = read_photos(self.photos, held_out=False)
+        plates = [real, real, make_rooms(ROOMS, self.seed), make_patterns(PATTERNS, self.seed)]
+        rules = Difficulty(self.size_px)
+        for number in range(1 << 30):
+            rng = np.random.default_rng([self.seed, number])
+            scene = draw_scene(figures[rng.integers(len(figures))], plates, rules, rng)
+            seen = features(scene.frame, scene.plate)
+            yield torch.from_numpy(np.concatenate([seen, scene.alpha[None]]).astype(np.float16))
+
+
+def matte_loss(output: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Error, weighted in the blurred band; overlap; edges; and how well the network knows its own error."""
+    matte, spread = torch.sigmoid(output[:, :1]), output[:, 1:].clamp(-6, 1)
+    error = (matte - alpha).abs()
+    band = ((alpha > 0.02) & (alpha < 0.98)).float()
+    plain = (error * (1 + 2 * band + alpha)).mean()
+    together = torch.minimum(matte, alpha).sum((1, 2, 3)) + 10
+    overlap = 1 - together / (torch.maximum(matte, alpha).sum((1, 2, 3)) + 10)
+    edges = sum(
+        (functional.avg_pool2d(matte, k).diff(dim=axis) - functional.avg_pool2d(alpha, k).diff(dim=axis)).abs().mean()
+        for k in (1, 4)
+        for axis in (2, 3)
+    )
+    known = (error.detach() / spread.exp() + spread).mean()
+    return 2 * plain + 0.5 * overlap.mean() + edges + 0.02 * known
+
+
+def augment(batch: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Flip, and reorder the colour channels of everything that has them."""
+    order = torch.randperm(3, generator=generator)
+    channels = torch.cat([order + start for start in (0, 3, 6, 9)] + [torch.arange(12, CHANNELS + 1)])
+    batch = batch[:, channels]
+    return batch.flip(-1) if torch.rand((), generator=generator) < 0.5 else batch
+
+
+def fold(network: MatteNetwork, widths: tuple[int, ...]) -> MatteNetwork:
+    """The same function without normalisation layers."""
+    plain = MatteNetwork(widths).eval()
+    modules = dict(network.eval().named_modules())
+    for name, module in plain.named_modules():
+        if isinstance(module, nn.Conv2d):
+            source = modules[name]
+            if name != "exit":
+                source = fuse_conv_bn_eval(source, modules[name[:-1] + "1"])
+            module.load_state_dict(source.state_dict())
+    return plain
+
+
+def main() -> None:
+    """Train until the iterations or the minutes are over; the latest averaged weights lie in the folder at any time."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bank", type=Path, nargs="+", required=True)
+    parser.add_argument("--photos", type=Path, nargs="+", required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--iterations", type=int, default=8000)
+    parser.add_argument("--minutes", type=float, default=1e9, help="hurry the schedule so that it ends by then")
+    parser.add_argument("--size", type=int, default=144)
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--fresh", type=int, default=3, help="new scenes per iteration")
+    parser.add_argument("--rate", type=float, default=2e-3)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--start", type=Path, help="training state to go on from")
+    parser.add_argument("--half", action="store_true", help="multiply in bfloat16")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    torch.manual_seed(options.seed)
+    options.out.mkdir(parents=True, exist_ok=True)
+    network = MatteNetwork(WIDTHS, nn.BatchNorm2d).to(memory_format=torch.channels_last)
+    average = MatteNetwork(WIDTHS, nn.BatchNorm2d)
+    if options.start:
+        network.load_state_dict(torch.load(options.start, weights_only=True))
+    average.load_state_dict(network.state_dict())
+    optimiser = torch.optim.AdamW(network.parameters(), options.rate, weight_decay=0.01)
+    loader = DataLoader(
+        Scenes(options.bank, options.photos, options.size, options.seed), batch_size=options.fresh, num_workers=1,
+        prefetch_factor=16,
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(options.seed)
+    remembered: deque[torch.Tensor] = deque(maxlen=_REMEMBERED)
+    started = saved = time.monotonic()
+    smooth = None
+    for step, fresh in enumerate(loader):
+        elapsed = time.monotonic() - started
+        progress = max(step / options.iterations, elapsed / 60 / options.minutes)
+        if time.monotonic() - saved > _EVERY_S or progress >= 1:
+            saved = time.monotonic()
+            torch.save(average.state_dict(), options.out / "state.pt")
+            torch.save(fold(average, WIDTHS).state_dict(), options.out / "folded.pt")
+            facts = {"iterations": step, "seconds": elapsed, "loss": smooth, "options": vars(options)}
+            (options.out / "training.json").write_text(json.dumps(facts, default=str))
+            print(f"{step} iterations, {elapsed:.0f} s, loss {smooth}", flush=True)
+        if progress >= 1:
+            break
+        remembered.extend(fresh)
+        if len(remembered) < 2 * options.batch:
+            continue
+        chosen = torch.randint(len(remembered), (options.batch - options.fresh,), generator=generator)
+        batch = torch.cat([fresh, torch.stack([remembered[int(k)] for k in chosen])])
+        batch = augment(batch, generator).float().contiguous(memory_format=torch.channels_last)
+        warm = min(1.0, (step + 1) / 100)
+        for group in optimiser.param_groups:
+            group["lr"] = options.rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1, progress))))
+        network.train()
+        with torch.autocast("cpu", torch.bfloat16, enabled=options.half):
+            output = network(batch[:, :CHANNELS])
+        loss = matte_loss(output.float(), batch[:, CHANNELS:])
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        keep = min(0.998, (1 + step) / (10 + step))
+        with torch.no_grad():
+            for mine, theirs in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+                mine.lerp_(theirs, 1 - keep) if mine.is_floating_point() else mine.copy_(theirs)
+        smooth = loss.item() if smooth is None else 0.99 * smooth + 0.01 * loss.item()
+        if step % 100 == 99:
+            print(f"step {step + 1} {elapsed:.0f} s loss {smooth:.4f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

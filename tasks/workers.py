@@ -1,0 +1,105 @@
+"""Worker processes for what computes: a fit holds Python's lock too long for two of them to share a process.
+
+Prefect's own process runner costs seconds per flow and 130 ms per task, so its tasks stay threads and hand the
+computation itself, a plain function of handles, to a few processes that live as long as the flow. The result does
+not depend on their number: each computes with one thread, and nothing is shared between two calls.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_ATTEMPTS = 3
+
+
+class WorkerLost(Exception):
+    """A worker process died, more than once, over the same computation."""
+
+
+class _Pool:
+    """Processes that are replaced when one of them dies, by the kernel's hand when memory runs out, say."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._lock = threading.Lock()
+        self._executor = self._started()
+
+    def _started(self) -> ProcessPoolExecutor:
+        # spawn: a forked child would inherit locks that threads of the parent hold
+        context = multiprocessing.get_context("spawn")
+        return ProcessPoolExecutor(self._count, context, initializer=_begin, initargs=(os.getpid(),))
+
+    def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        for _ in range(_ATTEMPTS):
+            executor = self._executor
+            try:
+                return executor.submit(function, *args, **kwargs).result()
+            except BrokenProcessPool:
+                self._replace(executor)
+        raise WorkerLost(f"a worker process died {_ATTEMPTS} times over this; was there enough memory?")
+
+    def _replace(self, broken: ProcessPoolExecutor) -> None:
+        with self._lock:
+            if self._executor is broken:  # every thread that waited finds out; one of them mends
+                broken.shutdown(wait=False)
+                self._executor = self._started()
+
+    def close(self) -> None:
+        # What still computes has no one to give it to: an interrupted flow must not wait for it.
+        processes = list((self._executor._processes or {}).values())
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+
+
+_pool: _Pool | None = None
+
+
+@contextmanager
+def workers(count: int) -> Iterator[None]:
+    """Computations inside run in this many processes; one means this process itself."""
+    global _pool
+    if count < 2:
+        yield
+        return
+    _pool = _Pool(count)
+    try:
+        yield
+    finally:
+        pool, _pool = _pool, None
+        pool.close()
+
+
+def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+    """The function's result, from a worker process where there are some.
+
+    Raises:
+        WorkerLost: the process that computed it died, three times.
+    """
+    return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
+
+
+def _begin(parent: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _end_with(parent: int) -> None:
+    """No orphans: a parent that was killed cannot tell its workers."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os._exit(1)

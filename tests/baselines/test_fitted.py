@@ -1,0 +1,90 @@
+"""Human from Blur as one method among others."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hfb.baselines.build import make_method
+from hfb.baselines.fitted import HumanFromBlur
+from hfb.baselines.frames import one_by_one
+from hfb.baselines.method import Method
+from hfb.baselines.method_spec import METHOD_NAMES, method_spec
+from hfb.body.assets import load_default_body
+from hfb.config import RunConfig, Stage
+from hfb.evaluate.metrics import silhouette_iou
+from hfb.fit.loop import fit
+from hfb.priors.anatomy import AnatomicalPrior
+from tests.baselines.cases import bare_case
+from tests.scenes import moving_scene
+
+
+def tiny(name: str) -> RunConfig:
+    """A method's configuration, cut down to what a test can wait for."""
+    config = method_spec(name).config
+    changes = {"stages": (Stage(size_px=32, iterations=4),), "subframes": 4, "texture_px": 16}
+    return config.model_copy(update={"fit": config.fit.model_copy(update=changes)})
+
+
+def test_it_is_the_fit_and_nothing_else(tmp_path: Path) -> None:
+    body, scene, config = load_default_body(), moving_scene(load_default_body(), 32), tiny("best")
+    prediction = HumanFromBlur("best", config, False, body)(bare_case(tmp_path), scene.observation, scene.middle)
+    alone = fit(scene.observation, scene.middle, body, config.fit, config.seed, AnatomicalPrior())
+    assert prediction.motion is not None
+    assert np.array_equal(prediction.motion.poses, alone.motion.poses)
+    assert prediction.seconds > 0
+
+
+def test_its_pictures_are_of_its_motion(tmp_path: Path) -> None:
+    body, scene = load_default_body(), moving_scene(load_default_body(), 48)
+    prediction = HumanFromBlur("paper", tiny("paper"), False, body)(
+        bare_case(tmp_path), scene.observation, scene.middle
+    )
+    assert prediction.pictures is not None
+    assert prediction.pictures.shape == (4, 48, 48, 4)
+    times = prediction.motion.times_s if prediction.motion is not None else np.zeros(0)
+    nearest = np.abs(scene.truth.motion.times_s[None] - times[:, None]).argmin(1)
+    drawn = (prediction.pictures[..., 3] >= 0.5).astype(np.float32)
+    assert silhouette_iou(drawn, scene.truth.silhouettes[nearest].astype(np.float32)) > 0.5
+    assert prediction.pictures[..., :3].max() <= prediction.pictures[..., 3].max() + 1e-5  # premultiplied
+
+
+def test_frames_alone_are_the_single_fits_joined(tmp_path: Path) -> None:
+    body, scene, config = load_default_body(), moving_scene(load_default_body(), 32, frames=2), tiny("best")
+    case = bare_case(tmp_path, 2)
+    joined = HumanFromBlur("best-frames", config, True, body)(case, scene.observation, scene.middle)
+    together = HumanFromBlur("best", config, False, body)(case, scene.observation, scene.middle)
+    second = HumanFromBlur("best", config, False, body)(
+        bare_case(tmp_path), one_by_one(scene.observation)[1], scene.middle[1:]
+    )
+    assert joined.motion is not None
+    assert together.motion is not None
+    assert second.motion is not None
+    assert np.array_equal(joined.motion.joints[4:], second.motion.joints)
+    assert np.array_equal(joined.motion.times_s, together.motion.times_s)
+    assert joined.motion.frame_index.tolist() == [0] * 4 + [1] * 4
+    assert not np.allclose(joined.motion.joints, together.motion.joints, atol=1e-4)
+    assert joined.silhouettes is not None
+    assert joined.pictures is not None
+    assert np.array_equal(joined.silhouettes, joined.pictures[..., 3] >= 0.5)
+
+
+def test_an_ablation_takes_effect(tmp_path: Path) -> None:
+    body, scene, case = load_default_body(), moving_scene(load_default_body(), 32), bare_case(tmp_path)
+    motions = [
+        HumanFromBlur(name, tiny(name), False, body)(case, scene.observation, scene.middle).motion
+        for name in ("best", "best-no-image", "best-no-matte", "best-dibr", "best-degree1", "best-axis-angle")
+    ]
+    poses = [motion.poses for motion in motions if motion is not None]
+    assert len(poses) == 6
+    for index, one in enumerate(poses):
+        assert np.isfinite(one).all()
+        assert all(not np.array_equal(one, other) for other in poses[:index])
+
+
+def test_every_name_makes_a_method() -> None:
+    body = load_default_body()
+    for name in METHOD_NAMES:
+        if "=" not in name and name != "oracle-mediapipe":  # the networks need not be there
+            method = make_method(method_spec(name), body)
+            assert isinstance(method, Method)
+            assert method.name == name

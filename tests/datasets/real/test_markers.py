@@ -1,0 +1,140 @@
+"""Measured joints: what is written is read, what is damaged is refused in one sentence."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hfb.body.skeleton import JOINT_NAMES
+from hfb.datasets.real.markers import body_columns, read_joints_npz, read_trc, smpl_joint
+from hfb.errors import InputError
+from tests.datasets.real.videos import write_trc
+
+_NAMES = ("RHip", "LWrist", "Neck")
+
+
+def _points() -> np.ndarray:
+    points = np.random.default_rng(0).normal(0, 1, (5, 3, 3))
+    points[2, 1] = points[3, 2] = np.nan
+    return points
+
+
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_a_trc_comes_back_in_metres_with_its_gaps(tmp_path: Path, unit: str) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60, unit)
+    read = read_trc(tmp_path / "a.trc")
+    assert read.names == _NAMES
+    assert read.rate_hz == 60
+    assert read.frames.tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(read.xyz_m, _points(), atol=1e-12)
+
+
+def test_a_half_known_point_is_unknown_and_cut_off_gaps_are_gaps(tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    cells = lines[5].split("\t")
+    cells[3] = ""
+    lines[5], lines[8] = "\t".join(cells), lines[8].rstrip("\t")
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    read = read_trc(tmp_path / "a.trc")
+    assert np.isnan(read.xyz_m[0, 0]).all()
+    assert np.isnan(read.xyz_m[3, 2]).all()
+
+
+def test_rows_are_placed_by_their_time(tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", _points(), _NAMES, 60)
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    for number, line in enumerate(lines[5:], start=5):
+        _, _, rest = line.split("\t", 2)
+        lines[number] = f"{number}\t{(number + 5) / 60:.5f}\t{rest}"  # rows 10 .. 14
+    (tmp_path / "a.trc").write_text("\n".join(lines))
+    read = read_trc(tmp_path / "a.trc")
+    rows = read.rows(9, 3)
+    assert np.isnan(rows[0]).all()
+    np.testing.assert_allclose(rows[1:], _points()[:2], atol=1e-9)
+    assert np.isnan(read.rows(15, 2)).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("PathFileType", "Path", "PathFileType"),
+        ("\tm\t", "\tfurlong\t", "Units"),
+        ("60\t60\t5\t3", "60\t60\t5\t4", "NumMarkers"),
+        ("60\t60\t5\t3", "-1\t60\t5\t3", "DataRate"),
+        ("60\t60\t5\t3", "nan\t60\t5\t3", "DataRate"),
+        ("RHip", "Neck", "one name"),
+        ("\n1\t", "\n1\tsoon\t", "line 7"),
+        ("\n1\t0.016666666666666666", "\n1\t0.02", "do not lie on its DataRate"),
+        ("\n1\t0.016666666666666666", "\n1\t0.1", "increase"),
+        ("\n1\t0.016666666666666666", "\n1\tinf", "line 7"),
+        ("\n1\t0.016666666666666666", "\n1\t0.016666666666666666\t1e9", "line 7"),
+    ],
+)
+def test_a_damaged_trc_is_refused(tmp_path: Path, old: str, new: str, says: str) -> None:
+    write_trc(tmp_path / "a.trc", np.random.default_rng(1).normal(0, 1, (5, 3, 3)), _NAMES, 60)
+    text = (tmp_path / "a.trc").read_text()
+    assert old in text
+    (tmp_path / "a.trc").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=says):
+        read_trc(tmp_path / "a.trc")
+
+
+def test_a_wrong_unit_shows(tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", 1500 * np.ones((2, 3, 3)), _NAMES, 60)
+    with pytest.raises(InputError, match="units"):
+        read_trc(tmp_path / "a.trc")
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00\x01", b"PathFileType\t4\n" * 3, b"\x00" * 1000])
+def test_what_is_no_trc(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.trc").write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.trc"):
+        read_trc(tmp_path / "a.trc")
+    with pytest.raises(InputError, match=r"no\.trc"):
+        read_trc(tmp_path / "no.trc")
+
+
+def test_joints_npz(tmp_path: Path) -> None:
+    good = {"frames": np.arange(3, 8), "names": np.array(_NAMES), "xyz": _points().astype(np.float32)}
+    np.savez(tmp_path / "good.npz", **good)
+    read = read_joints_npz(tmp_path / "good.npz")
+    assert read.names == _NAMES
+    assert read.rate_hz is None
+    np.testing.assert_allclose(read.rows(3, 5), _points(), atol=1e-6)
+    bad = {
+        "xyz": good["xyz"][:, :2], "names": np.array([{"a": 1}] * 3, object), "frames": np.array([3, 3, 4, 5, 6]),
+    }  # fmt: skip
+    for name, value in bad.items():
+        np.savez(tmp_path / "bad.npz", **(good | {name: value}))
+        with pytest.raises(InputError, match=r"bad\.npz"):
+            read_joints_npz(tmp_path / "bad.npz")
+    np.savez(tmp_path / "bad.npz", frames=good["frames"], names=good["names"])
+    with pytest.raises(InputError, match="xyz"):
+        read_joints_npz(tmp_path / "bad.npz")
+    (tmp_path / "bad.npz").write_bytes((tmp_path / "good.npz").read_bytes()[:200])
+    with pytest.raises(InputError, match=r"bad\.npz"):
+        read_joints_npz(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "joint"),
+    [
+        ("RHip", "right_hip"), ("LKnee", "left_knee"), ("left_wrist", "left_wrist"), ("Right Ankle", "right_ankle"),
+        ("l_shoulder", "left_shoulder"), ("RElbow", "right_elbow"), ("ankle.left", "left_ankle"),
+        ("Neck", None), ("Nose", None), ("Head", None), ("Hip", None), ("CHip", None), ("RBigToe", None),
+        ("LHeel", None), ("left", None), ("", None),
+    ],
+)  # fmt: skip
+def test_names_of_joints(name: str, joint: str | None) -> None:
+    assert smpl_joint(name) == (None if joint is None else JOINT_NAMES.index(joint))
+
+
+def test_columns_follow_the_joints_order() -> None:
+    assert body_columns(("LWrist", "Nose", "RHip", "right_hip", "LHip")) == ([4, 2, 0], [1, 2, 20])
+
+
+def test_turning_up_undoes_pose2sims_own_turn(tmp_path: Path) -> None:
+    z_up = _points()
+    write_trc(tmp_path / "a.trc", z_up[..., [1, 2, 0]], _NAMES, 60)  # as Pose2Sim writes: x = y, y = z, z = x
+    np.testing.assert_allclose(read_trc(tmp_path / "a.trc").turned().xyz_m, z_up, atol=1e-12)

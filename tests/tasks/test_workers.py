@@ -1,0 +1,86 @@
+"""Worker processes: the same result wherever it is computed, and none lost when one dies."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from tasks.workers import WorkerLost, compute, workers
+
+
+def process_id(_: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def die_once(mark: Path) -> str:
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "survived"
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fail() -> None:
+    raise ValueError("said by the computation")
+
+
+def test_without_workers_the_process_computes_itself() -> None:
+    assert compute(process_id, 0) == os.getpid()
+    with workers(1):
+        assert compute(process_id, 0) == os.getpid()
+
+
+def test_two_workers_compute_elsewhere_and_mend(tmp_path: Path) -> None:
+    with workers(2), ThreadPoolExecutor(4) as threads:
+        seen = set(threads.map(lambda number: compute(process_id, number), range(8)))
+        assert os.getpid() not in seen
+        assert len(seen) == 2
+        with pytest.raises(ValueError, match="said by the computation"):
+            compute(fail)
+        assert compute(die_once, tmp_path / "mark") == "survived"
+        with pytest.raises(WorkerLost):
+            compute(die)
+        assert compute(process_id, 0) != os.getpid()
+    assert compute(process_id, 0) == os.getpid()
+
+
+ORPHANS = """
+import os, sys, time
+from tasks.workers import compute, workers
+from tests.tasks.test_workers import process_id
+if __name__ == "__main__":
+    with workers(2):
+        print(compute(process_id, 0), flush=True)
+        time.sleep(60)
+"""
+
+
+def test_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"  # spawned processes import the main module again: it has to be a file
+    script.write_text(ORPHANS)
+    root = Path(__file__).parents[2]
+    parent = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(root)}
+    )
+    assert parent.stdout is not None
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline and _alive(worker):
+        time.sleep(0.1)
+    assert not _alive(worker)
+
+
+def _alive(process: int) -> bool:
+    status = Path(f"/proc/{process}/stat")
+    return status.exists() and status.read_text().split()[2] != "Z"
