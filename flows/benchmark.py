@@ -138,7 +138,8 @@ def _made(
         progress.say(f"left out: {name}: {reason}")
     skipped = dict(sources.refused)
     numbers = range(1, count + 1)
-    made = run_all(make_case, [(spec, number, sources, cases_folder) for number in numbers], "cases")
+    networks = networks_at_hand() if isinstance(spec, RealSpec) and spec.estimator != "matte" else ()
+    made = run_all(make_case, [(spec, number, sources, networks, cases_folder) for number in numbers], "cases")
     return sources, _successes(made, [f"case {number}" for number in numbers], skipped), skipped
 
 

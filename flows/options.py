@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from hfb.config import RunConfig, preset
 from hfb.errors import InputError
-from hfb.toml_file import read_toml, to_record
+from hfb.toml_file import merged, read_toml, to_record
 
 _PREFIX = "config:"
 _DEFAULT_PRESET = RunConfig().preset
@@ -57,8 +57,8 @@ def run_config(given: argparse.Namespace) -> RunConfig:
     from_flags = _nested({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
     to_record(RunConfig, from_flags, "options")
     name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
-    merged = _merged(_merged(preset(name).model_dump(), from_file), from_flags)
-    return to_record(RunConfig, merged, "options")
+    content = merged(merged(preset(name).model_dump(), from_file), from_flags)
+    return to_record(RunConfig, content, "options")
 
 
 def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo, Any]]:
@@ -103,11 +103,3 @@ def _parsed(key: str, text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"options: {key} is not valid JSON: {error}") from error
-
-
-def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in over.items():
-        old = merged.get(key)
-        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return merged

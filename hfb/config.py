@@ -87,6 +87,8 @@ class FitConfig(Record):
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
+    matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
+    image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
     shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
     texture_rate: float = Field(1.0, gt=0, description="learning rate of the texture, times the stage's")
@@ -135,7 +137,9 @@ _BEST = FitConfig(
         Stage(size_px=128, iterations=70),
         Stage(size_px=256, iterations=70, cosine=True),
     ),
-    weights=Weights(image=30, matte=2, pose=0.03, shape=0.002, motion=0.01, boundary=1, start=0.5),
+    matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further
+    image_scales=3,
+    weights=Weights(image=30, matte=10, pose=0.05, shape=0.002, motion=0.01, boundary=1, start=0.5),
 )
 
 

@@ -13,6 +13,7 @@ from hfb.formation import compose
 from hfb.losses.image import image_loss
 from hfb.losses.matting import matting_loss
 from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
+from hfb.losses.scales import mean_over_scales
 from hfb.losses.texture import TexelNeighbours, texture_smoothness
 from hfb.motion.boundary import boundary_loss
 from hfb.motion.clock import next_opening, subframe_clock
@@ -32,6 +33,7 @@ class Objective:
         texels: neighbourhoods for L_S; needed only where its weight is positive.
         first: rotations of the first bodies, for the term that holds on to them.
         visible: texels seen in some sub-frame, for L_S; every texel when not given.
+        matte_scales, image_scales: at how many scales L_alpha and L_I compare, each half the last.
     """
 
     observation: Observation
@@ -43,6 +45,8 @@ class Objective:
     first: Float[Tensor, "T 24 3 3"]
     texels: TexelNeighbours | None = None
     visible: Bool[Tensor, "A A"] | None = None
+    matte_scales: int = 1
+    image_scales: int = 1
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
@@ -86,14 +90,24 @@ class Objective:
             mean = self.rasterizer.render_mean(vertices, texture, camera, mesh)
         else:
             alpha = self.rasterizer.silhouette_mean(vertices, camera, mesh)
-            return {"matte": matting_loss(alpha, matte)}
+            pair = alpha[..., None], matte[..., None]
+            return {"matte": mean_over_scales(_mattes, *pair, matte, self.matte_scales)}
         if weights.image > 0:
             image = compose(mean, seen.plate_linear)
-            terms["image"] = image_loss(image, seen.frames_linear[frame], matte.sum())
+            terms["image"] = mean_over_scales(_picture, image, seen.frames_linear[frame], matte, self.image_scales)
         if weights.matte > 0:
-            terms["matte"] = matting_loss(mean[..., 3], matte)
+            alpha, alpha_in = mean[..., 3:], matte[..., None]
+            terms["matte"] = mean_over_scales(_mattes, alpha, alpha_in, matte, self.matte_scales)
         return terms
 
     def total(self, terms: dict[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
         """The weighted sum of the terms."""
         return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum()
+
+
+def _picture(predicted: Float[Tensor, "H W 3"], seen: Float[Tensor, "H W 3"], matte: Float[Tensor, "H W"]) -> Tensor:
+    return image_loss(predicted, seen, matte.sum())
+
+
+def _mattes(predicted: Float[Tensor, "H W 1"], seen: Float[Tensor, "H W 1"], matte: Float[Tensor, "H W"]) -> Tensor:
+    return matting_loss(predicted[..., 0], seen[..., 0])

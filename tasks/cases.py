@@ -90,8 +90,13 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
 
 
 @task("case")
-def make_case(spec: Spec, number: int, sources: SourcesHandle, folder: Path) -> CaseHandle:
+def make_case(
+    spec: Spec, number: int, sources: SourcesHandle, networks: tuple[FileHandle, ...], folder: Path
+) -> CaseHandle:
     """Make one case in ``folder/case_0001``.
+
+    Args:
+        networks: the pose networks at hand, where they make the truth of real video: with other ones it is made again.
 
     Raises:
         InputError: this case cannot be made.

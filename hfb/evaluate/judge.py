@@ -90,11 +90,11 @@ def judge_start(starts: Sequence[FirstBody], observation: Observation, truth: Tr
 def _motion_scores(
     joints: Float[Array, "R 24 3"], times_s: Float[Array, "R"], truth: Truth | JointTruth, frames: int
 ) -> Scores:
-    if isinstance(truth, JointTruth):
-        at = _nearest(times_s, truth.times_s)
-        return _known_joints(joints, truth.joints[at], truth.smpl_joints, frames)
-    true = truth.motion.joints[_nearest(times_s, truth.motion.times_s)]
     known = np.isfinite(joints).all((0, 2))
+    if isinstance(truth, JointTruth):
+        at, both = _nearest(times_s, truth.times_s), known[truth.smpl_joints]
+        return _known_joints(joints, truth.joints[at][:, both], truth.smpl_joints[both], frames)
+    true = truth.motion.joints[_nearest(times_s, truth.motion.times_s)]
     if not known.all():
         numbers = np.flatnonzero(known)
         return _known_joints(joints, true[:, numbers], numbers, frames)

@@ -82,8 +82,9 @@ def fit(
             seen = window.resized(stage.size_px)
             visible = _visible(variables, seen, body, config) if texels else None
             objective = Objective(
-                seen, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels, visible
-            )
+                seen, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels, visible,
+                config.matte_scales, config.image_scales,
+            )  # fmt: skip
             best_loss = math.inf  # losses of different picture sizes do not compare
             for loss, terms, iterate in _iterations(objective, variables, config, stage):
                 for name, value in {"total": loss, **terms}.items():
