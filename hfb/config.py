@@ -42,7 +42,9 @@ class ExposureConfig(Record):
 class MattingConfig(Record):
     """How the person's share of each pixel is found."""
 
-    method: Literal["known-background", "network"] = Field("known-background", description="matting method")
+    method: Literal["network", "known-background"] = Field(
+        "network", description="network: our own, trained on drawn blur; known-background: colour and texture alone"
+    )
 
 
 class InitConfig(Record):
