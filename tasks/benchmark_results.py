@@ -18,6 +18,9 @@ from tasks.record import RunHandle
 from tasks.task import code_version, task
 
 
+_SHOWN_RANKS = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
 class ResultsHandle(Record):
     """The files of a benchmark, by the name they are published under, and the summary's content."""
 
@@ -81,12 +84,12 @@ def gallery(judged: tuple[JudgedHandle, ...], method: str, folder: Path) -> File
     seen = [(row, one) for row, one in rows if row["method"] == method and one.look is not None]
     ranked = sorted(seen, key=lambda pair: _rank(pair[0]))
     cells = []
-    for share in (0.05, 0.25, 0.5, 0.75, 0.95) if ranked else ():
-        row, one = ranked[min(int(share * len(ranked)), len(ranked) - 1)]
+    for place in sorted({int(share * len(ranked)) for share in _SHOWN_RANKS} if ranked else ()):
+        row, one = ranked[place]
         assert one.look is not None
         words = f"case {row['case']}, blur rate {row['blur_rate']:.2f}"
         if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm") is not None:
-            words += f": {row['initial_mpjpe_mm']:.0f} -> {row['mpjpe_mm']:.0f} mm (rank {share:.0%})"
+            words += f": {row['initial_mpjpe_mm']:.0f} -> {row['mpjpe_mm']:.0f} mm (rank {place + 1} of {len(ranked)})"
         cells.append(captioned(read_picture_srgb(one.look.path), words))
     width = max((cell.shape[1] for cell in cells), default=8)
     padded = [np.pad(cell, ((0, 0), (0, width - cell.shape[1]), (0, 0)), constant_values=1) for cell in cells]

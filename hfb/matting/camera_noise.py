@@ -52,9 +52,6 @@ def noise_srgb(
     if not smooth.all():
         excess = np.maximum(sample[~smooth] / 0.8 - floor, 0)
         share = float(np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])), 1e-4), 0, 0.6))
-    share = float(
-        np.clip(np.mean(excess) / max(float(np.mean(edges[~smooth])) if (~smooth).any() else 1, 1e-4), 0, 0.6)
-    )
     return np.asarray(np.hypot(floor, share * contrast), np.float32)
 
 
