@@ -17,7 +17,6 @@ from tasks.judge_case import JudgedHandle
 from tasks.record import RunHandle
 from tasks.task import code_version, task
 
-
 _SHOWN_RANKS = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 

@@ -11,12 +11,12 @@ from hfb.baselines.chain_spec import ChainSpec
 from hfb.baselines.deblurrers import Deblurrer, SharpPictures, subframe_times
 from hfb.baselines.estimates import Estimate, interpolate
 from hfb.baselines.estimators import Estimator, InitializerEstimator, NetworkEstimator, Sight
-from hfb.baselines.frames import one_torch_thread
 from hfb.baselines.networks import load_network
 from hfb.baselines.stored_poses import read_estimates
 from hfb.body.model import Body
 from hfb.config import InitConfig, MattingConfig
 from hfb.datasets.case import Case, case_name
+from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import make_initializer

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from hfb.baselines.frames import one_by_one, one_torch_thread
+from hfb.baselines.frames import one_by_one
 from hfb.baselines.rows import row_times_s
 from hfb.body.model import Body
 from hfb.config import RunConfig
 from hfb.datasets.case import Case
+from hfb.determinism import one_torch_thread
 from hfb.evaluate.protocol import pose_rows
 from hfb.fit.loop import FitResult, fit
 from hfb.initialize.first_body import FirstBody

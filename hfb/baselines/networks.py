@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from hfb.baselines.frames import one_torch_thread
+from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.shapes import Array, Float
 

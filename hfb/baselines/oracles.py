@@ -9,7 +9,6 @@ import torch
 
 from hfb.baselines.chain import found_in
 from hfb.baselines.estimates import Estimate, interpolate
-from hfb.baselines.frames import one_torch_thread
 from hfb.baselines.method import Method
 from hfb.baselines.rows import middle_times_s
 from hfb.body.model import Body
@@ -17,6 +16,7 @@ from hfb.datasets.case import Case
 from hfb.datasets.sharp import SHARP_SUBFRAMES, load_sharp
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.truth import load_truth
+from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody

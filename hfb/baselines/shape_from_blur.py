@@ -14,10 +14,11 @@ from dataclasses import dataclass
 
 import torch
 
-from hfb.baselines.frames import one_by_one, one_torch_thread
+from hfb.baselines.frames import one_by_one
 from hfb.baselines.sphere import Sphere, make_sphere
 from hfb.baselines.sphere_start import SphereStart, shutter_tau, sphere_starts
 from hfb.datasets.case import Case
+from hfb.determinism import one_torch_thread
 from hfb.fit.variables import mean_foreground
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody

@@ -5,8 +5,7 @@ sensor noise and 8-bit files: what fits it must not profit from having made it.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -33,6 +32,7 @@ from hfb.datasets.shooting import NO_NOISE, Shot, draw_sensor, shoot, touches_bo
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.truth import Truth
 from hfb.datasets.viewpoints import in_camera
+from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.sampled import SampledMotion
@@ -62,7 +62,7 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
     for_person, for_scenery, for_search, for_sensor, for_start = (
         np.random.default_rng(child) for child in entropy.spawn(5)
     )
-    with _one_torch_thread():
+    with one_torch_thread():
         actor = _draw_actor(spec, for_person)
         scenery = draw_scenery(spec.backgrounds, spec.textures, actor.truth_body, spec.size_px, for_scenery)
         wanted = wanted_interval(spec.set, spec.frames, spec.fill, number)
@@ -206,14 +206,3 @@ def _shelf(folder: Path | None, seed: int) -> _Shelf:
 
 def _loader(spec: SetSpec) -> Callable[[int], MotionClip]:
     return _shelf(spec.motions, spec.seed)
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """Sums come out the same on every machine, and cases are made beside each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

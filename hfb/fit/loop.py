@@ -3,13 +3,13 @@
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
 
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
+from hfb.determinism import one_torch_thread
 from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
 from hfb.losses.texture import TexelNeighbours, texel_neighbours
@@ -77,7 +77,7 @@ def fit(
     stages = [stage for stage in config.stages if stage.iterations > 0]
     total = sum(stage.iterations for stage in stages)
     best, best_iteration, done = variables.copy(), 0, 0
-    with _one_torch_thread():
+    with one_torch_thread():
         for stage in stages:
             seen = window.resized(stage.size_px)
             visible = _visible(variables, seen, body, config) if texels else None
@@ -160,14 +160,3 @@ def _result(
     )  # fmt: skip
     texture = fill_texture_gutter(best.texture, texel_faces(body.mesh, config.texture_px))
     return FitResult(motion, texture, best.trajectory, history, best_iteration, seconds)
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """One thread of torch: faster beside other fits, and sums come out the same on every machine."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

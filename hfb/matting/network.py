@@ -1,7 +1,5 @@
 """The matting network put to work: find the person in the whole frame, then look again at the crop around them."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import lru_cache
 from importlib import resources
 
@@ -10,6 +8,7 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
+from hfb.determinism import one_torch_thread
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import MatteNetwork, features
 from hfb.matting.matting import (
@@ -73,7 +72,7 @@ class NetworkMatting:
         height, width = seen.shape[1:]
         wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
         picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]
-        with _one_torch_thread(), torch.inference_mode():
+        with one_torch_thread(), torch.inference_mode():
             both = torch.cat([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
             there, mirrored = torch.sigmoid(self._network(both)[:, 0])
             alpha = ((there + mirrored.flip(-1)) / 2).numpy()
@@ -103,14 +102,3 @@ def _gain_without(
     """The exposure gain by the pixels where nobody is."""
     empty = cv2.dilate(matte, np.ones((9, 9), np.uint8)) < 0.02
     return exposure_gain(frame[empty][None], plate[empty][None])
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """One thread of torch: faster beside other work, and sums come out the same whatever the number of cores."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

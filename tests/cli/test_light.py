@@ -25,9 +25,9 @@ def answer(*words: str) -> tuple[int, str, set[str]]:
     return done.returncode, "\n".join(output) + done.stderr, set(modules.split()[1:])
 
 
-@pytest.mark.parametrize("words", [("--help",), ("fit", "--help"), ("demo", "--help"), ("models", "--help")])
+@pytest.mark.parametrize("words", [(), ("fit",), ("demo",), ("models",), ("synth",), ("benchmark",), ("reproduce",)])
 def test_help_is_light(words: tuple[str, ...]) -> None:
-    code, text, modules = answer(*words)
+    code, text, modules = answer(*words, "--help")
     assert code == 0
     assert "usage: hfb" in text
     assert not modules & HEAVY
@@ -48,6 +48,13 @@ def test_help_names_what_there_is() -> None:
         (("fit", "a.png", "--background", "b.png", "--fit.subframe", "3"), "--fit.subframe"),
         (("fit", "none.png", "--background", "b.png"), "none.png does not exist"),
         (("fit", "none.png", "--background", "b.png", "--fit.subframes", "0"), "fit.subframes"),
+        (("benchmark", "bt-mass"), "bt-mass"),
+        (("benchmark", "bt-amass", "--methods", "best,worst"), "worst"),
+        (("benchmark", "bt-amass", "--count", "0"), "--count"),
+        (("benchmark", "bt-amass", "--frames", "0"), "frames"),
+        (("benchmark", "b-aist"), "--videos"),
+        (("synth", "bt-amass", "--workers", "two"), "--workers"),
+        (("reproduce", "table9"), "table1"),
     ],
 )
 def test_mistakes_are_light(words: tuple[str, ...], says: str) -> None:

@@ -93,3 +93,53 @@ def test_the_temporary_server_ends_with_a_killed_process(tmp_path: Path) -> None
         time.sleep(0.1)
     os.kill(server, signal.SIGKILL)
     pytest.fail("the temporary server outlived its process")
+
+
+JUDGE = """
+import sys
+from pathlib import Path
+from flows.benchmark import BenchmarkPlan, run_benchmark
+from hfb.baselines.method_spec import method_spec
+from hfb.datasets.set_spec import SetSpec
+from tasks import progress
+if __name__ == "__main__":
+    out, toml, workers = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    plan = BenchmarkPlan(
+        spec=SetSpec(size_px=64, seed=5), count=3, methods=(method_spec(f"tiny={toml}"), method_spec("static")),
+        start="simulated",
+    )
+    with progress.showing(progress.Plain(sys.stderr, first_s=0.05)):
+        run_benchmark(plan, out, workers)
+"""
+JUDGED_TOML = """
+[fit]
+subframes = 2
+texture_px = 16
+stages = [{ size_px = 32, iterations = 30 }]
+"""
+
+
+def test_a_killed_benchmark_goes_on_where_it_was(store: Path, tmp_path: Path) -> None:
+    toml, script = tmp_path / "tiny.toml", tmp_path / "judge.py"
+    toml.write_text(JUDGED_TOML)
+    script.write_text(JUDGE)  # spawned workers import the main module: it has to be a file
+    out = tmp_path / "out"
+    command = [sys.executable, str(script), str(out), str(toml), "2"]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    victim = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+    for line in victim.stderr:
+        if line.startswith("methods 2/6"):
+            victim.kill()
+            break
+    assert victim.wait() == -signal.SIGKILL
+    done = {path: path.stat().st_mtime_ns for path in out.rglob("row.json")}
+    assert len(done) >= 2
+    assert not (out / "summary.json").exists()
+
+    rest = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=300, env=environment)
+    assert rest.returncode == 0, rest.stderr
+    assert "cases: reused" in rest.stderr
+    assert "methods: reused" not in rest.stderr
+    kept = [path for path, stamp in done.items() if path.stat().st_mtime_ns == stamp]
+    assert len(kept) >= 2  # those that were reported as finished; one that was written at the kill may be made again
+    assert sorted(mlflow_rows(store, "select status from runs")) == [("FINISHED",)] * 3

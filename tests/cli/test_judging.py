@@ -1,0 +1,73 @@
+"""The judge from the command line: what a user types, and what is printed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from flows import judging
+from flows.cli import main
+from hfb.datasets.case import load_case
+
+TOML = """
+[fit]
+subframes = 2
+texture_px = 16
+stages = [{ size_px = 32, iterations = 2 }]
+"""
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> str:
+    (tmp_path / "tiny.toml").write_text(TOML)
+    return f"tiny={tmp_path / 'tiny.toml'}"
+
+
+def test_benchmark(tiny: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    words = [
+        "benchmark",
+        "bt-amass",
+        "--count",
+        "1",
+        "--size",
+        "64",
+        "--seed",
+        "2",
+        "--workers",
+        "1",
+        "--out",
+        str(out),
+    ]
+    assert main([*words, "--methods", f"{tiny},static", "--json", "--quiet"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert {"set", "count", "skipped", "seed", "methods"} <= printed.keys()
+    cell = printed["methods"]["tiny"]["all"]
+    assert {
+        "n", "initial_mpjpe_mm", "mpjpe_mm", "ratio", "ratio_ci95", "pa_mpjpe_mm", "initial_iou", "iou",
+        "better_than_start", "wrong_direction", "best_of_two_mpjpe_mm", "seconds_per_case",
+    } <= cell.keys()  # fmt: skip
+    assert [one["blur"] for one in printed["methods"]["tiny"]["bins"]][-1] == [0.9, 1.1]
+
+    # The very case, as a user's own pictures.
+    case = load_case(out / "cases" / "case_0001")
+    fitted = ["fit", str(case.frame_paths()[0]), "--background", str(case.background), "--clip", str(case.clip)]
+    options = ["--config", str(tmp_path / "tiny.toml"), "--init.method", "matte", "--quiet", "--json"]
+    assert main([*fitted, *options, "--out", str(tmp_path / "fit")]) == 0
+
+
+def test_reproduce(
+    tiny: str, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = ["reproduce", "table1", "--count", "1", "--size", "64", "--workers", "1", "--out", str(out)]
+    assert main([*words, "--methods", "static"]) == 0
+    printed = capsys.readouterr().out
+    assert "104.3" in printed  # the paper's METRO, weighted by cases
+    assert (out / "beside_paper.md").read_text() in printed
+
+
+def test_every_experiment_is_found() -> None:
+    for number in range(1, 6):
+        experiment = judging.experiment_of(f"table{number}")
+        judging.method_specs(",".join(experiment.methods), None)
