@@ -14,7 +14,7 @@ from hfb.config import InitConfig, MattingConfig, Record
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
 from tasks import progress, tracking
-from tasks.benchmark_results import ResultsHandle, gallery, record_benchmark, tabulate
+from tasks.benchmark_results import gallery, record_benchmark, tabulate
 from tasks.cases import (
     CaseHandle,
     ReadyHandle,
@@ -27,7 +27,7 @@ from tasks.cases import (
     set_name,
 )
 from tasks.inputs import input_file, networks_at_hand
-from tasks.judge_case import JudgedHandle, judge_case
+from tasks.judge_case import judge_case
 from tasks.many import Outcome, run_all
 from tasks.workers import workers
 
@@ -115,7 +115,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
             tuple(rows), set_name(spec), spec.frames, names, len(ready), spec.seed, skipped, _notes(plan), folder
         )  # fmt: skip
         looks = gallery(tuple(rows), plan.methods[0].name, folder)
-        result = _result(plan, results, rows, out)
+        result = {**results.content(), "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
         try:
             run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, looks)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
@@ -154,10 +154,6 @@ def _successes(outcomes: list[Outcome[Any]], names: list[str], skipped: dict[str
         first = next(outcome.error for outcome in outcomes if outcome.error is not None)
         raise first
     return results
-
-
-def _result(plan: BenchmarkPlan, results: ResultsHandle, rows: list[JudgedHandle], out: Path) -> dict[str, Any]:
-    return {**results.content(), "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
 
 
 def _notes(plan: BenchmarkPlan) -> tuple[str, ...]:
