@@ -159,15 +159,15 @@ def _benchmark(given: argparse.Namespace) -> None:
 
 
 def _reproduce(given: argparse.Namespace) -> None:
-    from hfb.evaluate.experiments import beside_paper
-    from hfb.media.atomic import write_bytes_atomic
-
     experiment = judging.experiment_of(given.experiment)
     given.set, given.fill = experiment.set, experiment.fill
     given.count = given.count or experiment.count
     given.methods = given.methods or ",".join(experiment.methods)
     out = given.out or Path("runs") / given.experiment
     result = _benchmarked(given, experiment.frames, out)
+    from hfb.evaluate.experiments import beside_paper
+    from hfb.media.atomic import write_bytes_atomic
+
     text = beside_paper(experiment, result)
     write_bytes_atomic(out / "beside_paper.md", text.encode())
     _tell(given, result, text)

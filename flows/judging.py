@@ -13,6 +13,7 @@ from hfb.config import InitConfig
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
+from hfb.toml_file import to_record
 
 if TYPE_CHECKING:
     from flows.benchmark import BenchmarkPlan
@@ -65,13 +66,11 @@ def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
         if given.videos is None:
             raise InputError("b-aist is made from real video: give a folder with --videos DIR")
         size_px = 384 if given.size == 256 else given.size
-        return RealSpec(
-            videos=given.videos, average=given.average, frames=frames, seed=given.seed, size_px=size_px
-        )  # fmt: skip
-    return SetSpec(
-        set=given.set, frames=frames, seed=given.seed, fill=given.fill, size_px=given.size, easy=given.easy,
-        motions=given.motions, backgrounds=given.backgrounds, textures=given.textures, body=given.body,
-    )  # fmt: skip
+        content = {"videos": given.videos, "average": given.average, "size_px": size_px}
+        return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
+    names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
+    content = {name: getattr(given, name) for name in names}
+    return to_record(SetSpec, content | {"frames": frames, "size_px": given.size}, "options")
 
 
 def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
@@ -103,13 +102,13 @@ def experiment_of(name: str) -> Experiment:
     Raises:
         InputError: there is none of that name.
     """
-    from hfb.evaluate.experiments import load_experiment
-
     path = EXPERIMENTS / f"{name}.toml"
     if not path.is_file():
         known = ", ".join(sorted(one.stem for one in EXPERIMENTS.glob("*.toml")))
         where = f"known are {known}" if known else f"{EXPERIMENTS} is not there: run from a clone of the repository"
         raise InputError(f"there is no experiment called {name}: {where}")
+    from hfb.evaluate.experiments import load_experiment
+
     return load_experiment(path)
 
 
