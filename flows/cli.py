@@ -65,18 +65,24 @@ def _parser() -> argparse.ArgumentParser:
     demo = _command(commands, "demo", _demo, "the whole chain on an example with known truth")
     add_config_flags(demo)
 
-    synth = _command(commands, "synth", _synth, "write the cases of a set: pictures, and what happened")
+    synth = _command(
+        commands, "synth", _synth, "write the cases of a set: pictures, and what happened", configured=False
+    )
     synth.add_argument("set", choices=judging.SETS, help="which set")
     synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(synth)
 
-    benchmark = _command(commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots")
+    benchmark = _command(
+        commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots", configured=False
+    )
     benchmark.add_argument("set", choices=judging.SETS, help="which set")
     benchmark.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(benchmark)
     judging.add_method_flags(benchmark)
 
-    reproduce = _command(commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers")
+    reproduce = _command(
+        commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
+    )
     reproduce.add_argument("experiment", metavar="table1|...|table5", help="a file of infra/experiments, by name")
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, methods=None)
@@ -91,11 +97,14 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(commands: Any, name: str, run: Any, what: str, seeded: bool = False) -> argparse.ArgumentParser:
+def _command(
+    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True
+) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
     command.set_defaults(run=run, began=time.perf_counter())
     command.add_argument("--out", type=Path, metavar="DIR", help="where results go")
-    command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
+    if configured:
+        command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
     if seeded:  # where the configuration's own --seed is not offered; every command takes one
         command.add_argument("--seed", type=int, help=argparse.SUPPRESS)
     command.add_argument("--json", action="store_true", help="the last line on standard output is one JSON object")

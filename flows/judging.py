@@ -38,7 +38,7 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     add("--average", type=_positive, default=9, metavar="K", help="b-aist: frames per exposure [9]")
     add("--body", type=Path, metavar="FILE", help="your SMPL file, for the truth and the fit [the embedded body]")
     add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
-    add("--size", type=_positive, default=256, metavar="PX", help="side of the pictures [256; b-aist: 384]")
+    add("--size", type=_positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
     add("--easy", action="store_true", help="the fit's own mesh, no noise: for finding errors, never to be quoted")
     add("--workers", type=_positive, default=_cores(), metavar="K", help="processes; changes no digit [all cores]")
 
@@ -62,15 +62,15 @@ def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
     Raises:
         InputError: b-aist without videos, or a number that no set takes.
     """
+    size = {} if given.size is None else {"size_px": given.size}
     if given.set == "b-aist":
         if given.videos is None:
             raise InputError("b-aist is made from real video: give a folder with --videos DIR")
-        size_px = 384 if given.size == 256 else given.size
-        content = {"videos": given.videos, "average": given.average, "size_px": size_px}
+        content = {"videos": given.videos, "average": given.average} | size
         return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
     names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
     content = {name: getattr(given, name) for name in names}
-    return to_record(SetSpec, content | {"frames": frames, "size_px": given.size}, "options")
+    return to_record(SetSpec, content | size | {"frames": frames}, "options")
 
 
 def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:

@@ -53,6 +53,7 @@ def test_help_names_what_there_is() -> None:
         (("benchmark", "bt-amass", "--count", "0"), "--count"),
         (("benchmark", "bt-amass", "--frames", "0"), "frames"),
         (("benchmark", "b-aist"), "--videos"),
+        (("benchmark", "bt-amass", "--config", "a.toml"), "--config"),
         (("synth", "bt-amass", "--workers", "two"), "--workers"),
         (("reproduce", "table9"), "table1"),
     ],
