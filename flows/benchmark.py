@@ -114,7 +114,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
         results = tabulate(
             tuple(rows), set_name(spec), spec.frames, names, len(ready), spec.seed, skipped, _notes(plan), folder
         )  # fmt: skip
-        looks = gallery(tuple(rows), plan.methods[0].name, folder)
+        looks = gallery(tuple(rows), names, folder)
         result = {**results.content(), "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
         try:
             run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, looks)

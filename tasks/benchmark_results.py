@@ -71,8 +71,8 @@ def tabulate(
 
 
 @task("gallery")
-def gallery(judged: tuple[JudgedHandle, ...], method: str, folder: Path) -> FileHandle:
-    """The better, the middle and the worse answers of one method, one below the other.
+def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: Path) -> FileHandle:
+    """The better, the middle and the worse answers of the first method that draws pictures, one below the other.
 
     Shown are the cases at fixed ranks of fitted over initial error, so that nobody chooses what is seen.
     """
@@ -80,13 +80,15 @@ def gallery(judged: tuple[JudgedHandle, ...], method: str, folder: Path) -> File
     from hfb.report.strip import captioned
 
     rows = [(json.loads(one.path.read_text()), one) for one in judged]
-    seen = [(row, one) for row, one in rows if row["method"] == method and one.look is not None]
+    drawn = [(row, one) for row, one in rows if one.look is not None]
+    shown = next((name for name in methods if any(row["method"] == name for row, _ in drawn)), None)
+    seen = [(row, one) for row, one in drawn if row["method"] == shown]
     ranked = sorted(seen, key=lambda pair: _rank(pair[0]))
     cells = []
     for place in sorted({int(share * len(ranked)) for share in _SHOWN_RANKS} if ranked else ()):
         row, one = ranked[place]
         assert one.look is not None
-        words = f"case {row['case']}, blur rate {row['blur_rate']:.2f}"
+        words = f"{shown}: case {row['case']}, blur rate {row['blur_rate']:.2f}"
         if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm") is not None:
             words += f": {row['initial_mpjpe_mm']:.0f} -> {row['mpjpe_mm']:.0f} mm (rank {place + 1} of {len(ranked)})"
         cells.append(captioned(read_picture_srgb(one.look.path), words))

@@ -15,6 +15,7 @@ from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion, save_motion
+from hfb.media.pictures import read_picture_srgb
 from hfb.motion.sampled import SampledMotion
 from tests.orchestration import mlflow_rows
 
@@ -30,7 +31,7 @@ stages = [{ size_px = 32, iterations = 3 }]
 @pytest.fixture
 def plan(tmp_path: Path) -> BenchmarkPlan:
     (tmp_path / "tiny.toml").write_text(TINY_TOML)
-    methods = (method_spec(f"tiny={tmp_path / 'tiny.toml'}"), method_spec("static"))
+    methods = (method_spec("static"), method_spec(f"tiny={tmp_path / 'tiny.toml'}"))
     spec = SetSpec(set="bt-amass", size_px=64, seed=3, fill="even")
     return BenchmarkPlan(spec=spec, count=2, methods=methods, start="simulated")
 
@@ -51,11 +52,12 @@ def test_tables_record_and_workers(plan: BenchmarkPlan, store: Path, tmp_path: P
     result = run_benchmark(plan, one, 1)
 
     cells = result["methods"]
-    assert list(cells) == ["tiny", "static"]
+    assert list(cells) == ["static", "tiny"]
     assert cells["static"]["all"]["ratio"] == pytest.approx(1)
     assert cells["tiny"]["all"]["n"] == 2
     assert json.loads((one / "summary.json").read_text())["methods"] == cells
     assert {"table.md", "gallery.png", "error_by_blur.png", "error_by_joint.png"} <= {p.name for p in one.iterdir()}
+    assert read_picture_srgb(one / "gallery.png").shape[0] > 200  # of the first method that has something to show
     table = pandas.read_parquet(one / "cases.parquet")
     assert len(table) == 4
     assert table["failed"].isna().all()
@@ -91,7 +93,7 @@ def test_damaged_motions_are_named_and_left_out(plan: BenchmarkPlan, store: Path
     (motions / "empty.bvh").write_text("")
     (motions / "text.npz").write_text("no archive")
     spec = plan.spec.model_copy(update={"motions": motions, "fill": "natural"})
-    result = run_benchmark(plan.model_copy(update={"spec": spec, "methods": plan.methods[1:]}), tmp_path / "out", 1)
+    result = run_benchmark(plan.model_copy(update={"spec": spec, "methods": plan.methods[:1]}), tmp_path / "out", 1)
     assert result["methods"]["static"]["all"]["n"] == 2
     assert result["skipped"] == 3
     assert set(result["skipped_reasons"]) == {"nan.npz", "empty.bvh", "text.npz"}
