@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flows import judging, summary
+from flows import judging, summary, training
 from flows.options import add_config_flags, run_config
 from hfb import __version__
 from hfb.errors import InputError
@@ -87,6 +87,12 @@ def _parser() -> argparse.ArgumentParser:
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, methods=None)
 
+    train = _command(
+        commands, "train-prior", _train_prior, "learn from your motion capture how people move, or stand",
+        configured=False, out="FILE",
+    )  # fmt: skip
+    training.add_training_flags(train)
+
     models = _command(commands, "models", _models, "the pose networks: what is there, and get the rest", seeded=True)
     models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
     models.add_argument("--wheel", type=Path, help="fetch from a MediaPipe wheel that already lies here")
@@ -98,11 +104,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _command(
-    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True
+    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True, out: str = "DIR"
 ) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
     command.set_defaults(run=run, began=time.perf_counter())
-    command.add_argument("--out", type=Path, metavar="DIR", help="where results go")
+    command.add_argument("--out", type=Path, metavar=out, help="where results go")
     if configured:
         command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
     if seeded:  # where the configuration's own --seed is not offered; every command takes one
@@ -193,6 +199,19 @@ def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str,
         return _when_ready(lambda: run_benchmark(plan, out, given.workers))
 
     return _through_prefect(given, out, load)
+
+
+def _train_prior(given: argparse.Namespace) -> None:
+    out = given.out or training.DEFAULT_OUT[given.kind]
+
+    def load() -> Chain:
+        from flows.train_prior import train_prior
+
+        plan = training.plan_of(given)
+        return _when_ready(lambda: train_prior(plan, out))
+
+    result = _through_prefect(given, out.parent, load)
+    _tell(given, result, training.training_text(result))
 
 
 def _when_ready(work: Callable[[], dict[str, Any]]) -> Chain:

@@ -10,11 +10,12 @@ from prefect import flow
 
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
+from hfb.fit.alternatives import what_is_unknown
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
 from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
-from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
+from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs
 from tasks.matte import matte
 from tasks.prepare import prepare
@@ -56,8 +57,9 @@ def fit_image(
             firsts = tuple(
                 first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
             )
+        priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
         fitted = fit_motion(
-            scene, mattes, firsts, inputs.body, inputs.pose_prior, config.fit, config.seed, folder
+            scene, mattes, firsts, inputs.body, priors, config.fit, config.seed, folder
         )  # fmt: skip
         scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
         picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
@@ -68,7 +70,8 @@ def fit_image(
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
         files: dict[str, FileHandle] = {
-            "motion.npz": fitted.motion, "texture.png": fitted.texture_picture, "strip.png": picture,
+            "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
+            "texture.png": fitted.texture_picture, "strip.png": picture,
             **{f"matte_{index}.png": one for index, one in enumerate(mattes)},
         }  # fmt: skip
         publish(out, {name: file.path for name, file in files.items()}, result)
@@ -87,6 +90,8 @@ def _result(
     return {
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
+        "directions": list(fitted.directions),
+        "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
         "mlflow_run_id": None,

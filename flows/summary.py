@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,10 +19,10 @@ class Row(NamedTuple):
 
 
 _PLACES = ("out", "strip", "mlflow_run_id")
-FIT_KEYS = ("matte_iou", "psnr_db", "fit_seconds", *_PLACES)
+FIT_KEYS = ("matte_iou", "psnr_db", "fit_seconds", *_PLACES, "directions", "unknown")
 DEMO_KEYS = (
     "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
-    *_PLACES,
+    *_PLACES, "directions", "unknown",
 )  # fmt: skip
 FIT_ROWS = (Row("IoU with the matte", "matte_iou", ".3f"), Row("image PSNR [dB]", "psnr_db", ".1f"))
 DEMO_ROWS = (
@@ -40,6 +41,7 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
         lines.append(f"{label:<20}" + "".join(f"{cell:>10}" for cell in cells))
     lines += [
         f"{'seconds':<20}{'':>10}{result['fit_seconds']:>10.1f}   (the whole command {result['total_seconds']:.1f})",
+        *(["", *textwrap.wrap(result["unknown"], 100)] if result.get("unknown") else []),
         "",
         f"strip    {result['strip']}",
         f"result   {result['out']}",

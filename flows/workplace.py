@@ -73,7 +73,7 @@ def publish(out: Path, files: Mapping[str, Path], result: Mapping[str, Any]) -> 
     for name, path in files.items():
         write_bytes_atomic(staging / name, path.read_bytes())
     write_bytes_atomic(staging / "result.json", json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
-    for stale in out.glob("matte_*.png"):  # an earlier result may have had more frames
+    for stale in (*out.glob("matte_*.png"), *out.glob("alternatives.npz")):  # an earlier result may have had more
         stale.unlink()
     for name in (*files, "result.json"):
         (staging / name).replace(out / name)

@@ -65,8 +65,11 @@ class Weights(Record):
     shape: float = Field(0.0, ge=0, description="w_beta, shape")
     motion: float = Field(0.0, ge=0, description="w_C, polynomial coefficients")
     background: float = Field(0.0, ge=0, description="w_B, background")
+    adversarial: float = Field(0.0, ge=0, description="w_A, adversarial motion prior; in single frames only")
     boundary: float = Field(1.0, ge=0, description="continuity between neighbouring frames")
     start: float = Field(0.0, ge=0, description="distance of the middle pose from the first body's, not in the paper")
+    joints: float = Field(0.0, ge=0, description="distance from where our joint network sees the joints at u = 1/2")
+    path: float = Field(0.0, ge=0, description="distance from how far our joint network sees the joints move")
 
 
 class Stage(Record):
@@ -76,6 +79,17 @@ class Stage(Record):
     iterations: int = Field(ge=0)
     learning_rate: float = Field(0.01, gt=0)
     cosine: bool = Field(False, description="let the learning rate fall to a twentieth along a half cosine")
+
+
+class DirectionsConfig(Record):
+    """The search for the directions in which the body and its limbs moved, after the fit."""
+
+    search: bool = Field(False, description="weigh reversed motions, keep the likeliest, say how sure it is")
+    limbs: bool = Field(True, description="each limb by itself too, not the whole body alone")
+    size_px: int = Field(64, ge=16, description="longer side of the region of interest while weighing [px]")
+    refits: int = Field(4, ge=0, description="how many of the likeliest reversed motions are refitted")
+    iterations: int = Field(8, ge=0, description="of each refit")
+    polish: int = Field(15, ge=0, description="at the last stage's picture size, of a winner that was refitted")
 
 
 class FitConfig(Record):
@@ -89,8 +103,11 @@ class FitConfig(Record):
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
+    directions: DirectionsConfig = DirectionsConfig()
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
+    settle: int = Field(0, ge=0, description="iterations of the skeleton alone, towards what the joint network sees")
+    size_moves_away: bool = Field(False, description="a larger shape stands further away: quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
     shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
     texture_rate: float = Field(1.0, gt=0, description="learning rate of the texture, times the stage's")
@@ -103,8 +120,12 @@ class PriorConfig(Record):
     """Which poses count as likely."""
 
     pose: Path | None = Field(
-        None, description="SMPLify's GMM or a VPoser checkpoint; our anatomical prior when not given"
+        None, description="SMPLify's GMM, a VPoser checkpoint or one of hfb train-prior; built in when not given"
     )
+    kind: Literal["anatomy", "mixture"] = Field(
+        "anatomy", description="the built-in pose prior: joint limits with one natural pose, or with a mixture"
+    )
+    motion: Path | None = Field(None, description="a motion prior of hfb train-prior; built in when not given")
 
 
 class RunConfig(Record):
@@ -128,7 +149,9 @@ _PAPER = FitConfig(
     origin=0.0,
     stages=(Stage(size_px=256, iterations=200, learning_rate=0.01),),
     shape_rate=1.0,
-    weights=Weights(image=1, matte=1, texture=0.1, pose=0.001, shape=0.001, motion=0.001, background=0.01, boundary=1),
+    weights=Weights(
+        image=1, matte=1, texture=0.1, pose=0.001, shape=0.001, motion=0.001, background=0.01, adversarial=2, boundary=1
+    ),
 )
 _BEST = FitConfig(
     origin=0.5,  # a static estimate of a blurred person is nearest to the middle of the motion
@@ -141,7 +164,10 @@ _BEST = FitConfig(
     ),
     matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further
     image_scales=3,
-    weights=Weights(image=30, matte=10, pose=0.05, shape=0.002, motion=0.01, boundary=1, start=0.5),
+    directions=DirectionsConfig(search=True),
+    settle=80,
+    size_moves_away=True,
+    weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3),
 )
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import torch
 
-from hfb.body.model import Body
+from hfb.body.model import Body, ShapedBody
 from hfb.config import Weights
 from hfb.formation import compose
+from hfb.initialize.joint_evidence import JointEvidence
+from hfb.losses.evidence import evidence_loss
 from hfb.losses.image import image_loss
 from hfb.losses.matting import matting_loss
 from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
@@ -19,6 +21,7 @@ from hfb.motion.boundary import boundary_loss
 from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.trajectory import Trajectory
 from hfb.observation import Observation
+from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.render.rasterizer import Rasterizer
 from hfb.rotations import matrix_to_axis_angle
@@ -33,6 +36,8 @@ class Objective:
         texels: neighbourhoods for L_S; needed only where its weight is positive.
         first: rotations of the first bodies, for the term that holds on to them.
         visible: texels seen in some sub-frame, for L_S; every texel when not given.
+        evidence: where the joint network saw the joints, for the terms that compare with it.
+        motion_prior: for L_A, which a single frame alone has: its neighbours know the direction better.
         matte_scales, image_scales: at how many scales L_alpha and L_I compare, each half the last.
     """
 
@@ -47,24 +52,40 @@ class Objective:
     visible: Bool[Tensor, "A A"] | None = None
     matte_scales: int = 1
     image_scales: int = 1
+    evidence: JointEvidence | None = None
+    motion_prior: MotionPrior | None = None
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
     ) -> dict[str, Float[Tensor, ""]]:
         """The unweighted terms with a positive weight, named as in `Weights`."""
-        weights, seen = self.weights, self.observation
         shaped = self.body.shape(betas)
         rotations, translations = trajectory.at(subframe_clock(self.subframes, betas.dtype))
         frames = rotations.shape[0]
         posed = shaped.pose(rotations.flatten(0, 1), translations.flatten(0, 1))
         vertices = posed.vertices.unflatten(0, (frames, self.subframes))
         terms: dict[str, Tensor] = {}
-
         per_frame = [self._picture_terms(frame, vertices[frame], texture) for frame in range(frames)]
         for name in per_frame[0]:
             terms[name] = torch.stack([one[name] for one in per_frame]).mean()
-        if weights.texture > 0 and self.texels is not None:
+        if self.weights.texture > 0 and self.texels is not None:
             terms["texture"] = texture_smoothness(texture, self.texels, self.visible)
+        return terms | self.body_terms(trajectory, betas, shaped)
+
+    def body_terms(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"], shaped: ShapedBody
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Those terms that no picture is drawn for; `shaped` is the body with these betas."""
+        weights, seen = self.weights, self.observation
+        rotations, _ = trajectory.at(subframe_clock(self.subframes, betas.dtype))
+        frames = rotations.shape[0]
+        terms: dict[str, Tensor] = {}
+        if self.evidence is not None and weights.joints + weights.path > 0:
+            at = trajectory.at(betas.new_tensor([0.0, 0.5, 1.0]))
+            joints = shaped.joints_of(*(values.flatten(0, 1) for values in at)).unflatten(0, (frames, 3))
+            terms["joints"] = evidence_loss(self.evidence.off(joints[:, 1]))
+            if weights.path > 0:
+                terms["path"] = evidence_loss(self.evidence.off_path(joints[:, 0], joints[:, 2]))
         if weights.pose > 0:
             terms["pose"] = pose_loss(self.pose_prior, matrix_to_axis_angle(rotations[:, :, 1:]).flatten(0, 1))
         if weights.start > 0:
@@ -73,6 +94,8 @@ class Objective:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:
             terms["motion"] = polynomial_loss(trajectory.higher_coefficients()) / frames
+        if weights.adversarial > 0 and frames == 1 and self.motion_prior is not None:
+            terms["adversarial"] = self.motion_prior(trajectory, shaped)
         if weights.boundary > 0 and frames > 1:
             terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
         return terms

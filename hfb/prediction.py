@@ -1,7 +1,9 @@
 """What a method claims: the motion during each exposure, as far as it knows it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
+from hfb.fit.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
 from hfb.shapes import Array, Bool, Float
 
@@ -17,6 +19,8 @@ class Prediction:
         seconds: wall time of the method alone.
         joints: of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only their
             places relative to each other count; NaN where the method does not know a joint of the 24.
+        alternatives: other motions that the method thinks possible, with their probabilities.
+        joint_features: what the motion's ``joint_radius_mm`` was computed from, for later calibrations.
     """
 
     motion: SampledMotion | None
@@ -24,3 +28,5 @@ class Prediction:
     pictures: Float[Array, "R H W 4"] | None
     seconds: float
     joints: Float[Array, "R 24 3"] | None = None
+    alternatives: Alternatives | None = None
+    joint_features: Mapping[str, Float[Array, "R 24"]] = field(default_factory=dict)

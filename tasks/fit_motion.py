@@ -5,13 +5,15 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.export.motion_file import save_motion, write_arrays
+from hfb.fit.alternatives import direction_record, save_alternatives
 from hfb.fit.loop import fit
 from hfb.initialize.first_body import load_first_body
 from hfb.media.atomic import write_bytes_atomic
 from hfb.media.pictures import write_png
 from hfb.priors.load import load_pose_prior
+from hfb.priors.motion_prior import load_motion_prior
 from tasks import progress
-from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
 from tasks.scene import load_chosen_body, load_observation
 from tasks.task import task
 
@@ -22,7 +24,7 @@ def fit_motion(
     mattes: tuple[FileHandle, ...],
     first_bodies: tuple[FirstBodyHandle, ...],
     body: FileHandle | None,
-    pose_prior: FileHandle | None,
+    priors: PriorsHandle,
     config: FitConfig,
     seed: int,
     folder: Path,
@@ -35,8 +37,9 @@ def fit_motion(
         model,
         config,
         seed,
-        load_pose_prior(pose_prior.path if pose_prior else None),
+        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
         on_progress=lambda done, total, loss: progress.advance(done, total, f"loss {loss:.4f}"),
+        motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
     save_motion(paths[0], result.motion, model.betas_space)
@@ -44,11 +47,19 @@ def fit_motion(
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())
     motion, texture, texture_picture, history = (FileHandle.of(path) for path in paths)
+    alternatives: FileHandle | None = None
+    directions: tuple[dict[str, dict[str, float | None]], ...] = ()
+    if result.alternatives is not None:
+        save_alternatives(folder / "alternatives.npz", result.alternatives, result.joint_features)
+        alternatives = FileHandle.of(folder / "alternatives.npz")
+        directions = tuple(direction_record(result.alternatives))
     return FitHandle(
         motion=motion,
         texture=texture,
         texture_picture=texture_picture,
         history=history,
+        alternatives=alternatives,
+        directions=directions,
         seconds=result.seconds,
         best_iteration=result.best_iteration,
         loss=result.history["total"][result.best_iteration],

@@ -62,13 +62,28 @@ class FirstBodyHandle(FileHandle):
     source: str
 
 
+class PriorsHandle(Record):
+    """Which priors a fit uses: the user's files, or built-in ones."""
+
+    kind: Literal["anatomy", "mixture"]
+    pose: FileHandle | None
+    motion: FileHandle | None
+
+
 class FitHandle(Record):
-    """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way."""
+    """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way.
+
+    Attributes:
+        alternatives: the other directions in which it may have run, where they were searched.
+        directions: per frame P(direction right) of the body and its limbs (`hfb.fit.alternatives.direction_record`).
+    """
 
     motion: FileHandle
     texture: FileHandle
     texture_picture: FileHandle
     history: FileHandle
+    alternatives: FileHandle | None = None
+    directions: tuple[dict[str, dict[str, float | None]], ...] = ()
     seconds: float
     best_iteration: int
     loss: float

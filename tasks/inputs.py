@@ -21,6 +21,7 @@ class Inputs(Record):
     clip: Clip = Clip()
     body: FileHandle | None = None
     pose_prior: FileHandle | None = None
+    motion_prior: FileHandle | None = None
     truth: FileHandle | None = None
     first_bodies: tuple[FileHandle, ...] = ()
     networks: tuple[FileHandle, ...] = ()
@@ -63,6 +64,7 @@ def take_inputs(
         clip=read_clip(clip) if clip else Clip(),
         body=input_file(config.body.model) if config.body.model else None,
         pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
+        motion_prior=input_file(config.prior.motion) if config.prior.motion else None,
         truth=input_file(truth) if truth else None,
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
         networks=networks_at_hand() if config.init.method != "matte" and not first_bodies else (),

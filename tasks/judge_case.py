@@ -23,10 +23,12 @@ class JudgedHandle(FileHandle):
 
     Attributes:
         motion: the claimed motion; None for a method without poses.
+        alternatives: other directions in which it may have run; None for a method that names none.
         look: what was seen, claimed and true, side by side.
     """
 
     motion: FileHandle | None = None
+    alternatives: FileHandle | None = None
     look: FileHandle | None = None
 
 
@@ -44,6 +46,7 @@ def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder
     from hfb.datasets.truth import load_truth_of
     from hfb.evaluate.judge import judge
     from hfb.export.motion_file import save_motion
+    from hfb.fit.alternatives import save_alternatives
     from hfb.initialize.first_body import load_first_body
     from hfb.media.pictures import write_png
     from hfb.report.comparison import draw_comparison
@@ -57,7 +60,7 @@ def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder
     }  # fmt: skip
     facts |= json.loads(ready.initial.path.read_text())
     folder.mkdir(parents=True, exist_ok=True)
-    motion = look = None
+    motion = look = alternatives = None
     try:
         prediction = make_method(spec, model)(case, observation, starts)
     except (InputError, FloatingPointError) as error:
@@ -68,11 +71,14 @@ def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder
         if prediction.motion is not None:
             save_motion(folder / "motion.npz", prediction.motion, model.betas_space)
             motion = FileHandle.of(folder / "motion.npz")
+        if prediction.alternatives is not None:
+            save_alternatives(folder / "alternatives.npz", prediction.alternatives, prediction.joint_features)
+            alternatives = FileHandle.of(folder / "alternatives.npz")
         if prediction.pictures is not None:
             write_png(folder / "look.png", draw_comparison(observation, prediction, sharp))
             look = FileHandle.of(folder / "look.png")
     write_bytes_atomic(folder / "row.json", json.dumps(facts | scores, allow_nan=False).encode())
-    return JudgedHandle.of(folder / "row.json", motion=motion, look=look)
+    return JudgedHandle.of(folder / "row.json", motion=motion, alternatives=alternatives, look=look)
 
 
 def source_of(case: Case) -> str:

@@ -41,12 +41,13 @@ def record(
     key = digest([params, code_version()])
     histories = {f"loss/{term}": values for term, values in json.loads(fit.history.path.read_text()).items()}
     final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
+    alternatives = [fit.alternatives.path] if fit.alternatives else []
     timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}
     tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset}
     with tracking.recorded_run(Path(result["out"]).name, key, params, tags) as run:
         if not run.complete:
             tracking.log_histories(run, histories | final | timing)
-            tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path])
+            tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path, *alternatives])
             tracking.log_files(run, [matte.path for matte in mattes], folder="mattes")
             tracking.log_dict(run, result, "result.json")
             tracking.log_dict(run, config.model_dump(mode="json"), "config.json")

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.export.motion_file import load_motion
+from hfb.fit.alternatives import what_is_unknown
 from hfb.media.pictures import write_png
 from hfb.render.rasterizer import make_rasterizer
 from hfb.report.strip import draw_strip
@@ -29,6 +30,7 @@ def strip(
         load_texture(fit.texture),
         load_chosen_body(body),
         make_rasterizer("coverage", config.rasterizer, config.threads),
+        what_is_unknown(fit.directions) if fit.directions else "",
     )
     path = folder / "strip.png"
     write_png(path, picture)

@@ -19,6 +19,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.observation import Observation
 from hfb.prediction import Prediction
 from hfb.priors.load import load_pose_prior
+from hfb.priors.motion_prior import load_motion_prior
 from hfb.render.rasterizer import make_rasterizer
 from hfb.shapes import Array, Float
 
@@ -31,7 +32,8 @@ class HumanFromBlur:
         self._config = config
         self._frames_alone = frames_alone
         self._body = body
-        self._prior = load_pose_prior(config.prior.pose)
+        self._prior = load_pose_prior(config.prior.pose, config.prior.kind)
+        self._motion_prior = load_motion_prior(config.prior.motion)
         # The rows are drawn alike for every method, whatever silhouette its loss was made of.
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
@@ -39,7 +41,10 @@ class HumanFromBlur:
         """Poses and appearance; the case is not looked at."""
         if not self._frames_alone:
             result = self._fit(observation, starts)
-            return Prediction(result.motion, None, self._draw(result, observation), result.seconds)
+            pictures = self._draw(result, observation)
+            return Prediction(
+                result.motion, None, pictures, result.seconds, None, result.alternatives, result.joint_features
+            )  # fmt: skip
         frames = one_by_one(observation)
         results = [self._fit(frame, [start]) for frame, start in zip(frames, starts, strict=True)]
         pictures = np.concatenate([self._draw(one, frame) for one, frame in zip(results, frames, strict=True)])
@@ -48,7 +53,10 @@ class HumanFromBlur:
         return Prediction(_joined(results, observation), pictures[..., 3] >= 0.5, pictures, seconds)
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
-        return fit(observation, starts, self._body, self._config.fit, self._config.seed, self._prior)
+        return fit(
+            observation, starts, self._body, self._config.fit, self._config.seed, self._prior,
+            motion_prior=self._motion_prior,
+        )  # fmt: skip
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:
         with torch.no_grad(), one_torch_thread():
@@ -60,6 +68,7 @@ def _joined(results: Sequence[FitResult], observation: Observation) -> SampledMo
     """Single frames' motions one after another on the clip's own clock; joints are those of each frame's shape."""
     motions = [result.motion for result in results]
     times_s, frame_index = row_times_s(observation, len(motions[0].poses))
+    radii = [motion.joint_radius_mm for motion in motions if motion.joint_radius_mm is not None]
     return replace(
         motions[0],
         poses=np.concatenate([motion.poses for motion in motions]),
@@ -68,4 +77,5 @@ def _joined(results: Sequence[FitResult], observation: Observation) -> SampledMo
         betas=np.mean([motion.betas for motion in motions], axis=0),
         times_s=times_s,
         frame_index=frame_index,
+        joint_radius_mm=np.concatenate(radii) if len(radii) == len(motions) else None,
     )

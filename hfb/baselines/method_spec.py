@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from hfb.baselines.chain_spec import ChainSpec, read_chains
-from hfb.config import FitConfig, Record, RunConfig, Stage, Weights, preset
+from hfb.config import DirectionsConfig, FitConfig, Record, RunConfig, Stage, Weights, preset
 from hfb.errors import InputError
 from hfb.initialize.networks import NETWORKS, network_path
 from hfb.toml_file import merged, read_toml, to_record
@@ -47,10 +47,17 @@ def _without(weight: str) -> Callable[[FitConfig], FitConfig]:
     return lambda fit: fit.model_copy(update={"weights": fit.weights.model_copy(update={weight: 0.0})})
 
 
+def _without_evidence(fit: FitConfig) -> FitConfig:
+    return _without("joints")(_without("path")(fit)).model_copy(update={"settle": 0})
+
+
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     **{f"no-{weight}": _without(weight) for weight in Weights.model_fields},
     "no-pyramid": _stage_of_all,
     "no-kick": _with(root_kick=0.0),
+    "no-evidence": _without_evidence,
+    "settled": _with(stages=()),
+    "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
     "axis-angle": _with(rotation="axis-angle"),
@@ -61,6 +68,8 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
 MODIFIERS: Mapping[str, str] = {
     f"best-no-{{{','.join(Weights.model_fields)}}}": "Human from Blur without one term of its loss; also paper-no-...",
     "best-no-pyramid, best-no-kick": "one stage at full size; no first velocity of the root",
+    "best-no-evidence": "without the joint network; best-settled: with nothing but it, no picture is compared",
+    "best-no-directions": "the motion as fitted, no search for its directions",
     "best-dibr, paper-coverage": "the other preset's silhouette",
     "best-axis-angle, paper-quaternion": "the other preset's rotations",
     "best-degree1 ... best-degree4": "another degree of the motion's polynomials",
@@ -123,8 +132,8 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     else:
         spec = _named(base, chains)
     paths = list(spec.chain.paths()) if spec.chain else []
-    if spec.kind == "fit" and spec.config.prior.pose is not None:
-        paths.append(spec.config.prior.pose)
+    if spec.kind == "fit":
+        paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]
     if "mediapipe" in (spec.estimator, spec.chain.estimator if spec.chain else None):
         paths += [path for network in NETWORKS if (path := network_path(network)) is not None]
     paths += [

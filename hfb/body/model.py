@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 
 from hfb.body.mesh import Mesh
-from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENTS
+from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, BONES, JOINT_COUNT, PARENTS
 from hfb.shapes import Float, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
@@ -82,15 +82,25 @@ class Body:
             self.mesh.to(dtype),
         )
 
+    def rest_joints(self, betas: Float[Tensor, "K"]) -> Float[Tensor, "24 3"]:
+        """Joints of the person with these betas in the rest pose [m]."""
+        return self.joint_template + self.joint_shape_directions @ betas
+
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
         """The person with these betas (unit variance each) in the rest pose."""
         vertices = self.template + self.shape_directions @ betas
-        joints = self.joint_template + self.joint_shape_directions @ betas
+        joints = self.rest_joints(betas)
         # Where no pose blend shape moves the rest vertices, skinning is one product of (S 3, 24 4) transforms
         # with this constant basis w_vj [x_v, 1]; it is computed once per person.
         homogeneous = torch.cat([vertices.T, vertices.new_ones(1, vertices.shape[0])])
         basis = (self.skinning_weights.T[:, None] * homogeneous).flatten(0, 1)
         return ShapedBody(self, vertices, joints, basis)
+
+
+def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
+    """Total length of the 23 bones [m]: a person's size, whatever the pose."""
+    parents, children = ([bone[end] for bone in BONES] for end in (0, 1))
+    return (joints[children] - joints[parents]).norm(dim=-1).sum()
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.evaluate.bootstrap import mean_ci95, ratio_ci95
+from hfb.evaluate.reliability import COLUMNS as RELIABILITY_COLUMNS
+from hfb.evaluate.reliability import reliability_cell
 from hfb.shapes import Array, Bool, Float, Int
 
 Cell = dict[str, Any]
@@ -33,7 +35,7 @@ _MEANS = {
 
 _COLUMNS = (
     "blur_rate", "initial_mpjpe_mm", "mpjpe_mm", "initial_pa_mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou",
-    *_MEANS.values(),
+    *_MEANS.values(), *RELIABILITY_COLUMNS,
 )  # fmt: skip
 
 
@@ -146,6 +148,7 @@ def make_cell(cases: MethodCases, seed: int) -> Cell:
         "better_than_start": _mean((fitted < initial).astype(float)) if known else None,
         "worse_than_start": _mean((fitted > initial).astype(float)) if known else None,
         **{entry: _mean(_known(answered.values[column])) for entry, column in _MEANS.items()},
+        **reliability_cell(answered.values),
     }
 
 

@@ -21,6 +21,8 @@ from hfb.evaluate.metrics import (
     wrong_direction,
 )
 from hfb.evaluate.protocol import at_rest, picture_scores, pose_rows
+from hfb.evaluate.reliability import direction_row, joint_row
+from hfb.fit.confidence import shipped_confidence
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.clock import subframe_times_s
@@ -58,6 +60,7 @@ def judge(
     if joints is not None:
         times_s = _clock(len(joints), observation)
         scores |= _motion_scores(joints, times_s, truth, frames)
+    scores |= _said(prediction, truth)
     if isinstance(truth, Truth):
         silhouettes = _silhouettes(prediction, body, truth)
         if silhouettes is not None:
@@ -100,6 +103,16 @@ def _motion_scores(
         return _known_joints(joints, true[:, numbers], numbers, frames)
     errors = motion_errors(joints, true, frames)
     return asdict(errors) | {"joint_errors_mm": joint_errors_mm(joints, true).tolist()}
+
+
+def _said(prediction: Prediction, truth: Truth | JointTruth) -> Scores:
+    """What the method said of its own errors; real video's few joints are no measure of it."""
+    said: Scores = {} if prediction.alternatives is None else dict(direction_row(prediction.alternatives))
+    motion = prediction.motion
+    if motion is not None and motion.joint_radius_mm is not None and isinstance(truth, Truth):
+        true = truth.motion.joints[_nearest(motion.times_s, truth.motion.times_s)]
+        said |= joint_row(motion.joints, motion.joint_radius_mm, shipped_confidence().exponent, true)
+    return said
 
 
 def _known_joints(

@@ -51,7 +51,12 @@ def in_plane_depth_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J
 
 def joint_errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "J"]:
     """`mpjpe_mm` joint by joint: each one's mean over the sub-frames [mm], after the same alignment of all of them."""
-    return 1000 * np.linalg.norm(_aligned_residual(predicted, truth), axis=-1).mean(0)
+    return errors_mm(predicted, truth).mean(0)
+
+
+def errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "R J"]:
+    """The distances whose mean is `mpjpe_mm`, joint by joint and sub-frame by sub-frame [mm]."""
+    return 1000 * np.linalg.norm(_aligned_residual(predicted, truth), axis=-1)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from hfb.evaluate.cells import Cell, is_start
+from hfb.evaluate.reliability import LEVELS, WITHIN
 
 Metric = Literal["mpjpe", "pa_mpjpe", "iou"]
 UNKNOWN = "–"
@@ -60,6 +61,12 @@ def table_markdown(
     if any(cells["all"]["ratio"] is not None for cells in methods.values()):
         explanation = "Mean MPJPE over the start's, of the same cases; below 1 is better than the start."
         parts += ["## Ratio to the start by blur rate", explanation, _ratios(summary)]
+    if any(cells["all"].get("radius_error") is not None for cells in methods.values()):
+        explanation = (
+            "Share of joints whose error is within the radius that the method gives for a probability; direction of "
+            "time: mean probability said, and share of cases right. Off: mean distance of said and happened."
+        )
+        parts += ["## How sure it is, and how often that was right", explanation, _reliability(summary)]
     if summary.get("comparisons"):
         explanation = "Differences of MPJPE over the cases that both methods answered; negative: the first is better."
         parts += ["## On the same cases", explanation, _same_cases(summary["comparisons"])]
@@ -170,6 +177,25 @@ def _ratios(summary: Mapping[str, Any]) -> str:
         ratios = [number(row[index]["ratio"], 3) + interval(row[index]["ratio_ci95"], 2) for row in cells.values()]
         rows.append([label, str(start["n"]), number(start["mpjpe_mm"], 1), *ratios])
     return grid(["blur rate", "n", "start [mm]", *cells], rows)
+
+
+def _reliability(summary: Mapping[str, Any]) -> str:
+    sure = {name: both["all"] for name, both in summary["methods"].items() if both["all"]["radius_error"] is not None}
+    header = ["method", *(f"said {100 * level:.0f}{_TIED}%" for level in LEVELS), "off", "mean radius [mm]"]
+    header += ["direction said", "direction right", "off"]
+    rows = [
+        [
+            name,
+            *(_percent(cell[column]) for column in WITHIN),
+            _percent(cell["radius_error"]),
+            number(cell["radius_mm"], 0),
+            _percent(cell["direction_said"]),
+            _percent(None if cell["wrong_direction"] is None else 1 - cell["wrong_direction"]),
+            _percent(cell["direction_error"]),
+        ]
+        for name, cell in sure.items()
+    ]
+    return grid(header, rows)
 
 
 def _same_cases(comparisons: Mapping[str, Any]) -> str:

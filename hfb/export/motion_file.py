@@ -12,11 +12,13 @@ from hfb.motion.sampled import SampledMotion
 from hfb.shapes import Array
 
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
+_OPTIONAL = ("joint_radius_mm",)
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
     """The members of a motion file, by name."""
-    return {name: getattr(motion, name) for name in _ARRAYS} | {"betas_space": np.array(betas_space)}
+    known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
+    return known | {"betas_space": np.array(betas_space)}
 
 
 def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
@@ -43,7 +45,8 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            return SampledMotion(**{name: file[name] for name in _ARRAYS}), str(file["betas_space"])
+            names = (*_ARRAYS, *(name for name in _OPTIONAL if name in file.files))
+            return SampledMotion(**{name: file[name] for name in names}), str(file["betas_space"])
     except FileNotFoundError:
         raise InputError(f"there is no motion file at {path}") from None
     except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:

@@ -3,26 +3,32 @@
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
 from hfb.determinism import one_torch_thread
+from hfb.fit.alternatives import Alternatives
+from hfb.fit.confidence import joint_features, shipped_confidence
+from hfb.fit.directions import search_directions
+from hfb.fit.settle import settle
 from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
+from hfb.initialize.joint_evidence import look_for_joints
 from hfb.losses.texture import TexelNeighbours, texel_neighbours
 from hfb.motion.clock import subframe_clock
 from hfb.motion.sampled import SampledMotion, sample_motion
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
 from hfb.observation import Observation
+from hfb.priors.motion_prior import MotionPrior, load_motion_prior
 from hfb.priors.pose import PosePrior
 from hfb.render.rasterizer import make_rasterizer
 from hfb.render.texture import fill_texture_gutter, texel_faces, visible_texels
 from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Bool, Float, Tensor
+from hfb.shapes import Array, Bool, Float, Tensor
 
 Progress = Callable[[int, int, float], None]
 
@@ -37,6 +43,8 @@ class FitResult:
         history: one value per iteration for every unweighted term and the weighted ``total``.
         best_iteration: the iteration that was kept, counted through all stages.
         seconds: wall time of the fit alone.
+        alternatives: the directions in which it may have run, where they were searched.
+        joint_features: what the motion's ``joint_radius_mm`` was computed from.
     """
 
     motion: SampledMotion
@@ -45,6 +53,8 @@ class FitResult:
     history: dict[str, list[float]]
     best_iteration: int
     seconds: float
+    alternatives: Alternatives | None = None
+    joint_features: dict[str, Float[Array, "R 24"]] = field(default_factory=dict)
 
 
 def fit(
@@ -55,10 +65,12 @@ def fit(
     seed: int,
     pose_prior: PosePrior,
     on_progress: Progress | None = None,
+    motion_prior: MotionPrior | None = None,
 ) -> FitResult:
     """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
 
     Args:
+        motion_prior: what knows in which direction people move; the shipped one when not given.
         on_progress: called after every iteration with (iterations done, of how many, total loss).
 
     Raises:
@@ -68,23 +80,31 @@ def fit(
     if len(first_bodies) != observation.mattes.shape[0]:
         raise ValueError(f"{len(first_bodies)} first bodies for {observation.mattes.shape[0]} frames")
     started = time.perf_counter()
+    motion_prior = motion_prior or load_motion_prior(None)
     rasterizer = make_rasterizer(config.silhouette, config.rasterizer, config.threads)
     variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed))
     window = observation.cropped(*observation.region())
     texels = _texels(body, config) if config.weights.texture > 0 else None
     first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(variables.betas))
+    looks = config.settle > 0 or config.weights.joints + config.weights.path > 0
+    evidence = look_for_joints(observation, first_bodies, body) if looks else None
     history: dict[str, list[float]] = {}
     stages = [stage for stage in config.stages if stage.iterations > 0]
     total = sum(stage.iterations for stage in stages)
-    best, best_iteration, done = variables.copy(), 0, 0
+    best_iteration, done = 0, 0
+    everywhere = Objective(
+        window, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels,
+        matte_scales=config.matte_scales, image_scales=config.image_scales, evidence=evidence,
+        motion_prior=motion_prior,
+    )  # fmt: skip
     with one_torch_thread():
+        if config.settle > 0:
+            settle(variables, everywhere, config)
+        best = variables.copy()
         for stage in stages:
             seen = window.resized(stage.size_px)
             visible = _visible(variables, seen, body, config) if texels else None
-            objective = Objective(
-                seen, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels, visible,
-                config.matte_scales, config.image_scales,
-            )  # fmt: skip
+            objective = replace(everywhere, observation=seen, visible=visible)
             best_loss = math.inf  # losses of different picture sizes do not compare
             for loss, terms, iterate in _iterations(objective, variables, config, stage):
                 for name, value in {"total": loss, **terms}.items():
@@ -95,7 +115,34 @@ def fit(
                 if on_progress:
                     on_progress(done, total, loss)
             _restore(variables, best)
-    return _result(best, observation, body, config, history, best_iteration, time.perf_counter() - started)
+        best = best.in_metres(body)
+        result = _result(best, observation, body, config, history, best_iteration)
+        if config.directions.search and stages:
+            coarse = replace(objective, observation=window.resized(config.directions.size_px))
+            result = _directed(result, best, first_bodies, coarse, objective, config)
+    return replace(result, seconds=time.perf_counter() - started)
+
+
+def _directed(
+    result: FitResult,
+    best: Variables,
+    first_bodies: Sequence[FirstBody],
+    coarse: Objective,
+    fine: Objective,
+    config: FitConfig,
+) -> FitResult:
+    """The result in its likeliest directions, with what else it may be and how far off each joint may be."""
+    trajectory, alternatives = search_directions(best, coarse, fine, config.directions)
+    chosen = alternatives.chosen
+    motion = replace(
+        result.motion, poses=alternatives.poses[chosen], trans=alternatives.trans[chosen],
+        joints=alternatives.joints[chosen],
+    )  # fmt: skip
+    features = joint_features(motion, alternatives, replace(best, trajectory=trajectory), first_bodies, coarse)
+    motion = replace(motion, joint_radius_mm=shipped_confidence().radius_mm(features))
+    return replace(
+        result, motion=motion, trajectory=trajectory, alternatives=alternatives, joint_features=features
+    )  # fmt: skip
 
 
 def _iterations(
@@ -110,7 +157,7 @@ def _iterations(
             for group, rate in zip(optimizer.param_groups, base, strict=True):
                 group["lr"] = rate * share
         optimizer.zero_grad()
-        terms = objective.terms(variables.trajectory, variables.betas, variables.texture)
+        terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)
         loss = objective.total(terms)
         values = {name: value.item() for name, value in terms.items()}
         if not math.isfinite(loss.item()):
@@ -138,7 +185,7 @@ def _texels(body: Body, config: FitConfig) -> TexelNeighbours:
 def _visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
     """Texels the camera sees when a stage begins: visibility changes too slowly to be worth every iteration."""
     with torch.no_grad():
-        rotations, translations = variables.trajectory.at(subframe_clock(config.subframes))
+        rotations, translations = variables.motion(body).at(subframe_clock(config.subframes))
         posed = body.shape(variables.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
         return visible_texels(posed.vertices, seen.camera, body.mesh, config.texture_px)
 
@@ -150,7 +197,6 @@ def _result(
     config: FitConfig,
     history: dict[str, list[float]],
     best_iteration: int,
-    seconds: float,
 ) -> FitResult:
     with torch.no_grad():
         shaped = body.shape(best.betas)
@@ -159,4 +205,4 @@ def _result(
         observation.camera.matrix(),
     )  # fmt: skip
     texture = fill_texture_gutter(best.texture, texel_faces(body.mesh, config.texture_px))
-    return FitResult(motion, texture, best.trajectory, history, best_iteration, seconds)
+    return FitResult(motion, texture, best.trajectory, history, best_iteration, 0.0)

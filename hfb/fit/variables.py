@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
+from hfb.body.model import Body, bone_length
 from hfb.config import FitConfig, Stage
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.clock import next_opening
@@ -15,11 +16,33 @@ from hfb.shapes import Float, Tensor
 
 @dataclass(frozen=True)
 class Variables:
-    """The free parameters of one fit: leaf tensors that an optimiser changes in place."""
+    """The free parameters of one fit: leaf tensors that an optimiser changes in place.
+
+    A picture does not tell a tall person far away from a short one nearby: where only the shape changed, the outline
+    would grow, and the fit would have to move two parameters in step. With a ``reference`` the person keeps the place
+    in the picture whatever the shape, and the shape's gradient is about proportions.
+
+    Attributes:
+        trajectory: in metres for a person with the reference's betas, who stands as far away as the real one seems
+            large; simply in metres without a reference.
+    """
 
     trajectory: Trajectory
     betas: Float[Tensor, "10"]
     texture: Float[Tensor, "A A 3"]
+    reference: Float[Tensor, "10"] | None = None
+
+    def motion(self, body: Body) -> Trajectory:
+        """In metres for the person with the present betas; differentiable in both."""
+        if self.reference is None:
+            return self.trajectory
+        before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
+        return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
+
+    def in_metres(self, body: Body) -> "Variables":
+        """The same person and motion without a reference, as a snapshot."""
+        with torch.no_grad():
+            return Variables(self.motion(body), self.betas, self.texture).copy()
 
     def groups(self, config: FitConfig, stage: Stage) -> list[dict]:
         """Adam's parameter groups with their learning rates."""
@@ -35,7 +58,7 @@ class Variables:
         trajectory = self.trajectory.with_coefficients(
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
-        return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone())
+        return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone(), self.reference)
 
 
 def start_variables(
@@ -55,7 +78,8 @@ def start_variables(
         direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
         trajectory.translation[0, 1, :3] += config.root_kick * direction.to(trajectory.translation)
     texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
-    leaves = Variables(trajectory, betas, texture).copy()
+    reference = betas.clone() if config.size_moves_away and config.rotation == "quaternion" else None
+    leaves = Variables(trajectory, betas, texture, reference).copy()
     for leaf in (leaves.trajectory.rotation, leaves.trajectory.translation, leaves.betas, leaves.texture):
         leaf.requires_grad_(True)
     return leaves

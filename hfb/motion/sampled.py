@@ -24,6 +24,8 @@ class SampledMotion:
         times_s: time since the first shutter opened [s].
         frame_index: the frame each row belongs to.
         K: camera matrix of the full picture [px].
+        joint_radius_mm: where the method says how sure it is: the joint's error about the pelvis (after one rotation of
+            the sequence) is below it with a probability of one half; zero for the pelvis.
     """
 
     poses: Float[Array, "R 72"]
@@ -33,6 +35,7 @@ class SampledMotion:
     times_s: Float[Array, "R"]
     frame_index: Int[Array, "R"]
     K: Float[Array, "3 3"]
+    joint_radius_mm: Float[Array, "R 24"] | None = None
 
     def rows_of(self, frame: int) -> Int[Array, "S"]:
         """Row numbers of one frame's sub-frames, in time."""
@@ -83,4 +86,5 @@ def still_motion(
         trans=translations.double().numpy()[frames],
         betas=betas.double().numpy(),
         joints=joints.detach().double().numpy()[frames],
+        joint_radius_mm=None,
     )

@@ -57,6 +57,19 @@ class Trajectory:
         axis_angle = _unit(curve[..., :3]) * curve[..., 3:]
         return axis_angle_to_matrix(axis_angle), self.anchor[:, None] + _unit(path[..., :3]) * path[..., 3:]
 
+    def enlarged(
+        self, factor: Float[Tensor, ""], pelvis: Float[Tensor, "3"], new_pelvis: Float[Tensor, "3"]
+    ) -> "Trajectory":
+        """The same motion as seen of a person `factor` times as large, and as far away; ``quaternion`` alone.
+
+        Args:
+            pelvis, new_pelvis: in the rest pose of the person before and after: SMPL's root turns about it [m].
+        """
+        path = self.translation[..., :3] * factor
+        constants = path[:, :1] + factor * pelvis - new_pelvis
+        moved = torch.cat([torch.cat([constants, path[:, 1:]], 1), self.translation[..., 3:]], -1)
+        return replace(self, translation=moved)
+
     def higher_coefficients(self) -> Float[Tensor, "n"]:
         """All coefficients but the constants: what L_C holds small."""
         return torch.cat([self.rotation[:, 1:].flatten(), self.translation[:, 1:].flatten()])

@@ -4,6 +4,7 @@ import zipfile
 from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -14,33 +15,39 @@ from hfb.body.pickles import load_pickle, to_array
 from hfb.errors import InputError
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
+from hfb.priors.mixture import LIMITS_KEY, MixturePrior, shipped_mixture
 from hfb.priors.pose import PosePrior
 from hfb.priors.vposer import VPoserPrior
 from hfb.shapes import Array, Float
 
-_ACCEPTED = "give SMPLify's gmm_08.pkl or a VPoser v1 or v2 snapshot (.pt, .ckpt, .safetensors or .npz)"
+_ACCEPTED = (
+    "give SMPLify's gmm_08.pkl, a VPoser v1 or v2 snapshot (.pt, .ckpt, .safetensors or .npz) or a pose mixture of "
+    "`hfb train-prior`"
+)
 # What a torch file from before the zip format begins with: a pickled magic number.
 _LEGACY_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
 
 
-def load_pose_prior(path: Path | None) -> PosePrior:
-    """The anatomical prior, or the one in a user's file; what a file holds is told from its content, not its name.
+def load_pose_prior(path: Path | None, kind: Literal["anatomy", "mixture"] = "anatomy") -> PosePrior:
+    """A built-in prior, or the one in a user's file; what a file holds is told from its content, not its name.
 
     Args:
-        path: SMPLify's mixture or a VPoser checkpoint.
+        path: SMPLify's mixture, a VPoser checkpoint, or a mixture of `hfb train-prior`.
+        kind: which of the built-in priors, where no file is given.
 
     Raises:
         InputError: no such file, or neither of these.
     """
     if path is None:
-        return AnatomicalPrior()
+        return shipped_mixture() if kind == "mixture" else AnatomicalPrior()
     if not path.is_file():
         raise InputError(f"{path}: no such file with a pose prior; {_ACCEPTED}, or nothing for the built-in one")
     contents = _read(path)
     covariances = contents.get("covars", contents.get("covariances"))
     if "means" in contents and "weights" in contents and covariances is not None:
         means, weights = _numbers(contents["means"], path), _numbers(contents["weights"], path)
-        return GmmPrior(means, _numbers(covariances, path), weights, str(path))
+        mixture = MixturePrior if LIMITS_KEY in contents else GmmPrior
+        return mixture(means, _numbers(covariances, path), weights, str(path))
     state = {name: torch.from_numpy(_numbers(value, path)) for name, value in contents.items()}
     return VPoserPrior.from_state(state, str(path))
 

@@ -1,10 +1,5 @@
-"""Plots of a benchmark: error and IoU against blur rate, ratios to the start, errors per joint.
+"""Plots of a benchmark: error and IoU against blur rate, ratios to the start, errors per joint."""
 
-Figures are objects of their own: no pyplot, no global state, the same bytes for the same numbers.
-"""
-
-import io
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,15 +11,10 @@ from hfb.evaluate.bootstrap import mean_ci95
 from hfb.evaluate.cells import MethodCases, by_method, is_start, start_cases
 from hfb.evaluate.table_page import blur_label
 from hfb.media.atomic import write_bytes_atomic
+from hfb.report.plot_style import FAINT_GRAY, GRAY, png, sheet, styles
+from hfb.report.reliability_plot import reliability
 from hfb.shapes import Array, Float
 
-_SIZE_INCHES, _DPI = (9.0, 5.0), 160
-_FONT_POINTS = 10.5
-_GRAY, _FAINT_GRAY = "#666666", "#dddddd"
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette for every kind of colour vision, without its yellow, which white paper swallows."""
-_FIXED = {"best": "#0072B2", "paper": "#D55E00"}
-_MARKERS = "osD^vP*X"
 _POINTS_SHOWN = 0.98
 """Share of the cases that the vertical axis of the error plot must hold; the others are counted in a corner."""
 
@@ -33,8 +23,6 @@ _CHAINS = (
     "hip", "knee", "ankle", "foot",
 )  # fmt: skip
 """Joints along the body, from the pelvis (whose error is zero by definition) outwards, left and right as one."""
-
-_Style = dict[str, Any]
 
 
 def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Path]:
@@ -45,7 +33,8 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
         summary: what `summarize` made of the same rows.
 
     Returns:
-        the files: error_by_blur.png, iou_by_blur.png, ratio_by_blur.png, error_by_joint.png, as far as there are.
+        the files: error_by_blur.png, iou_by_blur.png, ratio_by_blur.png, error_by_joint.png, reliability.png, as far as
+        there are.
     """
     methods = by_method(rows, tuple(summary["methods"]))
     pictures = {
@@ -53,11 +42,12 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
         "iou_by_blur.png": iou_by_blur(methods, summary),
         "ratio_by_blur.png": ratio_by_blur(summary),
         "error_by_joint.png": error_by_joint(methods, summary),
+        "reliability.png": reliability(methods, summary),
     }
     written = []
-    for name, png in pictures.items():
-        if png is not None:
-            write_bytes_atomic(folder / name, png)
+    for name, picture in pictures.items():
+        if picture is not None:
+            write_bytes_atomic(folder / name, picture)
             written.append(folder / name)
     return written
 
@@ -81,14 +71,14 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
     cells = {name: [*both["bins"], both["all"]] for name, both in _contenders(summary, "ratio").items()}
     if not cells:
         return None
-    figure, axes = _sheet()
+    figure, axes = sheet()
     labels = [f"{blur_label(cell['blur'])}\nn {cell['n']}" for cell in summary["start"]["bins"]]
     labels.append(f"all\nn {summary['start']['all']['n']}")
-    axes.axhline(1, color=_GRAY, linewidth=1.2, linestyle="--")
+    axes.axhline(1, color=GRAY, linewidth=1.2, linestyle="--")
     if paper is not None:
-        axes.plot(range(len(paper)), paper, color=_GRAY, linewidth=2, label="HfB in the paper")
+        axes.plot(range(len(paper)), paper, color=GRAY, linewidth=2, label="HfB in the paper")
     for place, (name, row) in enumerate(cells.items()):
-        style, shift = _styles(summary)[name], 0.7 * ((place + 0.5) / len(cells) - 0.5)
+        style, shift = styles(summary)[name], 0.7 * ((place + 0.5) / len(cells) - 0.5)
         known = [(index, cell) for index, cell in enumerate(row) if cell["ratio"] is not None]
         heights = np.array([cell["ratio"] for _, cell in known])
         bounds = np.array([cell["ratio_ci95"] or (cell["ratio"], cell["ratio"]) for _, cell in known])
@@ -97,12 +87,12 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
         axes.errorbar(
             places, heights, reach, fmt=style["marker"], color=style["color"], markersize=5, linewidth=1.6, label=name
         )
-    axes.axvline(len(labels) - 1.5, color=_FAINT_GRAY, linewidth=1)
+    axes.axvline(len(labels) - 1.5, color=FAINT_GRAY, linewidth=1)
     axes.set_xticks(range(len(labels)), labels)
     axes.set_xlabel(f"blur rate ({_of_set(summary)})")
     axes.set_ylabel("MPJPE, share of the start's")
     axes.margins(x=0.02, y=0.08)
-    return _png(figure, axes)
+    return png(figure, axes)
 
 
 def error_by_joint(
@@ -118,7 +108,7 @@ def error_by_joint(
     errors = {name: table for name, table in errors.items() if len(table)}
     if not errors:
         return None
-    figure, axes = _sheet()
+    figure, axes = sheet()
     width = 0.84 / len(errors)
     for place, (name, table) in enumerate(errors.items()):
         means = table.mean(0)
@@ -130,7 +120,7 @@ def error_by_joint(
             lefts,
             means,
             width * 0.92,
-            color=_styles(summary)[name]["color"],
+            color=styles(summary)[name]["color"],
             label=f"start ({name})" if is_start(summary["methods"][name]["all"]) else name,
             yerr=np.abs(np.array(bounds).T - means),
             error_kw={"linewidth": 0.9, "ecolor": "#222222"},
@@ -140,7 +130,7 @@ def error_by_joint(
     axes.set_xlabel(_of_set(summary))
     axes.set_ylabel("mean joint error [mm]")
     axes.set_xlim(-0.6, len(groups) - 0.4)
-    return _png(figure, axes)
+    return png(figure, axes)
 
 
 def _against_blur(
@@ -150,11 +140,11 @@ def _against_blur(
     starts = start_cases(methods.values())
     if not any(np.isfinite(cases.values[column]).any() for cases in (starts, *drawn.values())):
         return None
-    figure, axes = _sheet()
+    figure, axes = sheet()
     bins = [(float(low), float(high)) for low, high in (cell["blur"] for cell in summary["start"]["bins"])]
-    gray = {"color": _GRAY, "marker": None, "linestyle": "--"}
+    gray = {"color": GRAY, "marker": None, "linestyle": "--"}
     for name, cases in {"start": starts, **drawn}.items():
-        style = gray if name == "start" else _styles(summary)[name]
+        style = gray if name == "start" else styles(summary)[name]
         rates, heights = cases.values["blur_rate"], cases.values[column]
         axes.scatter(rates, heights, s=7, color=style["color"], alpha=0.5 / (1 + len(drawn)), linewidths=0)
         middles, means, bands = _per_bin(cases, column, bins, summary["seed"])
@@ -167,7 +157,7 @@ def _against_blur(
     axes.set_xlabel(f"blur rate ({_of_set(summary)})")
     axes.set_ylabel(label)
     axes.set_xlim(left=0)
-    return _png(figure, axes)
+    return png(figure, axes)
 
 
 def _per_bin(
@@ -195,28 +185,13 @@ def _frame_most(axes: Any, columns: Sequence[Float[Array, "_"]]) -> None:
     above = int((values > top).sum())
     if above:
         place = {"transform": axes.transAxes, "ha": "right", "va": "top"}
-        axes.text(0.995, 0.985, f"{above} points above", color=_GRAY, backgroundcolor="white", **place)
+        axes.text(0.995, 0.985, f"{above} points above", color=GRAY, backgroundcolor="white", **place)
 
 
 def _contenders(summary: Mapping[str, Any], entry: str) -> dict[str, Any]:
     """Methods that know an entry and are not the start itself."""
     cells = summary["methods"].items()
     return {name: both for name, both in cells if both["all"][entry] is not None and not is_start(both["all"])}
-
-
-def _styles(summary: Mapping[str, Any]) -> dict[str, _Style]:
-    """A colour and a marker per method, the same in every plot of a benchmark; beyond the colours, dashes."""
-    free = [colour for colour in _COLOURS if colour not in _FIXED.values()]
-    styles: dict[str, _Style] = {}
-    others = 0
-    for place, name in enumerate(name for name, both in summary["methods"].items() if not is_start(both["all"])):
-        colour, dashes = _FIXED.get(name), 0
-        if colour is None:
-            colour, dashes = free[others % len(free)], others // len(free)
-            others += 1
-        lines = ("-", "--", "-.", ":")
-        styles[name] = {"color": colour, "marker": _MARKERS[place % len(_MARKERS)], "linestyle": lines[dashes % 4]}
-    return {**{name: {"color": _GRAY, "marker": None, "linestyle": "--"} for name in summary["methods"]}, **styles}
 
 
 def _of_set(summary: Mapping[str, Any]) -> str:
@@ -236,33 +211,3 @@ def _per_group(cases: MethodCases, groups: Sequence[Sequence[int]]) -> Float[Arr
     """Mean error of each group of joints in every case that knows its joints."""
     known = cases.joint_errors_mm[np.isfinite(cases.joint_errors_mm).all(1)]
     return np.stack([known[:, list(group)].mean(1) for group in groups], axis=1)
-
-
-def _sheet() -> tuple[Any, Any]:
-    """An empty figure and its axes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
-
-    layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=layout)
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(axis="y", color=_FAINT_GRAY, linewidth=0.8)
-    axes.set_axisbelow(True)
-    return figure, axes
-
-
-def _png(figure: Any, axes: Any) -> bytes:
-    """The finished picture, its legend above the axes."""
-    named = len(axes.get_legend_handles_labels()[1])
-    figure.legend(
-        loc="outside upper center", ncols=math.ceil(named / math.ceil(named / 6)), frameon=False, fontsize=_FONT_POINTS
-    )
-    axes.xaxis.label.set_size(_FONT_POINTS)
-    axes.yaxis.label.set_size(_FONT_POINTS)
-    axes.tick_params(labelsize=_FONT_POINTS - 1)
-    data = io.BytesIO()
-    figure.savefig(data, format="png", metadata={"Software": None})
-    return data.getvalue()

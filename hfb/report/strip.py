@@ -23,6 +23,7 @@ _CELL_HEIGHT_PX, _LARGEST_WIDTH_PX = 256, 384
 _SHOWN_SUBFRAMES = 5
 _RESIDUAL_GAIN = 2.0
 _CAPTION_PX, _GAP_PX = 22, 4
+_NOTE_SIZE = 0.45
 _PAPER = 1.0
 _GHOST_OPACITIES = (0.55, 0.75, 1.0)  # first, middle, last instant
 
@@ -54,18 +55,21 @@ def draw_strip(
     texture: Float[Tensor, "A A 3"],
     body: Body,
     rasterizer: Rasterizer,
+    note: str = "",
 ) -> Float[Array, "Y X 3"]:
     """The whole strip as one sRGB picture in [0, 1], cut to the region around the mattes.
 
     Args:
         motion: the fitted motion, in camera coordinates of the observation.
         texture: in the observation's light.
+        note: a sentence that is written below, such as what the picture cannot tell.
     """
     left, top, width, height = observation.region()
     scale = min(_CELL_HEIGHT_PX / height, _LARGEST_WIDTH_PX / width)
     window = observation.cropped(left, top, width, height).resized(round(scale * max(height, width)))
     frames = range(observation.mattes.shape[0])
-    return lay_out([_row(window, frame, motion, texture, body, rasterizer) for frame in frames])
+    picture = lay_out([_row(window, frame, motion, texture, body, rasterizer) for frame in frames])
+    return np.concatenate([picture, _written(note, picture.shape[1])]) if note else picture
 
 
 def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
@@ -93,6 +97,20 @@ def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X
     cell[:_CAPTION_PX] = band / np.float32(255)
     cell[_CAPTION_PX : _CAPTION_PX + height, :width] = picture
     return cell
+
+
+def _written(note: str, width: int) -> Float[Array, "Y X 3"]:
+    """Lines of text as wide as a picture."""
+    lines, words = [""], note.split()
+    for word in words:
+        longer = f"{lines[-1]} {word}".strip()
+        fits = cv2.getTextSize(longer, cv2.FONT_HERSHEY_SIMPLEX, _NOTE_SIZE, 1)[0][0] <= width - 6
+        lines = [*lines[:-1], longer] if fits else [*lines, word]
+    band = np.full((_CAPTION_PX * len(lines), width, 3), 255, dtype=np.uint8)
+    for number, line in enumerate(lines):
+        place = (3, _CAPTION_PX * number + 15)
+        cv2.putText(band, line, place, cv2.FONT_HERSHEY_SIMPLEX, _NOTE_SIZE, (40, 40, 40), 1, cv2.LINE_AA)
+    return band / np.float32(255)
 
 
 def _row(

@@ -21,7 +21,7 @@ from tests.scenes import moving_scene
 def tiny(name: str) -> RunConfig:
     """A method's configuration, cut down to what a test can wait for."""
     config = method_spec(name).config
-    changes = {"stages": (Stage(size_px=32, iterations=4),), "subframes": 4, "texture_px": 16}
+    changes = {"stages": (Stage(size_px=32, iterations=15),), "subframes": 4, "texture_px": 16, "settle": 5}
     return config.model_copy(update={"fit": config.fit.model_copy(update=changes)})
 
 

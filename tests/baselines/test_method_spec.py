@@ -53,6 +53,16 @@ def test_ablations(name: str, base: str, difference: dict[str, object]) -> None:
     assert changed(method_spec(name), preset("best" if base == "best" else "paper")) == difference
 
 
+@pytest.mark.parametrize("which", ["pose", "motion"])
+def test_priors_count_by_content(which: str, tmp_path: Path) -> None:
+    (tmp_path / "options.toml").write_text(f'[prior]\n{which} = "{tmp_path / "prior"}"\n')
+    (tmp_path / "prior").write_bytes(b"one")
+    first = method_spec(f"mine={tmp_path / 'options.toml'}")
+    assert first.files() == [tmp_path / "prior"]
+    (tmp_path / "prior").write_bytes(b"two")
+    assert method_spec(f"mine={tmp_path / 'options.toml'}") != first
+
+
 def test_without_the_pyramid_the_iterations_stay() -> None:
     (stage,) = method_spec("best-no-pyramid").config.fit.stages
     assert stage.iterations == sum(one.iterations for one in preset("best").fit.stages)

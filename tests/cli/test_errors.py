@@ -48,6 +48,8 @@ CASES = {
     "a body that is none": ("{frame} --background {plate} --body.model {arrays.npz}", "arrays.npz"),
     "text as body": ("{frame} --background {plate} --body.model {text.png}", "text.png"),
     "missing prior": ("{frame} --background {plate} --prior.pose {none}", "none does not exist"),
+    "missing motion prior": ("{frame} --background {plate} --prior.motion {none}", "none does not exist"),
+    "text as motion prior": ("{frame} --background {plate} --prior.motion {text.png}", "hfb train-prior"),
     "no TOML": ("{frame} --background {plate} --config {bad.toml}", "not valid TOML"),
     "unknown key": ("{frame} --background {plate} --config {typo.toml}", "did you mean fit.subframes"),
     "bad clip": ("{frame} --background {plate} --clip {clip.toml}", "did you mean camera.focal_px"),

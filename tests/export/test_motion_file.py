@@ -1,5 +1,6 @@
 """motion.npz reads back bit for bit, without pickle, and bad files are said so."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,3 +54,13 @@ def test_pickled_members_are_refused(tmp_path: Path) -> None:
     np.savez(path, **arrays)
     with pytest.raises(InputError, match="not a motion file"):
         load_motion(path)
+
+
+def test_how_far_off_joints_may_be_is_kept_where_it_is_known(tmp_path: Path) -> None:
+    path, radius = tmp_path / "motion.npz", np.random.default_rng(1).uniform(5, 90, (6, 24))
+    save_motion(path, replace(motion(), joint_radius_mm=radius), "hfb")
+    read, _ = load_motion(path)
+    assert read.joint_radius_mm is not None
+    np.testing.assert_array_equal(read.joint_radius_mm, radius)
+    save_motion(path, motion(), "hfb")
+    assert load_motion(path)[0].joint_radius_mm is None

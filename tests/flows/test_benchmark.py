@@ -61,6 +61,14 @@ def test_tables_record_and_workers(plan: BenchmarkPlan, store: Path, tmp_path: P
     table = pandas.read_parquet(one / "cases.parquet")
     assert len(table) == 4
     assert table["failed"].isna().all()
+    said = table[table["method"] == "tiny"]
+    assert said["within_p50"].between(0, 1).all()
+    assert (said["radius_mm"] > 1).all()
+    assert cells["tiny"]["all"]["radius_error"] is not None
+    assert cells["static"]["all"]["radius_error"] is None
+    assert (one / "reliability.png").exists()
+    assert "How sure it is" in (one / "table.md").read_text()
+    assert len(list((one / "methods" / "tiny").glob("case_*/alternatives.npz"))) == 2
     assert (table.groupby("case")["initial_mpjpe_mm"].nunique() == 1).all()
 
     runs = mlflow_rows(store, "select name, status from runs")

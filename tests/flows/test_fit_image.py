@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from flows.fit_image import fit_image
-from hfb.config import FitConfig, InitConfig, RunConfig, Stage
+from hfb.config import DirectionsConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.export.motion_file import load_motion
+from hfb.fit.alternatives import LIMB_NAMES, load_alternatives
 from hfb.media.pictures import read_matte, read_picture_srgb, write_png
 from tests.orchestration import Problem, example, mlflow_rows
 
@@ -100,6 +102,27 @@ def test_an_edited_picture_is_another_problem(problem: Problem, store: Path, tmp
     second = run(problem, out, frame=frame)
     assert second["inputs"]["frame_0"] != first["inputs"]["frame_0"]
     assert second["mlflow_run_id"] != first["mlflow_run_id"]
+
+
+def test_directions_are_searched_said_and_kept(problem: Problem, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    searching = TINY.fit.model_copy(update={"directions": DirectionsConfig(search=True, iterations=1, polish=1)})
+    result = run(problem, out, TINY.model_copy(update={"fit": searching}))
+    (frame,) = result["directions"]
+    assert set(frame["right"]) == {"body", *LIMB_NAMES}
+    assert result["unknown"].endswith(".")
+    found, features = load_alternatives(out / "alternatives.npz")
+    assert found.probability.sum() == pytest.approx(1)
+    motion, _ = load_motion(out / "motion.npz")
+    assert motion.joint_radius_mm is not None
+    assert motion.joint_radius_mm.shape == features["reach"].shape == (2, 24)
+    np.testing.assert_allclose(found.joints[found.chosen], motion.joints, atol=1e-5)
+    assert "alternatives.npz" in {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*")}
+
+    without = run(problem, out)  # an option less: what the earlier result knew more is gone
+    assert without["unknown"] is None
+    assert not (out / "alternatives.npz").exists()
+    assert load_motion(out / "motion.npz")[0].joint_radius_mm is None
 
 
 def test_the_earlier_result_survives_a_failure(problem: Problem, store: Path, tmp_path: Path) -> None:

@@ -71,7 +71,9 @@ def test_the_paper_preset_runs_every_term() -> None:
         update={"stages": (Stage(size_px=48, iterations=5),), "subframes": 3, "texture_px": 32}
     )
     result = run(scene, scene.middle, config)
-    assert set(result.history) == {"total", "image", "matte", "texture", "pose", "shape", "motion", "background"}
+    assert set(result.history) == {
+        "total", "image", "matte", "texture", "pose", "shape", "motion", "background", "adversarial"
+    }  # fmt: skip
     assert np.isfinite(result.history["total"]).all()
 
 

@@ -65,3 +65,17 @@ def _repainted(observation: Observation, motion, texture: torch.Tensor, body) ->
     """The same scene with a body of this texture."""
     means = reblur(motion, texture, observation, body, RASTERIZER)
     return replace(observation, frames_linear=compose(means, observation.plate_linear), mattes=means[..., 3])
+
+
+def test_a_note_is_written_below_in_as_many_lines_as_it_needs():
+    body = load_default_body()
+    scene = moving_scene(body, size_px=48, instants=3)
+    given = scene.observation, scene.truth.motion, torch.full((8, 8, 3), 0.6), body, RASTERIZER
+    plain, noted = draw_strip(*given), draw_strip(*given, note="a sentence about what is not known " * 12)
+    np.testing.assert_array_equal(noted[: len(plain)], plain)
+    assert noted.shape[1] == plain.shape[1]
+    below = noted[len(plain) :]
+    assert len(below) % 22 == 0
+    assert len(below) > 22
+    assert all(below[start : start + 22].min() < 0.4 for start in range(0, len(below), 22))
+    assert below[:, -2:].min() == 1

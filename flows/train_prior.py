@@ -1,0 +1,100 @@
+"""A prior from anybody's motion capture: read it, learn, measure on what was kept apart, record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from prefect import flow
+from pydantic import Field
+
+from flows.workplace import workplace
+from hfb.config import Record
+from hfb.errors import InputError
+from hfb.media.atomic import write_bytes_atomic
+from hfb.priors.training_spec import MotionTraining, PoseTraining
+from tasks import progress, tracking
+from tasks.cases import listing_of
+from tasks.handles import FileHandle
+from tasks.task import code_version
+from tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
+
+
+class TrainingPlan(Record):
+    """Everything that decides a prior's weights."""
+
+    motions: Path
+    kind: Literal["motion", "pose"]
+    tests: tuple[str, ...] = ()
+    seed: int = Field(0, ge=0)
+    motion: MotionTraining = MotionTraining()
+    pose: PoseTraining = PoseTraining()
+
+
+def work_folder(out: Path) -> Path:
+    """Where a training keeps what it needs to go on after an interruption."""
+    return out.with_name(f"{out.stem}-training")
+
+
+@flow(name="train-prior", persist_result=False)
+def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
+    """Train a prior, publish its weights as ``out`` and what they are beside it as .json; recorded in MLflow.
+
+    Returns:
+        the content of the .json, and where things are.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+    """
+    if out.suffix != ".safetensors" or out.is_dir():
+        raise InputError(f"{out}: a prior is one file; give --out a name that ends in .safetensors")
+    if not plan.motions.is_dir():
+        raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
+    spec = plan.motion if plan.kind == "motion" else plan.pose
+    with workplace(work_folder(out)) as folder:
+        lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.seed, folder)
+        for name, reason in lessons.refused.items():
+            progress.say(f"left out: {name}: {reason}")
+        trained = train(lessons, spec, plan.seed, folder)
+        measures = measure(lessons, trained, plan.seed, folder)
+        about = _about(plan, lessons, trained, measures, out.name)
+        result = {**about, "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
+        try:
+            run = record_training(_params(plan), lessons, trained, measures, about)
+            result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
+        except tracking.StoreLost as lost:
+            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
+        write_bytes_atomic(out, trained.path.read_bytes())
+        write_bytes_atomic(out.with_suffix(".json"), json.dumps(about, indent=1, allow_nan=False).encode() + b"\n")
+    return result
+
+
+def _params(plan: TrainingPlan) -> dict[str, Any]:
+    """What the run is found by; where the recordings lie does not count, what they hold does."""
+    other = "pose" if plan.kind == "motion" else "motion"
+    return {**plan.model_dump(mode="json", exclude={other}), "motions": plan.motions.name}
+
+
+def _about(
+    plan: TrainingPlan, lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, name: str
+) -> dict[str, Any]:
+    """What a file of weights is: made how, from what, and what it knows."""
+    history = json.loads(trained.history.path.read_text())
+    return {
+        "weights": name,
+        "sha256": trained.sha256,
+        "parameters": trained.parameters,
+        "training": _params(plan),
+        "data": {
+            "lessons_sha256": lessons.sha256,
+            "trained": list(lessons.trained),
+            "held_out": list(lessons.held_out),
+            "tested": list(lessons.tested),
+            "refused": lessons.refused,
+        },
+        "last_losses": {loss: values[-1] for loss, values in history.items()},
+        "training_seconds": round(trained.seconds, 1),
+        "measures": json.loads(measures.path.read_text()),
+        "code": code_version(),
+    }

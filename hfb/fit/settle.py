@@ -1,0 +1,42 @@
+"""Before any picture is drawn: move the skeleton to where the joint network saw the joints."""
+
+import math
+from dataclasses import replace
+
+import torch
+
+from hfb.config import FitConfig, Weights
+from hfb.fit.variables import Variables
+from hfb.objective import Objective
+
+_RATE, _SHAPE_RATE = 0.02, 1.0
+_JOINTS, _PATH = 1.0, 0.3
+
+
+def settle(variables: Variables, objective: Objective, config: FitConfig) -> None:
+    """Adam on pose, place, motion and shape by the terms that need no picture; changes the variables in place.
+
+    A limb that lies wholly beside its place in the picture has no edge in common with it and is never pulled there by
+    images; a body that errs by a metre neither.
+    """
+    held = config.weights
+    weights = Weights(
+        image=0, matte=0, boundary=held.boundary, joints=_JOINTS, path=_PATH, pose=held.pose / 20, shape=held.shape,
+        motion=held.motion / 10, start=held.start / 10,
+    )  # fmt: skip
+    skeleton = replace(objective, weights=weights)
+    trajectory = variables.trajectory
+    groups = [
+        {"params": [trajectory.rotation, trajectory.translation], "lr": _RATE},
+        {"params": [variables.betas], "lr": _RATE * _SHAPE_RATE},
+    ]
+    optimizer = torch.optim.Adam(groups, eps=config.adam_epsilon)
+    for iteration in range(config.settle):
+        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / config.settle)) / 2
+        optimizer.param_groups[0]["lr"], optimizer.param_groups[1]["lr"] = _RATE * share, _RATE * _SHAPE_RATE * share
+        optimizer.zero_grad()
+        shaped = objective.body.shape(variables.betas)
+        motion = variables.motion(objective.body)
+        loss = skeleton.total(skeleton.body_terms(motion, variables.betas, shaped))
+        loss.backward()
+        optimizer.step()

@@ -1,0 +1,110 @@
+"""What the joint network says about an observation, kept in the form that a fit compares itself with."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import numpy as np
+import torch
+from safetensors.torch import load_file
+
+from hfb.body.model import Body
+from hfb.body.skeleton import MIRROR
+from hfb.determinism import one_torch_thread
+from hfb.initialize.first_body import FirstBody
+from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
+from hfb.observation import Observation
+from hfb.rotations import axis_angle_to_matrix
+from hfb.shapes import Float, Tensor
+
+
+@dataclass(frozen=True)
+class JointEvidence:
+    """Where the joints were in every frame, in the units of that frame's window.
+
+    Attributes:
+        middle: at u = 1/2. scale: the Laplace scale of its error. path: from u = 0 to u = 1, its sign as probable.
+        log_odds: that the sign of ``path`` is right.
+    """
+
+    windows: tuple[Window, ...]
+    middle: Float[Tensor, "T 24 3"]
+    scale: Float[Tensor, "T 24 3"]
+    path: Float[Tensor, "T 24 3"]
+    log_odds: Float[Tensor, "T"]
+
+    def off(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
+        """How far joints at mid-exposure [m, camera] lie from the claim, in the claim's own scales."""
+        return (self._units(joints) - self.middle) / self.scale
+
+    def off_path(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
+        """How far the way from u = 0 to u = 1 lies from the claim, in the claim's own scales."""
+        return (self._units(closing) - self._units(opening) - self.path) / self.scale
+
+    def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
+        """The claim's own expected distance from the truth at these joints' distance [m]."""
+        unit_m = joints[:, :1, 2] * joints.new_tensor([window.units_to_tangents() for window in self.windows])[:, None]
+        return (2 * self.scale.square()).sum(-1).sqrt() * unit_m
+
+    def _units(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
+        return torch.stack([window.to_units(one) for window, one in zip(self.windows, joints, strict=True)])
+
+
+def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody], body: Body) -> JointEvidence:
+    """Ask the shipped network about every frame, beginning at its first body.
+
+    Raises:
+        InputError: a matte is empty.
+    """
+    windows: list[Window] = []
+    told: list[tuple[Tensor, ...]] = []
+    mattes = observation.mattes
+    for frame, first in enumerate(first_bodies):
+        matte = mattes[frame].numpy()
+        window = Window.around(matte, observation.camera)
+        picture = picture_channels(
+            observation.frames_linear[frame].numpy(), observation.plate_linear.numpy(), matte, window
+        )
+        seen = torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1
+        claim = _both_ways(seen, window.to_units(_joints(first, body)))
+        sign = -1.0 if float(claim.log_odds) < 0 else 1.0
+        windows.append(window)
+        told.append((claim.joints[0], claim.log_scale[0].exp(), sign * claim.path[0], claim.log_odds[0].abs()))
+    # Copied: what inference mode makes must not enter a graph.
+    return JointEvidence(tuple(windows), *(torch.stack(values).clone() for values in zip(*told, strict=True)))
+
+
+def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> JointClaim:
+    """The mean of what the network says about the picture and about its mirror image."""
+    mirror = list(MIRROR)
+    across = torch.tensor([-1.0, 1.0, 1.0])
+    pictures = torch.stack([seen, seen.flip(-1)]).contiguous(memory_format=torch.channels_last)
+    with one_torch_thread(), torch.inference_mode():
+        claim = shipped_joint_network()(pictures, torch.stack([start, start[mirror] * across]))
+    joints, log_scale, path = (
+        torch.stack([values[0], values[1, mirror] * turned])
+        for values, turned in ((claim.joints, across), (claim.log_scale, 1.0), (claim.path, across))
+    )
+    # The sign of a path is free: the mirror image's is turned to agree before the two are averaged.
+    agree = 1.0 if float((path[0] * path[1]).sum()) >= 0 else -1.0
+    log_odds = (claim.log_odds[0] + agree * claim.log_odds[1]) / 2
+    path = torch.stack([path[0], agree * path[1]]).mean(0)
+    return JointClaim(joints.mean(0)[None], log_scale.mean(0)[None], path[None], log_odds[None], ())
+
+
+def _joints(first: FirstBody, body: Body) -> Float[Tensor, "24 3"]:
+    """Of a first body, in camera coordinates [m]."""
+    shaped = body.shape(first.betas.float())
+    return shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], first.translation.float()[None])[0]
+
+
+@lru_cache(maxsize=1)
+def shipped_joint_network() -> JointNetwork:
+    """The network with the weights of data/joints.safetensors; data/joints.json tells how they were made."""
+    network = JointNetwork()
+    with resources.as_file(resources.files("hfb.initialize") / "data" / "joints.safetensors") as path:
+        state = {name: weights.float() for name, weights in load_file(path).items()}
+    network.load_state_dict(state | {name: value for name, value in network.state_dict().items() if "batches" in name})
+    network.requires_grad_(False)
+    return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -1,0 +1,52 @@
+"""Our own pose mixture: Gaussians over recorded poses, with the anatomical joint limits beside them."""
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import load_file, save
+
+from hfb.media.atomic import write_bytes_atomic
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.priors.gmm import GmmPrior
+from hfb.shapes import Array, Float, Tensor
+
+LIMITS_KEY = "joint_limits"
+"""An array of a mixture's file that stands for "keep the joint limits"; SMPLify's files have none."""
+
+
+class MixturePrior:
+    """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, and what lies beyond the joint limits.
+
+    A mixture alone is smooth: a knee bent backwards by a few degrees lies as near to its means as one bent forwards.
+
+    Args, Raises:
+        as `GmmPrior`.
+    """
+
+    def __init__(
+        self, means: Float[Array, "..."], covariances: Float[Array, "..."], weights: Float[Array, "..."], source: str
+    ) -> None:
+        self.mixture = GmmPrior(means, covariances, weights, source)
+        self._anatomy = AnatomicalPrior()
+
+    def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
+        """See `PosePrior`."""
+        return self.mixture(axis_angle) + self._anatomy.limit_penalty(axis_angle)
+
+
+def write_mixture(
+    path: Path, means: Float[Array, "k 69"], covariances: Float[Array, "k 69 69"], weights: Float[Array, "k"]
+) -> None:
+    """Write a mixture that keeps the joint limits (safetensors, single precision), whole or not at all."""
+    arrays = {"means": means, "covariances": covariances, "weights": weights, LIMITS_KEY: np.ones(1)}
+    write_bytes_atomic(path, save({name: np.ascontiguousarray(one, np.float32) for name, one in arrays.items()}))
+
+
+@lru_cache(maxsize=1)
+def shipped_mixture() -> MixturePrior:
+    """The mixture of data/pose_mixture.safetensors; data/pose_mixture.json tells how it was made."""
+    with resources.as_file(resources.files("hfb.priors") / "data" / "pose_mixture.safetensors") as path:
+        arrays = {name: one.astype(np.float64) for name, one in load_file(path).items()}
+    return MixturePrior(arrays["means"], arrays["covariances"], arrays["weights"], "the built-in pose mixture")

@@ -1,0 +1,116 @@
+"""Motions made wrong on purpose: what the discriminator learns to tell, and the corrector to put right.
+
+The paper reverses random joints in time, c(u) -> c(1 - u). Here whole limbs are reversed too, each with even odds, as
+that is what one picture leaves open; and some columns are made unrealistic in other ways. Besides, poses get the
+errors of an estimate, which are nobody's fault and have no label.
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+from hfb.body.skeleton import JOINT_COUNT, MIRROR
+from hfb.priors.motion_columns import COLUMN_COUNT, LIMBS, reversed_columns
+from hfb.rotations import axis_angle_to_quaternion, multiply_quaternions
+from hfb.shapes import Bool, Float, Tensor
+
+_LIMBS_SHARE, _JOINTS_SHARE = 0.55, 0.2
+"""Shares of motions whose limbs, or whose single joints, are reversed; the rest is whole or reversed as a whole."""
+
+_UNREALISTIC_SHARE = 0.35
+_ESTIMATE_SHARE = 0.6
+"""Share of motions that get the errors of an estimate, of any strength up to these."""
+
+_ESTIMATE_RAD, _ESTIMATE_NOISE = 0.2, 0.3
+"""Spread of pose errors per axis; noise per entry of a joint's motion, in units of that motion."""
+
+
+@dataclass(frozen=True)
+class Corrupted:
+    """Motions made wrong, and what was done.
+
+    Attributes:
+        columns: C as it would be met. clean: C before anything was reversed or made unrealistic.
+        backwards: columns that run backwards; meaningless where a column is unrealistic.
+        unrealistic: columns that are wrong in another way.
+        whole: 1 where the whole body runs backwards, 0 where all of it runs forwards, NaN where its parts disagree.
+    """
+
+    columns: Float[Tensor, "T 3 25 4"]
+    clean: Float[Tensor, "T 3 25 4"]
+    backwards: Bool[Tensor, "T 25"]
+    unrealistic: Bool[Tensor, "T 25"]
+    whole: Float[Tensor, "T"]
+
+
+def mirrored_columns(columns: Float[Tensor, "T 3 25 4"]) -> Float[Tensor, "T 3 25 4"]:
+    """The same motion in a mirror, left and right exchanged."""
+    order = [*MIRROR, JOINT_COUNT]
+    signs = columns.new_tensor([[1.0, 1.0, -1.0, -1.0]] * JOINT_COUNT + [[-1.0, 1.0, 1.0, 1.0]])
+    return columns[:, :, order] * signs
+
+
+def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Corrupted:
+    """Make a batch of true motions wrong."""
+    clean = with_errors_of_an_estimate(columns, generator)
+    backwards, whole = draw_reversals(len(columns), generator)
+    broken, unrealistic = _unrealistic(clean, generator)
+    whole = torch.where(unrealistic.any(1), torch.nan, whole)
+    return Corrupted(reversed_columns(broken, backwards), clean, backwards, unrealistic, whole)
+
+
+def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor, "T 25"], Float[Tensor, "T"]]:
+    """Which columns run backwards, and whether all of them do (see `Corrupted`)."""
+    limbs = torch.zeros(count, COLUMN_COUNT, dtype=torch.bool)
+    for members in LIMBS.values():
+        limbs[:, list(members)] = torch.rand(count, 1, generator=generator) < 0.5
+    joints = torch.rand(count, COLUMN_COUNT, generator=generator) < torch.rand(count, 1, generator=generator) / 2
+    joints ^= torch.rand(count, 1, generator=generator) < 0.5
+    all_of_it = (torch.rand(count, 1, generator=generator) < 0.5).expand(-1, COLUMN_COUNT)
+    kind = torch.rand(count, 1, generator=generator)
+    rest = torch.where(kind < _LIMBS_SHARE + _JOINTS_SHARE, joints, all_of_it)
+    backwards = torch.where(kind < _LIMBS_SHARE, limbs, rest)
+    agree = (backwards == backwards[:, :1]).all(1)
+    return backwards, torch.where(agree, backwards[:, 0].float(), torch.nan)
+
+
+def with_errors_of_an_estimate(
+    columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator
+) -> Float[Tensor, "T 3 25 4"]:
+    """True motions as an estimate would give them: poses turned a little, motions stronger or weaker and elsewhere."""
+    count = len(columns)
+    turn, normal = _normals(columns, generator, count, COLUMN_COUNT, 3), _normals(columns, generator, *columns.shape)
+    strength = torch.rand(count, 1, generator=generator) * (torch.rand(count, 1, generator=generator) < _ESTIMATE_SHARE)
+    strength = strength[..., None].to(columns)
+    rotations = _turned(columns[:, :, :JOINT_COUNT], turn[:, :JOINT_COUNT] * strength * _ESTIMATE_RAD)
+    result = torch.cat([rotations, columns[:, :, JOINT_COUNT:]], 2)
+    size = result[:, 1:].norm(dim=-1, keepdim=True)
+    jitter = _ESTIMATE_NOISE * strength[:, None] * (size + 0.01) * normal[:, 1:]
+    jitter[:, :, JOINT_COUNT, 3] = 0
+    return torch.cat([result[:, :1], result[:, 1:] + jitter], 1)
+
+
+def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, Bool[Tensor, "T 25"]]:
+    """Some columns scaled, exchanged with another motion's, or replaced by noise."""
+    count = len(columns)
+    which = torch.rand(count, COLUMN_COUNT, generator=generator) < 0.15 * torch.rand(count, 1, generator=generator)
+    which &= torch.rand(count, 1, generator=generator) < _UNREALISTIC_SHARE
+    which[:, 0] = False  # the root's own middle is the frame itself
+    factor = 2 + 3 * torch.rand(count, 1, COLUMN_COUNT, 1, generator=generator)
+    scaled = torch.cat([columns[:, :1], columns[:, 1:] * factor.to(columns)], 1)
+    exchanged = columns[torch.randperm(count, generator=generator)]
+    turned = _turned(columns[:, :, :JOINT_COUNT], 0.9 * _normals(columns, generator, count, JOINT_COUNT, 3))
+    noise = torch.cat([turned, columns[:, :, JOINT_COUNT:] + 0.3 * _normals(columns, generator, count, 3, 1, 4)], 2)
+    noise[:, :, JOINT_COUNT, 3] = 0
+    kind = torch.rand(count, 1, COLUMN_COUNT, 1, generator=generator)
+    wrong = torch.where(kind < 1 / 3, scaled, torch.where(kind < 2 / 3, exchanged, noise))
+    return torch.where(which[:, None, :, None], wrong, columns), which
+
+
+def _turned(rotations: Tensor, by: Tensor) -> Tensor:
+    """Quaternion polynomials turned by rotation vectors [rad] in the parent's frame."""
+    return multiply_quaternions(axis_angle_to_quaternion(by)[:, None].expand_as(rotations), rotations)
+
+
+def _normals(like: Tensor, generator: torch.Generator, *shape: int) -> Tensor:
+    return torch.randn(*shape, generator=generator).to(like)

@@ -1,0 +1,88 @@
+"""The adversarial short motion prior: which way did it move? (the paper's section "Adversarial short motion prior")."""
+
+import copy
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from torch import nn
+
+from hfb.body.model import ShapedBody
+from hfb.motion.trajectory import Trajectory
+from hfb.priors.motion_columns import mean_rest_joints, motion_columns
+from hfb.priors.motion_networks import Corrector, Discriminator
+from hfb.priors.motion_weights import read_networks
+from hfb.shapes import Float, Tensor
+
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
+
+
+class MotionPrior:
+    """D and G, trained and frozen. It looks at the motion in the body's own frame: no camera changes its answer.
+
+    Args:
+        discriminator, corrector: the networks; their weights are never changed through a prior.
+    """
+
+    def __init__(self, discriminator: Discriminator, corrector: Corrector) -> None:
+        self._networks = {torch.float32: (_frozen(discriminator, torch.float32), _frozen(corrector, torch.float32))}
+
+    def __call__(self, trajectory: Trajectory, shaped: ShapedBody) -> Float[Tensor, ""]:
+        """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
+
+        Args:
+            shaped: the person, whose bones the joints' places follow from. L_A is differentiable in the trajectory and
+                treats the shape as given.
+        """
+        discriminator, corrector = self._in(trajectory.rotation.dtype)
+        columns = motion_columns(trajectory)
+        backwards, unrealistic, _ = discriminator(columns, shaped.joints.detach())
+        return (corrector(columns, backwards, unrealistic) - columns).abs().mean()
+
+    def reversed_logits(self, trajectory: Trajectory, shaped: ShapedBody | None = None) -> Float[Tensor, "T 25"]:
+        """Log odds per column of C that it runs backwards in time: the 24 joints (the root first), the translation.
+
+        Reversing the whole motion changes all signs. Differentiable in the trajectory.
+
+        Args:
+            shaped: the person; the embedded body's mean shape when not given.
+        """
+        return self._judged(trajectory, shaped)[0]
+
+    def whole_body_logit(self, trajectory: Trajectory, shaped: ShapedBody | None = None) -> Float[Tensor, "T"]:
+        """Log odds that the motion as a whole runs backwards, where its parts agree with each other."""
+        return self._judged(trajectory, shaped)[1]
+
+    def _judged(self, trajectory: Trajectory, shaped: ShapedBody | None) -> tuple[Tensor, Tensor]:
+        dtype = trajectory.rotation.dtype
+        rest = mean_rest_joints().to(dtype) if shaped is None else shaped.joints.detach()
+        return self._in(dtype)[0].odds(motion_columns(trajectory), rest)
+
+    def _in(self, dtype: torch.dtype) -> tuple[Discriminator, Corrector]:
+        """The networks in the precision of what they look at."""
+        if dtype not in self._networks:
+            discriminator, corrector = self._networks[torch.float32]
+            self._networks[dtype] = _frozen(discriminator, dtype), _frozen(corrector, dtype)
+        return self._networks[dtype]
+
+
+def load_motion_prior(path: Path | None) -> MotionPrior:
+    """The shipped prior for None, or one that `hfb train-prior` made.
+
+    Raises:
+        InputError: the file is missing, damaged, or holds something else.
+    """
+    return _shipped() if path is None else MotionPrior(*read_networks(path))
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> MotionPrior:
+    """The weights of data/motion_prior.safetensors; data/motion_prior.json tells how they were made."""
+    with resources.as_file(resources.files("hfb.priors") / "data" / "motion_prior.safetensors") as path:
+        return MotionPrior(*read_networks(path))
+
+
+def _frozen(network: NetworkT, dtype: torch.dtype) -> NetworkT:
+    return copy.deepcopy(network).to(dtype).requires_grad_(False).eval()

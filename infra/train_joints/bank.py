@@ -1,0 +1,61 @@
+"""Draw training pictures: `python bank.py --mocap FOLDER --backgrounds FOLDER --out bank --count 20000 --seed 1`."""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from pictures import STARTS, Studio
+
+from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
+
+TRAINING_SUBJECTS = (1, 2, 5, 6, 7)
+"""Subjects 9, 10 and 13 are for reports alone."""
+
+
+def split(mocap: Path, chosen: str) -> list[str]:
+    """Names of clips: ``train``, ``dev`` (every fourth of the training subjects), ``all`` (both) or ``report``."""
+    names = sorted(path.stem for path in mocap.glob("*.bvh"))
+    ours = [name for name in names if int(name.split("_")[1]) in TRAINING_SUBJECTS]
+    return {
+        "train": [name for index, name in enumerate(ours) if index % 4 != 3],
+        "dev": ours[3::4],
+        "all": ours,
+        "report": [name for name in names if name not in ours],
+    }[chosen]
+
+
+def main() -> None:
+    """Write pictures, truths and starts as three arrays."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--mocap", type=Path, required=True)
+    parser.add_argument("--backgrounds", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--split", default="train", choices=("train", "dev", "all", "report"))
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    studio = Studio(options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed)
+    options.out.mkdir(parents=True, exist_ok=True)
+    shape = (options.count, CHANNELS, PICTURE_PX, PICTURE_PX)
+    pictures = np.lib.format.open_memmap(options.out / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)
+    truth = np.zeros((options.count, 3, 24, 3), np.float32)
+    starts = np.zeros((options.count, STARTS, 24, 3), np.float32)
+    unit_m = np.zeros(options.count, np.float32)
+    began = time.monotonic()
+    for number in range(options.count):
+        sample = studio.draw(np.random.default_rng([options.seed, options.first + number]))
+        pictures[number], truth[number], starts[number] = sample.picture, sample.truth, sample.starts
+        unit_m[number] = sample.unit_m
+        if number % 200 == 199 or number == 49:
+            print(f"{number + 1} pictures in {time.monotonic() - began:.0f} s", flush=True)
+            np.savez(options.out / "joints.npz", truth=truth, starts=starts, unit_m=unit_m, done=number + 1)
+    pictures.flush()
+    np.savez(options.out / "joints.npz", truth=truth, starts=starts, unit_m=unit_m, done=options.count)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""How well the joint network knows pictures it never saw."""
+
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from hfb.initialize.joint_network import JointNetwork
+
+
+class Pictures(Protocol):
+    """A bank."""
+
+    truth: np.ndarray
+    starts: np.ndarray
+    unit_m: np.ndarray
+
+    def __len__(self) -> int: ...
+
+    def batch(self, chosen: np.ndarray) -> np.ndarray:
+        """(N, C, H, W) uint8."""
+        ...
+
+
+def measure(network: JointNetwork, bank: Pictures, most: int = 600) -> dict[str, float]:
+    """Errors relative to the pelvis in millimetres: the start's, the claim's; how often the sign is right."""
+    network.eval()
+    rows: dict[str, list[torch.Tensor]] = {
+        "start": [],
+        "joints": [],
+        "across": [],
+        "depth": [],
+        "sign": [],
+        "still": [],
+    }
+    within = []
+    for first in range(0, min(len(bank), most), 100):
+        chosen = np.arange(first, min(first + 100, len(bank), most))
+        pictures = torch.from_numpy(bank.batch(chosen)).float() / 127.5 - 1
+        truth, starts = torch.from_numpy(bank.truth[chosen]), torch.from_numpy(bank.starts[chosen, 0])
+        starts = as_large(starts, truth[:, 1], torch.zeros(len(starts)))
+        mm = 1000 * torch.from_numpy(bank.unit_m[chosen])[:, None]
+        with torch.inference_mode():
+            claim = network(pictures, starts)
+        off = relative(claim.joints) - relative(truth[:, 1])
+        rows["start"].append((relative(starts) - relative(truth[:, 1])).norm(dim=-1) * mm)
+        rows["joints"].append(off.norm(dim=-1) * mm)
+        rows["across"].append(off[..., :2].norm(dim=-1) * mm)
+        rows["depth"].append(off[..., 2].abs() * mm)
+        path = truth[:, 2] - truth[:, 0]
+        forth, back = ((claim.path - sign * path).norm(dim=-1).mean(1) for sign in (1, -1))
+        rows["still"].append(torch.minimum(forth, back) / path.norm(dim=-1).mean(1).clamp_min(1e-3))
+        far = path.norm(dim=-1).mean(1) > 0.08
+        rows["sign"].append(((claim.log_odds > 0) == (forth < back)).float()[far])
+        within.append(((claim.joints - truth[:, 1]).abs() < 0.693 * torch.exp(claim.log_scale)).float().mean((0, 1)))
+    figures = {name: round(float(torch.cat(values).mean()), 3) for name, values in rows.items()}
+    return figures | {"half_within": [round(float(one), 2) for one in torch.stack(within).mean(0)]}
+
+
+def as_large(starts: torch.Tensor, truth: torch.Tensor, log_factor: torch.Tensor) -> torch.Tensor:
+    """Starts (N, 24, 3) that seem as large as the person: an estimate from a picture cannot know the true size."""
+    centre = starts[..., :2].mean(1, keepdim=True)
+    spread, wanted = (
+        (one[..., :2] - one[..., :2].mean(1, keepdim=True)).square().sum((1, 2)).sqrt() for one in (starts, truth)
+    )
+    factor = (wanted / spread * log_factor.exp())[:, None, None]
+    return torch.cat([centre + (starts[..., :2] - centre) * factor, starts[..., 2:] * factor], -1)
+
+
+def relative(joints: torch.Tensor) -> torch.Tensor:
+    """Joints from the pelvis."""
+    return joints - joints[:, :1]

@@ -1,0 +1,165 @@
+"""Train the joint network: `python train.py --bank b1 b2 --dev dev --out run --minutes 60`."""
+
+import argparse
+import copy
+import json
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from measure import as_large, measure
+
+from hfb.body.skeleton import MIRROR
+from hfb.initialize.joint_network import JointClaim, JointNetwork
+
+_ROUND_SHARES = (0.25, 0.5, 1.0)
+_CHECKPOINT_S = 120
+_AVERAGE = 0.998
+
+
+class Bank:
+    """Pictures with truths and starts, several files as one; what is still being drawn is left out."""
+
+    def __init__(self, folders: list[Path]) -> None:
+        """Map the pictures, read the joints."""
+        self.pictures, self.parts = [], []
+        for number, folder in enumerate(folders):
+            with np.load(folder / "joints.npz") as file:
+                done = int(file["done"])
+                self.parts.append((number, file["truth"][:done], file["starts"][:done], file["unit_m"][:done]))
+            self.pictures.append(np.load(folder / "pictures.npy", mmap_mode="r"))
+        self.folder = np.concatenate([np.full(len(part[1]), part[0]) for part in self.parts])
+        self.row = np.concatenate([np.arange(len(part[1])) for part in self.parts])
+        self.truth = np.concatenate([part[1] for part in self.parts])
+        self.starts = np.concatenate([part[2] for part in self.parts])
+        self.unit_m = np.concatenate([part[3] for part in self.parts])
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def batch(self, chosen: np.ndarray) -> np.ndarray:
+        """(N, C, H, W) uint8."""
+        return np.stack([self.pictures[self.folder[index]][self.row[index]] for index in chosen])
+
+
+def augmented(
+    bank: Bank, chosen: np.ndarray, rng: np.random.Generator
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Pictures, starts and truths (N, 3, 24, 3): mirrored, recoloured, with holes and other starts."""
+    count = len(chosen)
+    pictures = torch.from_numpy(bank.batch(chosen)).float() / 127.5 - 1
+    truth = torch.from_numpy(bank.truth[chosen])
+    starts = bank.starts[chosen, rng.integers(bank.starts.shape[1], size=count)]
+    # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
+    share = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
+    starts = as_large(torch.from_numpy(starts), truth[:, 1], torch.from_numpy(rng.normal(0, 0.04, count)).float())
+    share = torch.from_numpy(share)
+    starts = starts * (1 - share) + truth[:, 1] * share
+    starts = starts + torch.from_numpy(rng.normal(0, 0.02, starts.shape)).float()
+    mirrored = torch.from_numpy(rng.random(count) < 0.5)
+    pictures = torch.where(mirrored[:, None, None, None], pictures.flip(-1), pictures)
+    across = torch.tensor([-1.0, 1.0, 1.0])
+    truth = torch.where(mirrored[:, None, None, None], truth[:, :, list(MIRROR)] * across, truth)
+    starts = torch.where(mirrored[:, None, None], starts[:, list(MIRROR)] * across, starts)
+    order = rng.permutation(3)
+    if rng.random() < 0.5:
+        pictures = pictures[:, [0, *(1 + order), *(4 + order)]]
+    contrast = torch.from_numpy(np.exp(rng.normal(0, 0.2, (count, 1, 1, 1)))).float()
+    pictures[:, 1:] *= contrast
+    for index in np.flatnonzero(rng.random(count) < 0.3):  # a matte with a hole, or a scrap too much
+        height, width = rng.integers(5, 26, 2)
+        top, left = rng.integers(0, 96 - height), rng.integers(0, 96 - width)
+        pictures[index, 0, top : top + height, left : left + width] = -1 if rng.random() < 0.7 else 1
+    return pictures.contiguous(memory_format=torch.channels_last), starts, truth
+
+
+def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
+    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign."""
+    middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
+    joints = sum(share * (one - middle).abs().mean() for share, one in zip(_ROUND_SHARES, claim.rounds, strict=True))
+    error = (claim.joints.detach() - middle).abs()
+    likelihood = (error * torch.exp(-claim.log_scale) + claim.log_scale).mean()
+    forth, back = (claim.path - path).abs().mean((1, 2)), (claim.path + path).abs().mean((1, 2))
+    agrees = forth < back
+    length = path.abs().mean((1, 2))
+    sign = torch.nn.functional.binary_cross_entropy_with_logits(claim.log_odds, agrees.float(), reduction="none")
+    moved = (length / 0.05).clamp(max=1)
+    bones = claim.joints - claim.joints[:, :1] - (middle - middle[:, :1])
+    return (
+        10 * joints + 5 * bones.abs().mean() + 0.3 * likelihood + 4 * torch.minimum(forth, back).mean()
+        + 0.05 * (sign * moved).mean()
+    )  # fmt: skip
+
+
+def main() -> None:
+    """AdamW, a cosine over the given minutes, averaged weights; a checkpoint and figures every two minutes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bank", type=Path, nargs="+", required=True)
+    parser.add_argument("--dev", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--batch", type=int, default=64)
+    parser.add_argument("--rate", type=float, default=1.5e-3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--go-on", type=Path, help="begin with these weights (average.pt of another run)")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    torch.manual_seed(options.seed)
+    rng = np.random.default_rng(options.seed)
+    network = JointNetwork()
+    if options.go_on is not None:
+        network.load_state_dict(torch.load(options.go_on, weights_only=True), strict=False)
+    network = network.to(memory_format=torch.channels_last)
+    average = copy.deepcopy(network)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.02)
+    bank, dev = Bank(options.bank), Bank([options.dev])
+    options.out.mkdir(parents=True, exist_ok=True)
+    began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
+    while (spent := time.monotonic() - began) < 60 * options.minutes:
+        if iteration % 300 == 299:
+            bank = Bank(options.bank)
+        progress = spent / 60 / options.minutes
+        rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+        pictures, starts, truth = augmented(bank, rng.integers(len(bank), size=options.batch), rng)
+        network.train()
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            claim = network(pictures, starts)
+        loss = loss_of(claim, truth)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimizer.step()
+        keep = min(_AVERAGE, (iteration + 1) / (iteration + 10))
+        with torch.no_grad():
+            for mean, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+                if mean.is_floating_point():
+                    mean.lerp_(new, 1 - keep)
+        running = 0.98 * running + 0.02 * loss.item()
+        iteration += 1
+        if spent - last > _CHECKPOINT_S or iteration == 100:
+            last = spent
+            figures = measure(average, dev)
+            facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "bank": len(bank), "loss": running}
+            print(json.dumps(facts | figures), flush=True)
+            torch.save(average.state_dict(), options.out / "average.part")
+            (options.out / "average.part").rename(options.out / "average.pt")
+    torch.save(average.state_dict(), options.out / "average.pt")
+    facts = {
+        "iterations": iteration,
+        "minutes": options.minutes,
+        "batch": options.batch,
+        "rate": options.rate,
+        "seed": options.seed,
+        "after": options.go_on and options.go_on.parent.name,
+        "pictures": len(bank),
+        "dev": measure(average, dev),
+    }
+    (options.out / "training.json").write_text(json.dumps(facts, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""Training a prior: recordings -> what is learned from -> weights -> what they know -> the record."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.media.atomic import write_bytes_atomic
+from hfb.priors.training_spec import MotionTraining, PoseTraining
+from tasks import progress, tracking
+from tasks.handles import FileHandle, digest
+from tasks.record import RunHandle
+from tasks.task import code_version, task
+
+PARTS = ("trained", "held_out", "tested")
+Training = MotionTraining | PoseTraining
+
+_MEASURED_SHARE = 0.2
+"""Exposures to measure on, per second, over those to learn from: neighbouring ones hardly differ."""
+
+
+class LessonsHandle(FileHandle):
+    """Arrays to learn from and to measure on, one per part, and the names of the motions they came from.
+
+    Attributes:
+        refused: name -> reason, for motions that cannot be read.
+    """
+
+    kind: Literal["motion", "pose"]
+    trained: tuple[str, ...]
+    held_out: tuple[str, ...]
+    tested: tuple[str, ...]
+    refused: dict[str, str]
+
+    def arrays(self) -> dict[str, Any]:
+        """``trained``, ``held_out`` and ``tested``; of exposures also how long they were."""
+        with np.load(self.path, allow_pickle=False) as file:
+            return dict(file)
+
+
+class TrainedHandle(FileHandle):
+    """The weights of a prior, and how the training went (a JSON file of one value per epoch and loss)."""
+
+    history: FileHandle
+    parameters: int
+    seconds: float
+
+
+@task("motions")
+def gather(
+    motions: Path, listing: str, spec: Training, tests: tuple[str, ...], seed: int, folder: Path
+) -> LessonsHandle:
+    """Read a folder of recordings once.
+
+    Args:
+        listing: what lies in the folder; with something else in it everything is read again.
+        tests: patterns of names that are set apart.
+
+    Raises:
+        InputError: no motion to learn from.
+    """
+    from hfb.datasets.motion_windows import draw_columns, split_motions, take_poses
+    from hfb.datasets.motions.sources import open_motions
+    from hfb.export.motion_file import write_arrays
+
+    source = open_motions(motions, seed)
+    names = source.names()
+    split = split_motions(names, tests)
+    arrays: dict[str, np.ndarray] = {}
+    refused: dict[str, str] = {}
+    for part in PARTS:
+        numbers = getattr(split, part)
+        if isinstance(spec, MotionTraining):
+            per_second = spec.windows_per_second * (1 if part == "trained" else _MEASURED_SHARE)
+            drawn = draw_columns(source, numbers, per_second, seed, refused, progress.advance)
+            arrays[part], arrays[f"{part}_exposure_s"] = drawn
+        else:
+            arrays[part] = take_poses(source, numbers, spec.poses_per_second, refused, progress.advance)
+    kind: Literal["motion", "pose"] = "motion" if isinstance(spec, MotionTraining) else "pose"
+    least = 2 if isinstance(spec, MotionTraining) else spec.components
+    if len(arrays["trained"]) < least:
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in list(refused.items())[:3])
+        raise InputError(
+            f"{motions} has too little motion to learn from ({len(arrays['trained'])} samples"
+            f"{'; ' + reasons if reasons else ''}); give a folder with more recordings"
+        )
+    path = folder / f"{kind}_lessons.npz"
+    write_arrays(path, arrays)
+    parts = {part: tuple(names[n] for n in getattr(split, part) if names[n] not in refused) for part in PARTS}
+    return LessonsHandle.of(path, kind=kind, refused=refused, **parts)
+
+
+@task("training")
+def train(lessons: LessonsHandle, spec: Training, seed: int, folder: Path) -> TrainedHandle:
+    """Learn; leaves the weights and the losses by epoch."""
+    began = time.perf_counter()
+    arrays, path = lessons.arrays(), folder / f"{lessons.kind}_prior.safetensors"
+    if isinstance(spec, MotionTraining):
+        history, parameters = _train_motion(arrays["trained"], spec, seed, path)
+    else:
+        history, parameters = _train_pose(arrays["trained"], spec, seed, path)
+    losses = folder / f"{lessons.kind}_losses.json"
+    write_bytes_atomic(losses, json.dumps(history).encode())
+    return TrainedHandle.of(
+        path, history=FileHandle.of(losses), parameters=parameters, seconds=time.perf_counter() - began
+    )
+
+
+@task("measuring")
+def measure(lessons: LessonsHandle, trained: TrainedHandle, seed: int, folder: Path) -> FileHandle:
+    """What the weights, as they are in the file, know of the motions that were not learned from."""
+    arrays = lessons.arrays()
+    measures: dict[str, Any] = {}
+    for part in PARTS[1:] if lessons.kind == "motion" else PARTS:
+        if len(arrays[part]) == 0:
+            continue
+        if lessons.kind == "motion":
+            measures[part] = _measure_motion(trained.path, arrays[part], arrays[f"{part}_exposure_s"], seed)
+        else:
+            measures[part] = _measure_pose(trained.path, arrays[part])
+    path = folder / f"{lessons.kind}_measures.json"
+    write_bytes_atomic(path, json.dumps(measures, indent=1, allow_nan=False).encode())
+    return FileHandle.of(path)
+
+
+@task("record in MLflow", cached=False)
+def record_training(
+    params: dict[str, Any], lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, about: dict[str, Any]
+) -> RunHandle:
+    """Losses by epoch, measures (those by exposure as steps, the shortest first), the weights and what they are.
+
+    Raises:
+        tracking.StoreLost: the store cannot be reached.
+    """
+    key = digest([params, lessons.sha256, code_version()])
+    tags = {"code": code_version(), "seed": str(params["seed"]), "kind": lessons.kind}
+    with tracking.recorded_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
+        if not run.complete:
+            losses = {f"loss/{name}": values for name, values in json.loads(trained.history.path.read_text()).items()}
+            tracking.log_histories(run, losses | _metrics(json.loads(measures.path.read_text())))
+            tracking.log_histories(run, {"time/training_s": [trained.seconds], "parameters": [trained.parameters]})
+            tracking.log_files(run, [trained.path])
+            tracking.log_dict(run, about, f"{lessons.kind}_prior.json")
+        return RunHandle(run_id=run.run_id, link=tracking.link(run))
+
+
+def _train_motion(columns: np.ndarray, spec: MotionTraining, seed: int, path: Path) -> tuple[dict[str, Any], int]:
+    import torch
+
+    from hfb.priors.motion_training import train_motion_prior
+    from hfb.priors.motion_weights import write_networks
+
+    def tell(epoch: int, epochs: int, losses: dict[str, float]) -> None:
+        progress.advance(epoch, epochs, f"indicator {losses['indicator']:.3f}, joints {1000 * losses['joints']:.0f} mm")
+
+    result = train_motion_prior(torch.from_numpy(columns), spec, seed, tell)
+    write_networks(path, result.discriminator, result.corrector, spec.sizes)
+    networks = (result.discriminator, result.corrector)
+    return result.history, sum(one.numel() for network in networks for one in network.parameters())
+
+
+def _train_pose(poses: np.ndarray, spec: PoseTraining, seed: int, path: Path) -> tuple[dict[str, Any], int]:
+    from hfb.priors.mixture import write_mixture
+    from hfb.priors.mixture_training import train_mixture
+
+    def tell(iteration: int, iterations: int, likelihood: float) -> None:
+        progress.advance(iteration, iterations, f"log likelihood {likelihood:.2f}")
+
+    mixture = train_mixture(poses, spec, seed, tell)
+    write_mixture(path, mixture.means, mixture.covariances, mixture.weights)
+    parameters = mixture.means.size + mixture.covariances.size + mixture.weights.size
+    return {"log_likelihood": mixture.history}, parameters
+
+
+def _measure_motion(path: Path, columns: np.ndarray, exposure_s: np.ndarray, seed: int) -> dict[str, Any]:
+    import torch
+
+    from hfb.priors.motion_measures import measure_motion_prior
+    from hfb.priors.motion_weights import read_networks
+
+    discriminator, corrector = read_networks(path)
+    return measure_motion_prior(discriminator.eval(), corrector.eval(), torch.from_numpy(columns), exposure_s, seed)
+
+
+def _measure_pose(path: Path, poses: np.ndarray) -> dict[str, Any]:
+    import torch
+
+    from hfb.priors.load import load_pose_prior
+
+    values = load_pose_prior(path)(torch.from_numpy(poses).unflatten(1, (23, 3)))
+    quantiles = {f"prior_at_{100 * share:02.0f}": float(torch.quantile(values, share)) for share in (0.05, 0.5, 0.95)}
+    return {"count": len(poses), "all": {"prior_mean": float(values.mean()), **quantiles}}
+
+
+def _metrics(measures: dict[str, Any]) -> dict[str, list[float | None]]:
+    """Measures by part as MLflow's metrics."""
+    metrics: dict[str, list[float | None]] = {}
+    for part, found in measures.items():
+        metrics |= {f"{part}/{name}": [value] for name, value in found["all"].items()}
+        bins = found.get("by_exposure", [])
+        names = [name for name in found["all"] if bins]
+        metrics |= {f"{part}_by_exposure/{name}": [one[name] for one in bins] for name in names}
+    return metrics

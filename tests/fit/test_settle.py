@@ -1,0 +1,53 @@
+"""Settling moves the skeleton to where the joints were seen, without any picture."""
+
+from dataclasses import replace
+
+import torch
+
+from hfb.body.assets import load_default_body
+from hfb.config import preset
+from hfb.fit.settle import settle
+from hfb.fit.variables import start_variables
+from hfb.initialize.joint_evidence import JointEvidence
+from hfb.initialize.joint_network import Window
+from hfb.objective import Objective
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.render.rasterizer import make_rasterizer
+from hfb.rotations import axis_angle_to_matrix
+from tests.scenes import moving_scene
+
+
+def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
+    body = load_default_body()
+    scene = moving_scene(body, size_px=64)
+    seen, truth = scene.observation, scene.truth.motion
+    window = Window.around(seen.mattes[0].numpy(), seen.camera)
+    units = window.to_units(torch.from_numpy(truth.joints).float())
+    middle, scale = units[len(units) // 2], torch.full((1, 24, 3), 0.02)
+    evidence = JointEvidence((window,), middle[None], scale, (units[-1] - units[0])[None], torch.tensor([1.0]))
+    pose = scene.middle[0].pose.clone()
+    pose[16, 2] += 0.8
+    pose[4, 0] += 0.6
+    start = replace(scene.middle[0], pose=pose, translation=scene.middle[0].translation + torch.tensor([0.3, 0.1, 0.2]))
+    config = preset("best").fit
+    variables = start_variables([start], seen, config, torch.Generator().manual_seed(0))
+    first = axis_angle_to_matrix(start.pose)[None]
+    rasterizer = make_rasterizer("coverage", "cpu", 1)
+    objective = Objective(seen, body, rasterizer, AnatomicalPrior(), config.weights, 8, first, evidence=evidence)
+
+    def error_mm() -> tuple[float, float]:
+        """Of the joints at mid-exposure, and of their way during the exposure, relative to the pelvis."""
+        with torch.no_grad():
+            at = variables.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
+            joints = body.shape(variables.betas).joints_of(at[0][0], at[1][0])
+        true = torch.from_numpy(truth.joints[[0, len(truth.joints) // 2, -1]]).float()
+        still = (joints[1] - joints[1, :1]) - (true[1] - true[1, :1])
+        way = (joints[2] - joints[0]) - (true[2] - true[0])
+        return float(still.norm(dim=-1).mean() * 1000), float(way.norm(dim=-1).mean() * 1000)
+
+    before, way_before = error_mm()
+    settle(variables, objective, config)
+    after, way_after = error_mm()
+    assert before > 60
+    assert after < 25
+    assert way_after < 0.5 * way_before
