@@ -16,7 +16,7 @@ from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Float, Tensor
+from hfb.shapes import Bool, Float, Tensor
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,9 @@ class JointEvidence:
     """Where the joints were in every frame, in the units of that frame's window.
 
     Attributes:
-        middle: at u = 1/2. scale: the Laplace scale of its error. path: from u = 0 to u = 1, its sign as probable.
-        log_odds: that the sign of ``path`` is right.
+        middle: at u = 1/2. scale: the Laplace scale of its error.
+        path: from u = 0 to u = 1; its sign is the likelier one in one frame, and the neighbours' in several.
+        log_odds: the network's own, from this frame alone, that the sign of ``path`` is right.
     """
 
     windows: tuple[Window, ...]
@@ -68,11 +69,24 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
         )
         seen = torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1
         claim = _both_ways(seen, window.to_units(_joints(first, body)))
-        sign = -1.0 if float(claim.log_odds) < 0 else 1.0
         windows.append(window)
-        told.append((claim.joints[0], claim.log_scale[0].exp(), sign * claim.path[0], claim.log_odds[0].abs()))
+        told.append((claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0]))
     # Copied: what inference mode makes must not enter a graph.
-    return JointEvidence(tuple(windows), *(torch.stack(values).clone() for values in zip(*told, strict=True)))
+    middle, scale, path, odds = (torch.stack(values).clone() for values in zip(*told, strict=True))
+    forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
+    sign = torch.where(forwards, 1.0, -1.0)
+    return JointEvidence(tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds)
+
+
+def _as_neighbours_go(
+    windows: Sequence[Window], middle: Float[Tensor, "T 24 3"], path: Float[Tensor, "T 24 3"]
+) -> Bool[Tensor, "T"]:
+    """Whether each frame's path runs the way that the joints go from frame to frame, across the view."""
+    sides = middle.new_tensor([window.side for window in windows])[:, None, None]
+    corners = middle.new_tensor([[window.left, window.top] for window in windows])[:, None]
+    places = corners + (middle[..., :2] + 1) / 2 * sides
+    way = torch.gradient(places, dim=0)[0]
+    return (way * path[..., :2]).sum((1, 2)) >= 0
 
 
 def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> JointClaim:

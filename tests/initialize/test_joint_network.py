@@ -156,3 +156,12 @@ def test_a_mirrored_scene_gives_the_mirrored_claim() -> None:
     reflected = other.middle[0, list(MIRROR)] * torch.tensor([-1.0, 1, 1])
     # The embedded body is symmetric to a millimetre, and windows fall on whole pixels.
     assert float((one.middle[0] - reflected).abs().max()) < 0.03
+
+
+def test_several_frames_give_the_paths_their_signs() -> None:
+    """The network cannot know the direction; where the next frame's joints are, it is known."""
+    body = load_default_body()
+    for step_m in (0.3, -0.3):
+        scene = moving_scene(body, size_px=96, frames=2, step_m=step_m)
+        evidence = look_for_joints(scene.observation, scene.middle, body)
+        assert (torch.sign(evidence.path[..., 0].mean(1)) == np.sign(step_m)).all()
