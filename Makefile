@@ -15,7 +15,7 @@ help:
 	@echo "make demo    one blurred picture through the whole chain"
 	@echo "make test    the tests"
 	@echo "make check   formatting, lint, types and import contracts"
-	@echo "make bench   timings, into bench.json"
+	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
 	@echo "make setup   install everything into .venv (the others do it when needed)"
 
 setup: .venv/dev.stamp
@@ -33,7 +33,7 @@ test: .venv/dev.stamp
 	@$(BIN)/python -m pytest
 
 bench: .venv/dev.stamp
-	@$(BIN)/python -m pytest tests/bench --benchmark-enable --benchmark-only --benchmark-json=bench.json
+	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable
 
 clean:
 	rm -rf .venv build *.egg-info

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.baselines.method_spec import MethodSpec
 from hfb.config import InitConfig, MattingConfig, Record
@@ -61,7 +62,7 @@ def _threads(count: int) -> Any:  # Prefect's own types do not take its own runn
     return ThreadPoolTaskRunner(max_workers=count)
 
 
-@flow(name="synthesis", persist_result=False)
+@flow(name="synthesis", persist_result=False, on_running=[mark_owner])
 def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     """Write the cases of a set, ``out/case_0001`` and so on.
 
@@ -81,7 +82,7 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     return result
 
 
-@flow(name="benchmark", persist_result=False)
+@flow(name="benchmark", persist_result=False, on_running=[mark_owner])
 def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
     """Cases, mattes and starts, methods, tables; recorded in MLflow, published in ``out``.
 

@@ -1,31 +1,28 @@
 """The `hfb` command line: results on standard output, everything else on standard error.
 
-Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the user gave cannot be used;
-130 interrupted. Nothing heavy is imported before it is known what is to be done.
+Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the user gave cannot be used; 3 a run was
+repeated and came out otherwise; 130 interrupted. Nothing heavy is imported before it is known what is to be done.
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import logging
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from flows import judging, summary, training
+from flows import clips, exporting, judging, repeating, summary, training
 from flows.options import add_config_flags, run_config
+from flows.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
-from hfb.errors import InputError
+from hfb.errors import InputError, ServerLost, Unavailable
 
-# Does the work; calls what it is given before it needs the server.
-Chain = Callable[[Callable[[], None]], dict[str, Any]]
 _DONE, _FAILED, _UNUSABLE, _INTERRUPTED = 0, 1, 2, 130
 
 
@@ -36,10 +33,15 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _end_orderly)
     try:
         given = _parser().parse_args(words)
-        given.run(given)
-        return _DONE
+        return given.run(given) or _DONE
     except InputError as error:
         return _complain(str(error), as_json, _UNUSABLE)
+    except ServerLost as error:
+        _complain(str(error), as_json, _FAILED)
+        sys.stdout.flush()
+        os._exit(_FAILED)  # at a normal exit Prefect would try for minutes to send its server what is left
+    except Unavailable as error:
+        return _complain(str(error), as_json, _FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted; the same command goes on from here", as_json, _INTERRUPTED)
     except Exception as error:
@@ -65,10 +67,19 @@ def _parser() -> argparse.ArgumentParser:
     demo = _command(commands, "demo", _demo, "the whole chain on an example with known truth")
     add_config_flags(demo)
 
+    video = _command(commands, "video", clips.video, "a blurred video of a static camera -> one continuous motion")
+    clips.add_video_flags(video)
+    add_config_flags(video)
+
+    batch = _command(commands, "batch", clips.batch, "every clip of a folder; failures again later")
+    clips.add_batch_flags(batch)
+    add_config_flags(batch)
+
     synth = _command(
         commands, "synth", _synth, "write the cases of a set: pictures, and what happened", configured=False
     )
-    synth.add_argument("set", choices=judging.SETS, help="which set")
+    synth.add_argument("set", choices=(*judging.SETS, "clip"), help="which set; clip: one clip for hfb video")
+    synth.add_argument("--mp4", action="store_true", help="clip: a video instead of a folder of its frames")
     synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
     judging.add_set_flags(synth)
 
@@ -93,10 +104,26 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     training.add_training_flags(train)
 
-    models = _command(commands, "models", _models, "the pose networks: what is there, and get the rest", seeded=True)
+    models = _command(commands, "models", _models, "networks and files that can be used; get the rest", seeded=True)
     models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
     models.add_argument("--wheel", type=Path, help="fetch from a MediaPipe wheel that already lies here")
     models.add_argument("--force", action="store_true", help="fetch again what is there")
+
+    again = _command(
+        commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
+    )
+    repeating.add_rerun_flags(again)
+
+    compare = _command(
+        commands, "compare", repeating.compare, "two recorded runs beside each other", seeded=True, configured=False
+    )
+    repeating.add_compare_flags(compare)
+
+    exported = _command(
+        commands, "export", exporting.export, "a result for Blender, AMASS's tools, OpenSim ...", seeded=True,
+        configured=False,
+    )  # fmt: skip
+    exporting.add_export_flags(exported)
 
     runs = _command(commands, "runs", _runs, "show the recorded runs in a browser (MLflow)", seeded=True)
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
@@ -138,8 +165,8 @@ def _fit(given: argparse.Namespace) -> None:
 
         return chain
 
-    result = _through_prefect(given, out, load)
-    _report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
+    result = through_prefect(given, out, load)
+    report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
 
 
 def _demo(given: argparse.Namespace) -> None:
@@ -151,21 +178,24 @@ def _demo(given: argparse.Namespace) -> None:
 
         return lambda ready: fit_example(out, config, ready)
 
-    result = _through_prefect(given, out, load)
-    _report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+    result = through_prefect(given, out, load)
+    report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
 
 
 def _synth(given: argparse.Namespace) -> None:
+    if given.set == "clip":
+        clips.synth_clip(given)
+        return
     spec = judging.set_spec(given, given.frames)
     out = given.out or Path("runs") / f"{given.set}-cases"
 
     def load() -> Chain:
         from flows.benchmark import run_synthesis
 
-        return _when_ready(lambda: run_synthesis(spec, given.count, out, given.workers))
+        return when_ready(lambda: run_synthesis(spec, given.count, out, given.workers))
 
-    result = _through_prefect(given, out, load)
-    _tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
+    result = through_prefect(given, out, load)
+    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
 
 
 def _benchmark(given: argparse.Namespace) -> None:
@@ -185,7 +215,7 @@ def _reproduce(given: argparse.Namespace) -> None:
 
     text = beside_paper(experiment, result)
     write_bytes_atomic(out / "beside_paper.md", text.encode())
-    _tell(given, result, text)
+    tell(given, result, text)
 
 
 def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str, Any]:
@@ -196,9 +226,9 @@ def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str,
         from flows.benchmark import run_benchmark
 
         plan = judging.plan_of(given, frames)
-        return _when_ready(lambda: run_benchmark(plan, out, given.workers))
+        return when_ready(lambda: run_benchmark(plan, out, given.workers))
 
-    return _through_prefect(given, out, load)
+    return through_prefect(given, out, load)
 
 
 def _train_prior(given: argparse.Namespace) -> None:
@@ -208,32 +238,18 @@ def _train_prior(given: argparse.Namespace) -> None:
         from flows.train_prior import train_prior
 
         plan = training.plan_of(given)
-        return _when_ready(lambda: train_prior(plan, out))
+        return when_ready(lambda: train_prior(plan, out))
 
-    result = _through_prefect(given, out.parent, load)
-    _tell(given, result, training.training_text(result))
-
-
-def _when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
-    def chain(ready: Callable[[], None]) -> dict[str, Any]:
-        ready()
-        return work()
-
-    return chain
+    result = through_prefect(given, out.parent, load)
+    tell(given, result, training.training_text(result))
 
 
 def _tell_benchmark(given: argparse.Namespace, result: dict[str, Any]) -> None:
-    _tell(given, result, judging.benchmark_text(result))
-
-
-def _tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
-    if given.json:
-        print(json.dumps(result))
-    elif not given.quiet:
-        print(text)
+    tell(given, result, judging.benchmark_text(result))
 
 
 def _models(given: argparse.Namespace) -> None:
+    from hfb.initialize.known_models import list_models
     from hfb.initialize.networks import fetch_networks, list_networks
 
     if given.out is not None:
@@ -248,67 +264,19 @@ def _models(given: argparse.Namespace) -> None:
     else:
         networks = list_networks()
     if given.json:
-        print(json.dumps({"networks": [network.as_dict() for network in networks]}))
+        models = [model.as_dict() for model in list_models()]
+        print(json.dumps({"networks": [network.as_dict() for network in networks], "models": models}))
     elif not given.quiet:
-        print(summary.networks_text(networks))
+        print(summary.models_text(list_models()))
 
 
 def _runs(given: argparse.Namespace) -> None:
-    from tasks import tracking
+    from tasks.store_place import SMALL_SERVER, pages_command
 
-    command = tracking.pages_command(given.port)
+    command = pages_command(given.port)
     url = f"http://127.0.0.1:{given.port}"
     print(json.dumps({"url": url, "command": command}) if given.json else f"{url}  (Ctrl-C ends it)", flush=True)
-    os.execve(command[0], command, {**os.environ, **tracking.SMALL_SERVER})
-
-
-def _through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
-    """Start the server, import the method while it starts, then run the chain."""
-    from flows.surroundings import PrefectServer, keep_log
-    from flows.workplace import check_writable
-    from tasks import progress, tracking
-
-    keep_log(given.verbose)
-    check_writable(out)
-    tracking.check_store(tracking.tracking_uri())
-    with progress.showing(progress.display_for(sys.stderr, given.quiet)):
-        with progress.step("libraries"), _unwatched_by_gc():
-            server = PrefectServer()
-            chain = load()
-            tracking.open_store()
-
-        def ready() -> None:
-            with progress.step("Prefect's server"):
-                server.wait()
-
-        return chain(ready)
-
-
-@contextmanager
-def _unwatched_by_gc() -> Iterator[None]:
-    """Importing makes millions of objects that live as long as the process.
-
-    Python would search them for garbage while they come, a third of the time, and once more at the end: seconds.
-    """
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
-
-
-def _report(
-    given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
-) -> None:
-    result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
-    if given.json:
-        print(json.dumps({key: result.get(key) for key in keys}))
-    elif not given.quiet:
-        from tasks import tracking
-
-        local = not tracking.on_server(tracking.tracking_uri())
-        print(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None))
+    os.execve(command[0], command, {**os.environ, **SMALL_SERVER})
 
 
 def _complain(message: str, as_json: bool, code: int) -> int:

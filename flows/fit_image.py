@@ -8,13 +8,17 @@ from typing import Any
 
 from prefect import flow
 
+from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
 from hfb.fit.alternatives import what_is_unknown
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
+from tasks.export_files import export_files
+from tasks.films import films_of
 from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
+from tasks.given_result import body_of_result, needed, read_result
 from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs
 from tasks.matte import matte
@@ -24,7 +28,7 @@ from tasks.strip import strip
 from tasks.task import code_version
 
 
-@flow(name="fit-image", persist_result=False)
+@flow(name="fit-image", persist_result=False, on_running=[mark_owner])
 def fit_image(
     frames: list[Path],
     background: Path,
@@ -46,13 +50,30 @@ def fit_image(
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
     """
-    inputs = take_inputs(frames, background, config, clip, truth, first_bodies)
+    return _fitted(take_inputs(frames, background, config, clip, truth, first_bodies), out, config)
+
+
+@flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])
+def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
+    """`fit_image` of what was taken before, such as the inputs of a recorded run."""
+    return _fitted(inputs, out, config)
+
+
+def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     with workplace(out) as folder:
         scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
         numbers = range(len(scene.frames))
-        mattes = tuple(matte(scene, index, config.matting, folder) for index in numbers)
+        mattes = tuple(matte(scene, index, config.matting, folder, inputs.matting) for index in numbers)
         if inputs.first_bodies:
             firsts = tuple(given_body(file) for file in inputs.first_bodies)
+        elif inputs.init_files:
+            given = read_result(
+                inputs.init_files, scene.height, scene.width, config.init.person, inputs.body, folder
+            )  # fmt: skip
+            firsts = tuple(
+                needed(body_of_result(scene, index, number, mattes, given, inputs.body, folder))
+                for index, number in enumerate(given.numbers_of(len(scene.frames), config.init.frame))
+            )
         else:
             firsts = tuple(
                 first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
@@ -63,17 +84,20 @@ def fit_image(
         )  # fmt: skip
         scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
         picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
+        exports = export_files(fitted.motion, fitted.texture_picture, inputs.body, config.export, folder)
+        films = films_of(scene, fitted.motion, fitted.texture, inputs.body, config, folder)
         result = _result(out, config, inputs, firsts, fitted, scores)
-        try:
-            run = record(inputs, config, mattes, fitted, scores, picture, result)
-            result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
-        except tracking.StoreLost as lost:
-            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
             "texture.png": fitted.texture_picture, "strip.png": picture,
-            **{f"matte_{index}.png": one for index, one in enumerate(mattes)},
+            **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
+            **films.by_name(),
         }  # fmt: skip
+        try:
+            run = record(inputs, config, mattes, fitted, scores, picture, files, result)
+            result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
+        except tracking.StoreLost as lost:
+            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
 

@@ -29,18 +29,18 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     """What a set is made from. A folder that is not given is replaced by what hfb makes itself."""
     add = parser.add_argument
     shown = "as in the experiment's file" if count is None else str(count)
-    add("--count", type=_positive, default=count, metavar="N", help=f"how many cases [{shown}]")
+    add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
     add("--seed", type=_natural, default=0, metavar="S", help="of everything that is random [0]")
     add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, CAPE or hfb's own motion files [built in]")
     add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
     add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
     add("--videos", type=Path, metavar="DIR", help="b-aist: videos of a static camera")
-    add("--average", type=_positive, default=9, metavar="K", help="b-aist: frames per exposure [9]")
+    add("--average", type=positive, default=9, metavar="K", help="b-aist: frames per exposure [9]")
     add("--body", type=Path, metavar="FILE", help="your SMPL file, for the truth and the fit [the embedded body]")
     add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
-    add("--size", type=_positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
+    add("--size", type=positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
     add("--easy", action="store_true", help="the fit's own mesh, no noise: for finding errors, never to be quoted")
-    add("--workers", type=_positive, default=_cores(), metavar="K", help="processes; changes no digit [all cores]")
+    add("--workers", type=positive, default=cores(), metavar="K", help="processes; changes no digit [all cores]")
 
 
 def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEFAULT_METHODS) -> None:
@@ -130,7 +130,8 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _positive(text: str) -> int:
+def positive(text: str) -> int:
+    """A flag's whole number, 1 or more."""
     return _at_least(text, 1)
 
 
@@ -148,5 +149,6 @@ def _at_least(text: str, least: int) -> int:
     return number
 
 
-def _cores() -> int:
+def cores() -> int:
+    """How many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

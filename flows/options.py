@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hfb.config import RunConfig, preset
+from hfb.config import InitConfig, RunConfig, preset
 from hfb.errors import InputError
 from hfb.toml_file import merged, read_toml, to_record
 
@@ -28,6 +28,7 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "options of the method", f"defaults are those of --preset {_DEFAULT_PRESET}; a flag wins over --config"
     )
+    _add_short_flags(group)
     shown = preset(_DEFAULT_PRESET)
     for name, field, default in _keys(shown):
         described = (field.description or "").replace("%", "%%")
@@ -43,6 +44,31 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
             group.add_argument(
                 f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
             )  # fmt: skip
+
+
+def _add_short_flags(group: argparse._ArgumentGroup) -> None:
+    """What most people say about both ends: `--init`, `--matting`, and the files of their networks."""
+    short: tuple[tuple[str, str, str], ...] = (
+        ("init", "FILE|auto|mediapipe|matte|metro", "another system's result, or how to find a first body"),
+        ("init-weights", "FILE", "as --init.weights"),
+        ("matting", "network|known-background|bgmv2|rvm", "as --matting.method"),
+        ("matting-weights", "FILE", "as --matting.weights"),
+    )
+    for name, metavar, described in short:
+        group.add_argument(f"--{name}", metavar=metavar, action=_Short, default=argparse.SUPPRESS, help=described)
+
+
+class _Short(argparse.Action):
+    """Sets the key that a short flag stands for."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        room, _, key = self.option_strings[0].removeprefix("--").partition("-")
+        if room == "init" and not key and values not in get_args(InitConfig.model_fields["method"].annotation):
+            setattr(namespace, f"{_PREFIX}init.file", values)
+            values = "file"
+        setattr(namespace, f"{_PREFIX}{room}.{key or 'method'}", values)
 
 
 def run_config(given: argparse.Namespace) -> RunConfig:
@@ -72,14 +98,21 @@ def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
 
 def _placeholder(field: FieldInfo) -> str:
     if get_origin(field.annotation) is Literal:
-        return "|".join(get_args(field.annotation))
-    kinds = {int: "N", float: "X", Path: "FILE"}
+        return "|".join(map(str, get_args(field.annotation)))
+    kinds = {int: "N", float: "X", Path: "FILE", str: "NAME"}
+    parts = get_args(field.annotation)
+    if type(None) in parts and get_origin(parts[0]) is Literal:
+        return "|".join(map(str, get_args(parts[0])))
+    if any(get_origin(one) is Literal for one in get_args(field.annotation)):
+        return "NAME,..."
     named = {field.annotation, *get_args(field.annotation)}
     return next((word for kind, word in kinds.items() if kind in named), "JSON")
 
 
 def _shown(default: Any) -> str:
     if isinstance(default, tuple):
+        if all(isinstance(one, str) for one in default):
+            return ",".join(default) or "none"
         return json.dumps([one.model_dump(exclude_defaults=True) for one in default]).replace("%", "%%")
     return str(default)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from hfb.initialize.networks import NetworkStatus
+    from hfb.initialize.known_models import KnownModel
 
 
 class Row(NamedTuple):
@@ -52,12 +52,15 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
     return "\n".join(lines)
 
 
-def networks_text(networks: Sequence[NetworkStatus]) -> str:
-    """One line per network: is it here, whose is it, and how to get it."""
+def models_text(models: Sequence[KnownModel]) -> str:
+    """A few lines per model: what for, is it here, whose is it, and how to get it."""
     lines = []
-    for network in networks:
-        state = network.path if network.present else f"missing: {network.get}"
-        lines.append(f"{network.name:<30}{network.size_bytes / 1e6:>6.1f} MB   {network.licence}   {state}")
+    for model in models:
+        state = {True: "here", False: f"missing, get it by {model.get}", None: f"yours to bring: {model.get}"}
+        lines += textwrap.wrap(f"{model.name}: {model.role}; {model.use}", 110)
+        lines += textwrap.wrap(
+            f"{state[model.present]}  [{model.licence}]", 110, initial_indent="    ", subsequent_indent="    "
+        )
     return "\n".join(lines)
 
 

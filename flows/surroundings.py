@@ -68,7 +68,7 @@ class PrefectServer:
         self._patience_s = settings.server.ephemeral.startup_timeout_seconds
         self._api = settings.api.url or f"http://127.0.0.1:{_free_port()}/api"
         if settings.api.url:
-            reason = _ask(self._api)
+            reason = does_not_answer(self._api)
             if reason:
                 raise InputError(
                     f"the Prefect server at {self._api} {reason}: "
@@ -82,7 +82,7 @@ class PrefectServer:
     def wait(self) -> None:
         """Return when the server answers."""
         began = time.monotonic()
-        while self._process is not None and (reason := _ask(self._api)):
+        while self._process is not None and (reason := does_not_answer(self._api)):
             ended = self._process.poll() is not None
             if ended or time.monotonic() - began > self._patience_s:
                 state = "ended" if ended else reason
@@ -125,10 +125,10 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _ask(api: str) -> str | None:
+def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | None:
     """Why a server is of no use, or None where it answers."""
     try:
-        with urlopen(f"{api.rstrip('/')}/health", timeout=_HEALTH_TIMEOUT_S):
+        with urlopen(f"{api.rstrip('/')}/health", timeout=patience_s):
             return None
     except HTTPError as error:
         # one that asks for a login is there

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from prefect import flow
 from pydantic import Field
 
+from flows.reaper import mark_owner
 from flows.workplace import workplace
 from hfb.config import Record
 from hfb.errors import InputError
@@ -37,7 +38,7 @@ def work_folder(out: Path) -> Path:
     return out.with_name(f"{out.stem}-training")
 
 
-@flow(name="train-prior", persist_result=False)
+@flow(name="train-prior", persist_result=False, on_running=[mark_owner])
 def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     """Train a prior, publish its weights as ``out`` and what they are beside it as .json; recorded in MLflow.
 

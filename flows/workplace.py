@@ -15,10 +15,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from hfb.errors import InputError
+from hfb.errors import Busy, InputError
+from hfb.export.names import EXPORTED_NAMES
 from hfb.media.atomic import write_bytes_atomic
 
-_INTERMEDIATE = "intermediate"
+INTERMEDIATE = "intermediate"
+_ONLY_SOMETIMES = ("alternatives.npz", *EXPORTED_NAMES)  # an earlier result may have had more
 
 
 @contextmanager
@@ -31,9 +33,9 @@ def workplace(out: Path) -> Iterator[Path]:
     Raises:
         InputError: the folder cannot be written, or another process works in it.
     """
-    new_folders = [folder for folder in (out / _INTERMEDIATE, out, *out.parents) if not folder.exists()]
+    new_folders = [folder for folder in (out / INTERMEDIATE, out, *out.parents) if not folder.exists()]
     check_writable(out)
-    folder = out / _INTERMEDIATE
+    folder = out / INTERMEDIATE
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with (folder / ".lock").open("w") as lock:
@@ -41,7 +43,7 @@ def workplace(out: Path) -> Iterator[Path]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 new_folders = []
-                raise InputError(
+                raise Busy(
                     f"another hfb is working in {out}: wait until it has finished, or choose another --out"
                 ) from None
             for leftover in (*out.glob(".*.part"), *folder.glob(".*.part")):
@@ -67,14 +69,14 @@ def check_writable(out: Path) -> None:
 
 def publish(out: Path, files: Mapping[str, Path], result: Mapping[str, Any]) -> None:
     """Put finished files into the run's folder, result.json last; an earlier result stays whole until then."""
-    staging = out / _INTERMEDIATE / "publish"
+    staging = out / INTERMEDIATE / "publish"
     shutil.rmtree(staging, ignore_errors=True)
     staging.mkdir()
     for name, path in files.items():
         write_bytes_atomic(staging / name, path.read_bytes())
     write_bytes_atomic(staging / "result.json", json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
-    for stale in (*out.glob("matte_*.png"), *out.glob("alternatives.npz")):  # an earlier result may have had more
-        stale.unlink()
+    for stale in (*out.glob("matte_*.png"), *(out / name for name in _ONLY_SOMETIMES)):
+        stale.unlink(missing_ok=True)
     for name in (*files, "result.json"):
         (staging / name).replace(out / name)
     staging.rmdir()

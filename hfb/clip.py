@@ -1,16 +1,29 @@
 """clip.toml: what is known about a recording besides its pictures.
 
-    transfer = "srgb"              # how the files store light: "srgb" (default) or "linear"
+    transfer = "srgb"              # how the files store light: "srgb" (default), "linear", "bt709" or "gamma22"
+    video = "walk.mp4"             # or a folder of pictures, beside this file
+    start_s = 1.5                  # time range of the video [s], or in frames: start = 45, stop = 90 (exclusive)
+    stop_s = 3.0
+    background = "plate.png"       # or "median" (over time), or "still" (a span in which nobody moves)
 
     [camera]
     focal_px = 1460.0              # or the whole matrix:
     K = [[1460, 0, 640], [0, 1460, 360], [0, 0, 1]]
+    calibration = "Calib.toml"     # or a file: Pose2Sim's, OpenCV's .yaml or .json, cameras.json
+    name = "cam01"                 # which of its cameras
 
     [exposure]
     fps = 30.0
-    seconds = 0.02                 # or shutter_fraction = 0.6, or shutter_angle = 216
+    seconds = 0.02                 # or shutter_fraction = 0.6, or shutter_angle = 216, or auto = true (from metadata)
+    position = "start"             # where the exposure lies in the frame's interval: "start", "middle", "end"
 
-Every entry may be left out.
+    [person]
+    box = [310, 80, 420, 400]      # left, top, right, bottom [px] in frame `frame`; or which = "largest" (default)
+    frame = 0
+    track = "tracks.csv"           # or a track of another system's file, with its id
+    id = 3
+
+Every entry may be left out. Paths are relative to the file.
 """
 
 from pathlib import Path
@@ -21,6 +34,9 @@ from pydantic import Field, model_validator
 from hfb.config import Record
 from hfb.toml_file import read_toml, to_record
 
+BACKGROUND_WORDS = ("median", "still")
+"""Backgrounds that are made from the clip itself."""
+
 _Row = tuple[float, float, float]
 
 
@@ -29,9 +45,15 @@ class ClipCamera(Record):
 
     focal_px: Annotated[float, Field(gt=0)] | None = None
     K: tuple[_Row, _Row, _Row] | None = None
+    calibration: Path | None = None
+    name: str | None = None
 
     @model_validator(mode="after")
     def _one_calibration(self) -> "ClipCamera":
+        if self.calibration is not None and (self.K is not None or self.focal_px is not None):
+            raise ValueError("give focal_px, K or a calibration file, not several")
+        if self.name is not None and self.calibration is None:
+            raise ValueError("name chooses a camera of a calibration file: give calibration too")
         if self.K is None:
             return self
         if self.focal_px is not None:
@@ -43,17 +65,21 @@ class ClipCamera(Record):
 
 
 class ClipExposure(Record):
-    """When the shutter was open. At most one of the three lengths."""
+    """When the shutter was open. At most one of the three lengths, or ``auto``: what the footage itself tells."""
 
     fps: Annotated[float, Field(gt=0)] | None = None
     seconds: Annotated[float, Field(gt=0)] | None = None
     shutter_fraction: Annotated[float, Field(gt=0, le=1)] | None = None
     shutter_angle: Annotated[float, Field(gt=0, le=360)] | None = None
+    auto: bool = False
+    position: Literal["start", "middle", "end"] = "start"
 
     @model_validator(mode="after")
     def _one_length(self) -> "ClipExposure":
         if sum(length is not None for length in (self.seconds, self.shutter_fraction, self.shutter_angle)) > 1:
             raise ValueError("give one of seconds, shutter_fraction and shutter_angle, not several")
+        if self.auto and (self.seconds or self.shutter_fraction or self.shutter_angle):
+            raise ValueError("auto and a length exclude each other: give one of them")
         return self
 
     def exposure_s(self, interval_s: float) -> float | None:
@@ -65,18 +91,64 @@ class ClipExposure(Record):
         return self.seconds
 
 
+class PersonChoice(Record):
+    """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system."""
+
+    which: Literal["largest"] = "largest"
+    box: tuple[float, float, float, float] | None = None
+    frame: Annotated[int, Field(ge=0)] = 0
+    track: Path | None = None
+    id: int | str | None = None
+
+    @model_validator(mode="after")
+    def _one_choice(self) -> "PersonChoice":
+        if self.box is not None and self.track is not None:
+            raise ValueError("give a box or a track, not both")
+        if self.id is not None and self.track is None:
+            raise ValueError("id is a person's in a file of tracks: give track too")
+        if self.box is not None and not (self.box[0] < self.box[2] and self.box[1] < self.box[3]):
+            raise ValueError("box must be [left, top, right, bottom] with left < right and top < bottom")
+        return self
+
+
 class Clip(Record):
     """The content of a clip.toml; ``Clip()`` knows nothing."""
 
-    transfer: Literal["srgb", "linear"] = "srgb"
+    transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
+    video: Path | None = None
+    start: Annotated[int, Field(ge=0)] | None = None
+    stop: Annotated[int, Field(gt=0)] | None = None
+    start_s: Annotated[float, Field(ge=0)] | None = None
+    stop_s: Annotated[float, Field(gt=0)] | None = None
+    background: str | None = None
     camera: ClipCamera = ClipCamera()
     exposure: ClipExposure = ClipExposure()
+    person: PersonChoice = PersonChoice()
+
+    @model_validator(mode="after")
+    def _one_range(self) -> "Clip":
+        if (self.start is not None and self.start_s is not None) or (self.stop is not None and self.stop_s is not None):
+            raise ValueError("give the range in frames (start, stop) or in seconds (start_s, stop_s), not both")
+        for first, last in ((self.start, self.stop), (self.start_s, self.stop_s)):
+            if first is not None and last is not None and first >= last:
+                raise ValueError("the range is empty: its start must lie before its stop")
+        return self
 
 
 def read_clip(path: Path) -> Clip:
-    """Read a clip.toml.
+    """Read a clip.toml; its paths become relative to the working folder.
 
     Raises:
         InputError: the file is missing, no TOML, or holds an entry that is unknown or impossible.
     """
-    return to_record(Clip, read_toml(path), str(path))
+    clip = to_record(Clip, read_toml(path), str(path))
+    beside = path.parent
+    camera, person, background = clip.camera, clip.person, clip.background
+    if camera.calibration is not None:
+        camera = camera.model_copy(update={"calibration": beside / camera.calibration})
+    if person.track is not None:
+        person = person.model_copy(update={"track": beside / person.track})
+    if background is not None and background not in BACKGROUND_WORDS:
+        background = str(beside / background)
+    video = beside / clip.video if clip.video is not None else None
+    return clip.model_copy(update={"camera": camera, "person": person, "background": background, "video": video})

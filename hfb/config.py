@@ -6,9 +6,9 @@ Light to import (pydantic only): the command line builds its flags from these re
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 
 class Record(BaseModel):
@@ -42,17 +42,38 @@ class ExposureConfig(Record):
 class MattingConfig(Record):
     """How the person's share of each pixel is found."""
 
-    method: Literal["network", "known-background"] = Field(
-        "network", description="network: our own, trained on drawn blur; known-background: colour and texture alone"
+    method: Literal["network", "known-background", "bgmv2", "rvm"] = Field(
+        "network",
+        description="network: our own, trained on drawn blur; known-background: colour and texture alone; bgmv2: "
+        "BackgroundMattingV2; rvm: Robust Video Matting, which sees no plate",
     )
+    weights: Path | None = Field(None, description="the released file of bgmv2 (TorchScript, weights, ONNX) or rvm")
+    backbone_scale: float | None = Field(
+        None, gt=0, le=0.5, description="bgmv2: size of its first pass; 480 px on the longer side when not given"
+    )
+    refine_mode: Literal["sampling", "thresholding", "full"] | None = Field(
+        None, description="bgmv2: which pixels are refined; the file's own choice when not given"
+    )
+    refine_pixels: int | None = Field(None, ge=16, description="bgmv2: how many pixels sampling refines, 80000")
+    refine_threshold: float | None = Field(None, ge=0, le=1, description="bgmv2: error above which are refined")
 
 
 class InitConfig(Record):
     """How the first, static body is found."""
 
-    method: Literal["auto", "mediapipe", "matte"] = Field(
-        "auto", description="auto: the pose networks where `hfb models` fetched them, else the matte alone"
+    method: Literal["auto", "mediapipe", "matte", "metro", "file"] = Field(
+        "auto",
+        description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro: a network "
+        "of yours; file: another system's result",
     )
+    weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file")
+    file: Path | None = Field(
+        None,
+        description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, hfb, "
+        "or 3D joints",
+    )
+    person: str | None = Field(None, description="file: whom of several, by the system's own name or number")
+    frame: int | None = Field(None, ge=0, description="file: number of the first picture in the result, from 0 on")
 
 
 class Weights(Record):
@@ -99,7 +120,9 @@ class FitConfig(Record):
     degree: int = Field(2, ge=1, le=6, description="d, degree of the motion polynomials")
     rotation: Literal["quaternion", "axis-angle"] = Field("quaternion", description="the 4 dof of a rotation")
     silhouette: Literal["coverage", "dibr"] = Field("coverage", description="exact pixel share, or DIB-R's soft mask")
-    rasterizer: Literal["cpu", "reference"] = Field("cpu", description="numba kernels, or the readable torch truth")
+    rasterizer: Literal["cpu", "reference", "cuda", "warp"] = Field(
+        "cpu", description="cpu: numba; reference: readable torch; cuda: Warp on a GPU; warp: Warp on the processor"
+    )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
@@ -128,6 +151,53 @@ class PriorConfig(Record):
     motion: Path | None = Field(None, description="a motion prior of hfb train-prior; built in when not given")
 
 
+class VideoConfig(Record):
+    """A whole clip: how it is cut into windows that are fitted by themselves and joined."""
+
+    window: int = Field(2, ge=2, le=5, description="frames fitted jointly; neighbouring windows share one")
+    average: int = Field(1, ge=1, description="of footage that is sharp, average this many frames in linear light")
+    person_windows: int = Field(3, ge=1, description="windows, spread over the clip, that settle shape and texture")
+    key_every: int = Field(4, ge=1, description="frames from one full search of a first body to the next")
+    longest_fill: int = Field(8, ge=0, description="frames in a row without a first body that neighbours stand in for")
+    settle: int = Field(60, ge=0, description="iterations of the skeleton alone, in every window")
+    stages: tuple[Stage, ...] = (
+        Stage(size_px=64, iterations=30),
+        Stage(size_px=128, iterations=40, cosine=True),
+    )
+
+
+MotionFormat = Literal["amass", "glb", "bvh", "csv", "trc", "c3d"]
+MeshFormat = Literal["obj", "ply"]
+Film = Literal["slowmotion", "exact", "overlay"]
+
+
+def _words(value: Any) -> Any:
+    """``glb,bvh`` as a list of words; ``none`` is an empty one."""
+    if not isinstance(value, str):
+        return value
+    return [] if value.strip() in ("", "none") else [word.strip() for word in value.split(",")]
+
+
+def _number(value: Any) -> Any:
+    return int(value) if isinstance(value, str) and value.isdecimal() else value
+
+
+AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(_number)]
+
+
+class ExportConfig(Record):
+    """What a run leaves for other programs, beside motion.npz."""
+
+    formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
+        ("amass", "glb", "bvh", "csv", "trc"),
+        description="motion files, such as glb,bvh: amass, glb, bvh, csv, trc, c3d (needs hfb[c3d]), or none",
+    )
+    amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
+    films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
+        (), description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none"
+    )
+
+
 class RunConfig(Record):
     """Everything one command needs besides its files."""
 
@@ -140,6 +210,8 @@ class RunConfig(Record):
     init: InitConfig = InitConfig()
     prior: PriorConfig = PriorConfig()
     fit: FitConfig = FitConfig()
+    video: VideoConfig = VideoConfig()
+    export: ExportConfig = ExportConfig()
 
 
 _PAPER = FitConfig(

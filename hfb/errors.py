@@ -1,5 +1,20 @@
-"""The one exception a user can cause: its text is the sentence they read, and it names the fix."""
+"""Exceptions whose text is the sentence that a user reads; it names the fix."""
 
 
 class InputError(ValueError):
     """Something the user gave cannot be used; the command line prints the message and exits with 2."""
+
+
+class Busy(InputError):
+    """Another process works there: waiting mends it."""
+
+
+class Unavailable(Exception):
+    """Something that a run stands on gave out half-way: a disk, a server, memory.
+
+    Its text names the fix. What is finished is kept, and the same command goes on from there.
+    """
+
+
+class ServerLost(Unavailable):
+    """The server that a run is told to no longer answers: nothing more can be reported to it."""

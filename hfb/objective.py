@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import torch
 
 from hfb.body.model import Body, ShapedBody
+from hfb.body.skeleton import JOINT_COUNT
 from hfb.config import Weights
-from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.evidence import evidence_loss
-from hfb.losses.image import image_loss
-from hfb.losses.matting import matting_loss
+from hfb.losses.operators import compare_mattes, compare_pictures
 from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
-from hfb.losses.scales import mean_over_scales
 from hfb.losses.texture import TexelNeighbours, texture_smoothness
 from hfb.motion.boundary import boundary_loss
 from hfb.motion.clock import next_opening, subframe_clock
+from hfb.motion.operators import rotation_vectors
 from hfb.motion.trajectory import Trajectory
 from hfb.observation import Observation
 from hfb.priors.motion_prior import MotionPrior
@@ -60,36 +59,52 @@ class Objective:
     ) -> dict[str, Float[Tensor, ""]]:
         """The unweighted terms with a positive weight, named as in `Weights`."""
         shaped = self.body.shape(betas)
-        rotations, translations = trajectory.at(subframe_clock(self.subframes, betas.dtype))
+        rotations, translations = course = trajectory.at(self._instants(betas.dtype))
         frames = rotations.shape[0]
-        posed = shaped.pose(rotations.flatten(0, 1), translations.flatten(0, 1))
+        posed = shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1))
         vertices = posed.vertices.unflatten(0, (frames, self.subframes))
         terms: dict[str, Tensor] = {}
-        per_frame = [self._picture_terms(frame, vertices[frame], texture) for frame in range(frames)]
+        per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices.unbind())]
         for name in per_frame[0]:
             terms[name] = torch.stack([one[name] for one in per_frame]).mean()
         if self.weights.texture > 0 and self.texels is not None:
             terms["texture"] = texture_smoothness(texture, self.texels, self.visible)
-        return terms | self.body_terms(trajectory, betas, shaped)
+        return terms | self.body_terms(trajectory, betas, shaped, course)
+
+    def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
+        """The sub-frames' times, and last the middle of the exposure."""
+        return torch.cat([subframe_clock(self.subframes, dtype), torch.tensor([0.5], dtype=dtype)])
 
     def body_terms(
-        self, trajectory: Trajectory, betas: Float[Tensor, "10"], shaped: ShapedBody
+        self,
+        trajectory: Trajectory,
+        betas: Float[Tensor, "10"],
+        shaped: ShapedBody,
+        course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"]] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Those terms that no picture is drawn for; `shaped` is the body with these betas."""
+        """Those terms that no picture is drawn for.
+
+        Args:
+            shaped: the body with these betas. course: the trajectory at `_instants`, where it is known already.
+        """
         weights, seen = self.weights, self.observation
-        rotations, _ = trajectory.at(subframe_clock(self.subframes, betas.dtype))
+        rotations, translations = course or trajectory.at(self._instants(betas.dtype))
         frames = rotations.shape[0]
         terms: dict[str, Tensor] = {}
         if self.evidence is not None and weights.joints + weights.path > 0:
-            at = trajectory.at(betas.new_tensor([0.0, 0.5, 1.0]))
-            joints = shaped.joints_of(*(values.flatten(0, 1) for values in at)).unflatten(0, (frames, 3))
-            terms["joints"] = evidence_loss(self.evidence.off(joints[:, 1]))
-            if weights.path > 0:
-                terms["path"] = evidence_loss(self.evidence.off_path(joints[:, 0], joints[:, 2]))
+            whole = weights.path > 0  # opening, closing and middle of the exposure
+            some = [0, -2, -1] if whole else [-1]
+            places = rotations[:, some].flatten(0, 1), translations[:, some].flatten(0, 1)
+            joints = shaped.joints_of(*places).unflatten(0, (frames, len(some)))
+            terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]))
+            if whole:
+                terms["path"] = evidence_loss(self.evidence.off_path(joints[:, 0], joints[:, 1]))
         if weights.pose > 0:
-            terms["pose"] = pose_loss(self.pose_prior, matrix_to_axis_angle(rotations[:, :, 1:]).flatten(0, 1))
+            turns = rotations[:, :-1, 1:].flatten(0, 2)
+            vectors = rotation_vectors(turns) if turns.device.type == "cpu" else matrix_to_axis_angle(turns)
+            terms["pose"] = pose_loss(self.pose_prior, vectors.unflatten(0, (-1, JOINT_COUNT - 1)))
         if weights.start > 0:
-            terms["start"] = start_loss(trajectory.at(betas.new_tensor([0.5]))[0][:, 0], self.first)
+            terms["start"] = start_loss(rotations[:, -1], self.first)
         if weights.shape > 0:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:
@@ -113,24 +128,15 @@ class Objective:
             mean = self.rasterizer.render_mean(vertices, texture, camera, mesh)
         else:
             alpha = self.rasterizer.silhouette_mean(vertices, camera, mesh)
-            pair = alpha[..., None], matte[..., None]
-            return {"matte": mean_over_scales(_mattes, *pair, matte, self.matte_scales)}
+            return {"matte": compare_mattes(alpha, matte, self.matte_scales)}
+        scales = self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
+        image, overlap = compare_pictures(mean, seen.plate_linear, seen.frames_linear[frame], matte, *scales)
         if weights.image > 0:
-            image = compose(mean, seen.plate_linear)
-            terms["image"] = mean_over_scales(_picture, image, seen.frames_linear[frame], matte, self.image_scales)
+            terms["image"] = image
         if weights.matte > 0:
-            alpha, alpha_in = mean[..., 3:], matte[..., None]
-            terms["matte"] = mean_over_scales(_mattes, alpha, alpha_in, matte, self.matte_scales)
+            terms["matte"] = overlap
         return terms
 
     def total(self, terms: dict[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
         """The weighted sum of the terms."""
         return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum()
-
-
-def _picture(predicted: Float[Tensor, "H W 3"], seen: Float[Tensor, "H W 3"], matte: Float[Tensor, "H W"]) -> Tensor:
-    return image_loss(predicted, seen, matte.sum())
-
-
-def _mattes(predicted: Float[Tensor, "H W 1"], seen: Float[Tensor, "H W 1"], matte: Float[Tensor, "H W"]) -> Tensor:
-    return matting_loss(predicted[..., 0], seen[..., 0])

@@ -4,12 +4,15 @@ A sensor averages linear light, picture files hold sRGB. Blurring sRGB values in
 48/255, and an alpha of 0.5 then reads as 0.705.
 """
 
-from typing import overload
+from typing import Literal, overload
 
 import numpy as np
 import torch
 
 from hfb.shapes import Array, Float, Tensor
+
+Transfer = Literal["srgb", "linear", "bt709", "gamma22"]
+"""How files store light."""
 
 _ENCODED_KNEE = 0.04045
 _LINEAR_KNEE = 0.0031308
@@ -47,3 +50,18 @@ def linear_to_srgb(linear: Tensor | Array) -> Tensor | Array:
         return torch.where(linear <= _LINEAR_KNEE, linear * 12.92, power)
     power_numpy = 1.055 * np.maximum(linear, _LINEAR_KNEE) ** (1 / 2.4) - 0.055
     return np.where(linear <= _LINEAR_KNEE, linear * 12.92, power_numpy)
+
+
+def as_srgb(stored: Float[Array, "*n"], transfer: Transfer) -> Float[Array, "*n"]:
+    """Stored values encoded as sRGB; those of ``srgb`` and ``linear`` stay as they are.
+
+    ``bt709``: the camera's curve of ITU-R BT.709, 4.5 L below 0.018 and 1.099 L^0.45 - 0.099 above; ``gamma22``:
+    L^(1/2.2).
+    """
+    if transfer in ("srgb", "linear"):
+        return stored
+    if transfer == "gamma22":
+        linear = np.maximum(stored, 0) ** 2.2
+    else:
+        linear = np.where(stored < 0.081, stored / 4.5, ((np.maximum(stored, 0.081) + 0.099) / 1.099) ** (1 / 0.45))
+    return linear_to_srgb(linear).astype(stored.dtype)

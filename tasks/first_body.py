@@ -5,6 +5,7 @@ from pathlib import Path
 from hfb.config import InitConfig
 from hfb.initialize.first_body import load_first_body, save_first_body
 from hfb.initialize.initializer import make_initializer
+from tasks.given_networks import with_pose_network
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
 from tasks.scene import load_chosen_body, load_observation
 from tasks.task import task
@@ -23,13 +24,13 @@ def first_body(
     """Estimate the body of one frame.
 
     Args:
-        networks: the pose networks at hand; with other ones the estimate is made again.
+        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
 
     Raises:
         InputError: no person was found.
     """
     seen = load_observation(clip, mattes)
-    found = make_initializer(config)(
+    found = make_initializer(with_pose_network(config, networks))(
         seen.frames_linear[index], seen.plate_linear, seen.mattes[index], seen.camera, load_chosen_body(body)
     )
     path = folder / f"first_body_{index}.npz"

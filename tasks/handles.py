@@ -52,7 +52,7 @@ class ClipHandle(Record):
     K: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
     exposure_s: float
     interval_s: float
-    transfer: Literal["srgb", "linear"]
+    transfer: Literal["srgb", "linear", "bt709", "gamma22"]
     light: Literal["srgb", "linear"]
 
 

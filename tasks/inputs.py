@@ -7,10 +7,12 @@ from pathlib import Path
 from hfb.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
+from hfb.export.names import check_formats
 from hfb.initialize.networks import NETWORKS, network_path
+from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
 
-_ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network"}
+_ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}
 
 
 class Inputs(Record):
@@ -25,6 +27,8 @@ class Inputs(Record):
     truth: FileHandle | None = None
     first_bodies: tuple[FileHandle, ...] = ()
     networks: tuple[FileHandle, ...] = ()
+    matting: FileHandle | None = None
+    init_files: tuple[FileHandle, ...] = ()
 
 
 def input_file(path: Path) -> FileHandle:
@@ -58,16 +62,19 @@ def take_inputs(
     """
     if first_bodies and len(first_bodies) != len(frames):
         raise InputError(f"{len(first_bodies)} first bodies for {len(frames)} frames: give one per frame")
+    check_formats(config.export.formats)
     return Inputs(
         frames=tuple(input_file(frame) for frame in frames),
         background=input_file(background),
-        clip=read_clip(clip) if clip else Clip(),
+        clip=_clip_of_pictures(clip, frames[0]) if clip else Clip(),
         body=input_file(config.body.model) if config.body.model else None,
         pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
         motion_prior=input_file(config.prior.motion) if config.prior.motion else None,
         truth=input_file(truth) if truth else None,
         first_bodies=tuple(input_file(first) for first in first_bodies or ()),
-        networks=networks_at_hand() if config.init.method != "matte" and not first_bodies else (),
+        networks=pose_networks(config) if not first_bodies else (),
+        matting=optional_file(matting_file(config)),
+        init_files=result_files(config) if not first_bodies else (),
     )
 
 
@@ -83,17 +90,71 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
     return assumed
 
 
+def _clip_of_pictures(path: Path, picture: Path) -> Clip:
+    """clip.toml with the numbers of its calibration file in the file's place.
+
+    Raises:
+        InputError: clip.toml or the calibration is wrong, or the lens distorts: single pictures are taken as they are.
+    """
+    clip = read_clip(path)
+    if clip.camera.calibration is None:
+        return clip
+    from hfb.datasets.real.clip_lens import clip_lens
+    from hfb.media.pictures import picture_size
+
+    height, width, _ = picture_size(picture)
+    lens = clip_lens(clip.camera, picture.name, height, width)
+    if lens is not None and lens.bends(height, width):
+        raise InputError(
+            f"{clip.camera.calibration}: this lens distorts; undistort the pictures and give K, or use `hfb video`, "
+            "which undistorts by itself"
+        )
+    return clip.model_copy(update={"camera": ClipCamera(K=lens.pinhole() if lens else None)})
+
+
+def optional_file(path: Path | None) -> FileHandle | None:
+    """The handle of a file that need not be given."""
+    return None if path is None else input_file(path)
+
+
+def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
+    """The networks that the first bodies depend on.
+
+    Raises:
+        InputError: a file that the method needs is missing.
+    """
+    if config.init.method == "metro":
+        return tuple(input_file(path) for path in init_files(config))
+    return networks_at_hand() if config.init.method in ("auto", "mediapipe") else ()
+
+
+def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
+    """The other system's result that the first bodies are taken from, and what belongs to it.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    files = init_files(config)
+    return tuple(input_file(path) for path in files) if config.init.method == "file" else ()
+
+
 def networks_at_hand() -> tuple[FileHandle, ...]:
     """The pose networks that `hfb models` has fetched: with new ones the first bodies are estimated again."""
     found = (network_path(network) for network in NETWORKS)
     return tuple(FileHandle.of(path) for path in found if path is not None)
 
 
-def input_hashes(inputs: Inputs) -> dict[str, str]:
-    """sha256 per role: ``frame_0``, ``background``, ..."""
-    hashes: dict[str, str] = {}
+def input_files(inputs: Record) -> dict[str, FileHandle]:
+    """What a command was given, file by file: ``frame_0``, ``background``, ..."""
+    files: dict[str, FileHandle] = {}
     for role in type(inputs).model_fields:
         given = getattr(inputs, role)
         for index, file in enumerate(files_in(given)):
-            hashes[f"{_ONE_OF[role]}_{index}" if role in _ONE_OF else role] = file.sha256
-    return hashes
+            several = isinstance(given, tuple)
+            files[f"{_ONE_OF.get(role, role)}_{index}" if several else role] = file
+    return files
+
+
+def input_hashes(inputs: Record) -> dict[str, str]:
+    """sha256 per role: ``frame_0``, ``background``, ..."""
+    return {role: file.sha256 for role, file in input_files(inputs).items()}

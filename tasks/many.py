@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -15,6 +15,7 @@ from prefect.states import State
 from tasks import progress
 from tasks.handles import StaleFile
 from tasks.task import Step, verify
+from tasks.workers import stop_computing, worker_count
 
 _log = logging.getLogger(__name__)
 R = TypeVar("R")
@@ -39,24 +40,39 @@ class Outcome(Generic[R]):
     reused: bool = False
 
 
-def run_all(step: Step[..., R], calls: Sequence[tuple[Any, ...]], label: str) -> list[Outcome[R]]:
+def run_all(
+    step: Step[..., R],
+    calls: Sequence[tuple[Any, ...]],
+    label: str,
+    on_outcome: Callable[[int, Outcome[R]], None] | None = None,
+) -> list[Outcome[R]]:
     """Run a task once per tuple of arguments, as many at a time as the flow's task runner has workers.
 
     One that fails does not stop the others; its error is its outcome. The outcomes are in the order of the calls,
     whatever the order in which they finished.
+
+    Args:
+        on_outcome: called in the order of the calls with each one's number; what it raises ends the rest.
     """
     outcomes: list[Outcome[R]] = []
     waiting: deque[tuple[tuple[Any, ...], PrefectFuture[R]]] = deque()
     remaining = iter(calls)
     with progress.step(label) as shown:
         began, reused = time.monotonic(), 0
-        while len(outcomes) < len(calls):
-            while len(waiting) < _IN_FLIGHT and (call := next(remaining, None)) is not None:
-                waiting.append((call, step.submit(*call)))
-            call, future = waiting.popleft()
-            outcomes.append(_outcome(step, call, future))
-            reused += outcomes[-1].reused
-            progress.advance(len(outcomes), len(calls), _time_left(began, len(outcomes), reused, len(calls)))
+        most = max(_IN_FLIGHT, 2 * worker_count())
+        try:
+            while len(outcomes) < len(calls):
+                while len(waiting) < most and (call := next(remaining, None)) is not None:
+                    waiting.append((call, step.submit(*call)))
+                call, future = waiting.popleft()
+                outcomes.append(_outcome(step, call, future))
+                reused += outcomes[-1].reused
+                if on_outcome is not None:
+                    on_outcome(len(outcomes) - 1, outcomes[-1])
+                progress.advance(len(outcomes), len(calls), _pace(began, len(outcomes), reused, len(calls)))
+        except BaseException:  # Ctrl-C and Prefect's own signals too: the task runner waits for what is computed
+            stop_computing()
+            raise
         shown.reused = bool(calls) and reused == len(calls)
     return outcomes
 
@@ -81,9 +97,13 @@ def _settled(state: State[R]) -> Outcome[R]:
         return Outcome(None, error)
 
 
-def _time_left(began: float, done: int, reused: int, total: int) -> str:
+def _pace(began: float, done: int, reused: int, total: int) -> str:
+    """How fast it goes and how long it still takes."""
     fresh = done - reused
     if fresh == 0:
         return ""
-    left_s = (time.monotonic() - began) / fresh * (total - done)
-    return f"about {left_s // 60:.0f} min {left_s % 60:.0f} s left" if left_s >= 60 else f"about {left_s:.0f} s left"
+    each_s = (time.monotonic() - began) / fresh
+    rate = f"{each_s:.1f} s each" if each_s >= 1 else f"{1 / each_s:.1f} a second"
+    left_s = round(each_s * (total - done))
+    left = f"{left_s // 60} min {left_s % 60} s" if left_s >= 60 else f"{left_s} s"
+    return f"{rate}, about {left} left"

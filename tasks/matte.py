@@ -5,20 +5,26 @@ from pathlib import Path
 from hfb.config import MattingConfig
 from hfb.matting.matting import make_matting
 from hfb.media.pictures import write_matte
+from tasks.given_networks import with_matting_network
 from tasks.handles import ClipHandle, FileHandle
 from tasks.scene import load_picture
 from tasks.task import task
 
 
 @task("matte")
-def matte(clip: ClipHandle, index: int, config: MattingConfig, folder: Path) -> FileHandle:
+def matte(
+    clip: ClipHandle, index: int, config: MattingConfig, folder: Path, network: FileHandle | None = None
+) -> FileHandle:
     """The matte of one frame, as a 16-bit picture.
+
+    Args:
+        network: the user's own, for methods that need one.
 
     Raises:
         InputError: nothing differs from the background.
     """
     frame, plate = load_picture(clip.frames[index], clip), load_picture(clip.background, clip)
-    alpha = make_matting(config)(frame.numpy(), plate.numpy())
+    alpha = make_matting(with_matting_network(config, network))(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
     write_matte(path, alpha)
     return FileHandle.of(path)

@@ -44,7 +44,7 @@ def prepare(
         background=background,
         height=height,
         width=width,
-        K=_calibration(camera, clip, height, width),
+        K=calibration(camera, clip, height, width),
         exposure_s=exposure_s,
         interval_s=interval_s,
         transfer=clip.transfer,
@@ -57,9 +57,10 @@ def _size(picture: Path) -> tuple[int, int]:
     return height, width
 
 
-def _calibration(
+def calibration(
     camera: CameraConfig, clip: Clip, height: int, width: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess."""
     if camera.focal_px is None and clip.camera.K is not None:
         return clip.camera.K
     focal_px = camera.focal_px or clip.camera.focal_px or math.hypot(height, width)

@@ -10,17 +10,19 @@ from hfb.body.assets import load_body
 from hfb.body.model import Body
 from hfb.media.pictures import read_matte, read_picture_srgb
 from hfb.observation import Observation
-from hfb.photometry import linear_to_srgb, srgb_to_linear
+from hfb.photometry import as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.render.camera import PinholeCamera
 from tasks.handles import ClipHandle, FileHandle
 
 
 def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
     """A picture (H, W, 3) in the light in which the clip's blur is an average."""
-    stored = torch.from_numpy(read_picture_srgb(picture.path))
+    stored = torch.from_numpy(as_srgb(read_picture_srgb(picture.path), clip.transfer))
     if clip.transfer == clip.light:
         return stored
-    return srgb_to_linear(stored) if clip.light == "linear" else linear_to_srgb(stored)
+    if clip.light == "linear":
+        return srgb_to_linear(stored)
+    return linear_to_srgb(stored) if clip.transfer == "linear" else stored
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:

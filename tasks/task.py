@@ -27,7 +27,7 @@ from prefect.states import State
 
 import hfb
 import tasks
-from tasks import progress
+from tasks import progress, repetition
 from tasks.handles import StaleFile, digest, files_in
 
 _log = logging.getLogger(__name__)
@@ -90,9 +90,9 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
 
 
 def cache_key(name: str, parameters: dict[str, Any]) -> str:
-    """Task name, and a hash of everything that can change its result."""
+    """Task name, and a hash of everything that can change its result; a repetition has keys of its own."""
     inputs = {key: digest(value) for key, value in sorted(parameters.items()) if not isinstance(value, Path)}
-    return f"hfb-{name}-{digest([name, inputs, code_version()])[:40]}"
+    return f"hfb-{name}-{digest([name, inputs, code_version(), repetition.salt()])[:40]}"
 
 
 @functools.cache

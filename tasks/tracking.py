@@ -11,36 +11,28 @@ from __future__ import annotations
 import functools
 import json
 import os
-import platform
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.error import HTTPError, URLError
-from urllib.parse import urlsplit
-from urllib.request import urlopen
 
-import platformdirs
-
-from hfb import __version__
-from hfb.errors import InputError
+from tasks import repetition
+from tasks.environment import environment
+from tasks.handles import digest
+from tasks.ownership import is_abandoned, owner
+from tasks.store_place import LOCAL_PAGES, make_folder, on_server, tracking_uri
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 EXPERIMENT = "hfb"
-LOCAL_PORT = 5000
-LOCAL_PAGES = f"http://127.0.0.1:{LOCAL_PORT}"
 _KEY_TAG = "hfb.key"
+RERUN_TAG = "hfb.rerun_of"
+_OWNER_TAG = "hfb.owner"
 _METRICS_PER_BATCH = 1000
 _PARAMS_PER_BATCH = 100
 _VALUE_LENGTH = 6000
-_HEALTH_TIMEOUT_S = 3
-# What a server of pages for one person needs not do; it takes 3 GB of memory otherwise.
-SMALL_SERVER = {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
 # A server that goes away must cost seconds, not MLflow's default of four minutes.
 _HTTP_LIMITS = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2", "MLFLOW_HTTP_REQUEST_TIMEOUT": "15"}
 
@@ -54,34 +46,6 @@ class Run:
     run_id: str
     first_millisecond: int
     complete: bool
-
-
-def tracking_uri() -> str:
-    """Where runs are recorded."""
-    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{_home() / 'mlflow.db'}"
-
-
-def check_store(uri: str) -> None:
-    """Ask a tracking server whether it is there, before MLflow waits minutes for it.
-
-    Raises:
-        InputError: the store does not answer, or MLflow no longer takes its kind.
-    """
-    scheme = urlsplit(uri).scheme
-    if scheme in ("", "file"):
-        raise InputError(f"MLflow no longer keeps runs in plain folders: set MLFLOW_TRACKING_URI to sqlite:///{uri}.db")
-    if not on_server(uri):
-        return
-    try:
-        with urlopen(f"{uri.rstrip('/')}/health", timeout=_HEALTH_TIMEOUT_S):
-            return
-    except HTTPError as error:
-        if error.code in (401, 403):  # a server that asks for a login is there
-            return
-        reason = f"answers {error.code}"
-    except (URLError, OSError) as error:
-        reason = f"does not answer ({getattr(error, 'reason', error)})"
-    raise InputError(f"the MLflow server at {uri} {reason}: start it, or unset MLFLOW_TRACKING_URI to record locally")
 
 
 class StoreLost(Exception):
@@ -105,49 +69,109 @@ def recorded_run(
     """
     if parent is not None:
         tags = {**tags, "mlflow.parentRunId": parent.run_id}
-    from mlflow.exceptions import MlflowException
-    from sqlalchemy.exc import SQLAlchemyError
-
-    try:
+    with store_losses():
         client = _client(tracking_uri())
         run = _found_or_created(client, name, key, params, tags)
-        status = "FAILED"
+        status = "KILLED"  # by Ctrl-C, SIGTERM or Prefect's own signal, none of which is an Exception
         try:
             yield run
             status = "FINISHED"
-        except (KeyboardInterrupt, SystemExit):
-            status = "KILLED"
+        except Exception:
+            status = "FAILED"
             raise
         finally:
             if not run.complete:
                 client.set_terminated(run.run_id, status)
+
+
+def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Run:
+    """Find or create the run of a long problem, which is recorded while it works; `end_run` ends it.
+
+    Raises:
+        StoreLost: the store cannot be reached or written.
+    """
+    with store_losses():
+        return _found_or_created(_client(tracking_uri()), name, key, params, tags)
+
+
+def end_run(run: Run, status: str) -> None:
+    """FINISHED, FAILED or KILLED; a run that was found complete stays as it is. Raises StoreLost."""
+    if not run.complete:
+        with store_losses():
+            _client(run.uri).set_terminated(run.run_id, status)
+
+
+def recorded(run_id: str) -> Run:
+    """A run that is there, to add to it. Raises StoreLost."""
+    with store_losses():
+        info = client().get_run(run_id).info
+    return Run(tracking_uri(), info.experiment_id, run_id, info.start_time, info.status == "FINISHED")
+
+
+@contextmanager
+def store_losses() -> Iterator[None]:
+    """Whatever a store fails with, as one exception."""
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    try:
+        yield
     except (MlflowException, SQLAlchemyError, OSError) as error:  # requests' errors are OSErrors
         reason = str(error).strip().splitlines()
         raise StoreLost(reason[0] if reason else type(error).__name__) from error
 
 
 def open_store() -> None:
-    """Load MLflow and make its tables now, so that a later record does not wait for them.
+    """Load MLflow and make its tables now, so that a later record does not wait for them; end abandoned runs.
 
     A store that fails here fails again, and is reported, when something is recorded.
     """
     with suppress(Exception):
-        _experiment(_client(tracking_uri()))
+        end_abandoned_runs()
+
+
+def end_abandoned_runs() -> int:
+    """KILLED for every RUNNING run whose process on this machine is gone; returns how many there were."""
+    client, ended, page = _client(tracking_uri()), 0, None
+    experiment_id = _experiment(client)
+    while True:
+        found = client.search_runs([experiment_id], "attributes.status = 'RUNNING'", page_token=page)
+        for run in found:
+            if is_abandoned(run.data.tags.get(_OWNER_TAG, "")):
+                client.set_terminated(run.info.run_id, "KILLED")
+                ended += 1
+        page = found.token
+        if not page:
+            return ended
+
+
+def logged_steps(run: Run, metric: str) -> set[int]:
+    """The steps at which a run has a point of a metric already. Raises StoreLost."""
+    with store_losses():
+        return {point.step for point in _client(run.uri).get_metric_history(run.run_id, metric)}
 
 
 def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> None:
     """Metrics with one value per step, None for a step without; logging the same again leaves one point per step."""
+    log_points(
+        run,
+        {name: {k: float(v) for k, v in enumerate(values) if v is not None} for name, values in histories.items()},
+    )
+
+
+def log_points(run: Run, points: Mapping[str, Mapping[int, float]]) -> None:
+    """Metrics as step -> value; logging the same again leaves one point per step. Raises StoreLost."""
     from mlflow.entities import Metric
 
     metrics = [
-        Metric(name, float(value), run.first_millisecond + step, step)
-        for name, values in histories.items()
-        for step, value in enumerate(values)
-        if value is not None
+        Metric(name, value, run.first_millisecond + step, step)
+        for name, values in points.items()
+        for step, value in values.items()
     ]
-    client = _client(run.uri)
-    for start in range(0, len(metrics), _METRICS_PER_BATCH):
-        client.log_batch(run.run_id, metrics=metrics[start : start + _METRICS_PER_BATCH], synchronous=True)
+    with store_losses():
+        for start in range(0, len(metrics), _METRICS_PER_BATCH):
+            batch = metrics[start : start + _METRICS_PER_BATCH]
+            _client(run.uri).log_batch(run.run_id, metrics=batch, synchronous=True)
 
 
 def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> None:
@@ -168,29 +192,9 @@ def link(run: Run) -> str:
     return f"{base}/#/experiments/{run.experiment_id}/runs/{run.run_id}?workflowType=machine_learning"
 
 
-def on_server(uri: str) -> bool:
-    """Whether runs go to a server, which has pages of its own."""
-    return urlsplit(uri).scheme in ("http", "https")
-
-
-def pages_command(port: int = LOCAL_PORT) -> list[str]:
-    """The command that shows a local store's runs in a browser; it stays small in the environment SMALL_SERVER.
-
-    Raises:
-        InputError: runs go to a server.
-    """
-    uri = tracking_uri()
-    if on_server(uri):
-        raise InputError(f"runs are recorded on a server that has pages of its own: open {uri}")
-    _make_folder(uri)
-    return [
-        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",
-        "--port", str(port), "--workers", "1", "--uvicorn-opts", "--log-level warning",
-    ]  # fmt: skip
-
-
-def _home() -> Path:
-    return platformdirs.user_data_path("hfb")
+def client() -> MlflowClient:
+    """The client of the store; what it raises, `store_losses` turns into StoreLost."""
+    return _client(tracking_uri())
 
 
 @functools.cache
@@ -198,15 +202,11 @@ def _client(uri: str) -> MlflowClient:
     for name, value in _HTTP_LIMITS.items():
         os.environ.setdefault(name, value)
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars of its own would break ours
     from mlflow import MlflowClient
 
-    _make_folder(uri)
+    make_folder(uri)
     return MlflowClient(uri)
-
-
-def _make_folder(uri: str) -> None:
-    if uri.startswith("sqlite:///"):
-        Path(uri.removeprefix("sqlite:///")).parent.mkdir(parents=True, exist_ok=True)
 
 
 def _experiment(client: MlflowClient) -> str:
@@ -231,13 +231,18 @@ def _found_or_created(
     client: MlflowClient, name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]
 ) -> Run:
     experiment_id = _experiment(client)
+    repeated = repetition.current()
+    if repeated is not None:  # a repetition never finds the run that it repeats
+        key = digest([key, repetition.salt()])
+        tags = {RERUN_TAG: repeated.of, "mlflow.parentRunId": repeated.of, **tags}
     found = client.search_runs([experiment_id], f"tags.`{_KEY_TAG}` = '{key}'", max_results=1)
     complete = bool(found) and found[0].info.status == "FINISHED"
     if found:
         info = found[0].info
     else:
-        info = client.create_run(experiment_id, run_name=name, tags={**tags, **_environment_tags(), _KEY_TAG: key}).info
+        info = client.create_run(experiment_id, run_name=name, tags={**tags, **environment(), _KEY_TAG: key}).info
     if not complete:
+        client.set_tag(info.run_id, _OWNER_TAG, owner())
         client.update_run(info.run_id, status="RUNNING")
         _log_params(client, info.run_id, params)
     return Run(str(client.tracking_uri), experiment_id, info.run_id, info.start_time, complete)
@@ -260,9 +265,3 @@ def flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         else:
             flat[prefix + name] = value if isinstance(value, str) else json.dumps(value, default=str)
     return flat
-
-
-def _environment_tags() -> dict[str, str]:
-    libraries = ("torch", "numpy", "numba", "opencv-python-headless", "prefect", "mlflow")
-    tags = {"version.hfb": __version__} | {f"version.{name}": version(name) for name in libraries}
-    return tags | {"version.python": platform.python_version(), "platform": platform.platform(), "device": "cpu"}

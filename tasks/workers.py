@@ -13,10 +13,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -27,38 +27,58 @@ class WorkerLost(Exception):
     """A worker process died, more than once, over the same computation."""
 
 
+class Stopped(Exception):
+    """The workers were told to stop: nobody waits for this computation any more."""
+
+
 class _Pool:
     """Processes that are replaced when one of them dies, by the kernel's hand when memory runs out, say."""
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self.count = count
         self._lock = threading.Lock()
+        self._closed = False
+        self._began, self._busy_s = time.monotonic(), 0.0
         self._executor = self._started()
 
     def _started(self) -> ProcessPoolExecutor:
         # spawn: a forked child would inherit locks that threads of the parent hold
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self._count, context, initializer=_begin, initargs=(os.getpid(),))
+        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(os.getpid(),))
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                return executor.submit(function, *args, **kwargs).result()
+                result, seconds = executor.submit(_timed, function, args, kwargs).result()
+                with self._lock:
+                    self._busy_s += seconds
+                return result
             except BrokenProcessPool:
                 self._replace(executor)
+            except (CancelledError, RuntimeError):
+                if not self._closed:
+                    raise
+                raise Stopped from None
         raise WorkerLost(f"a worker process died {_ATTEMPTS} times over this; was there enough memory?")
+
+    def busy_share(self) -> float:
+        return self._busy_s / (self.count * (time.monotonic() - self._began))
 
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
+            if self._closed:
+                raise Stopped
             if self._executor is broken:  # every thread that waited finds out; one of them mends
                 broken.shutdown(wait=False)
                 self._executor = self._started()
 
     def close(self) -> None:
         # What still computes has no one to give it to: an interrupted flow must not wait for it.
-        processes = list((self._executor._processes or {}).values())
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        with self._lock:
+            self._closed = True
+            processes = list((self._executor._processes or {}).values())
+            self._executor.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
 
@@ -67,10 +87,15 @@ _pool: _Pool | None = None
 
 
 @contextmanager
-def workers(count: int) -> Iterator[None]:
-    """Computations inside run in this many processes; one means this process itself."""
+def workers(count: int, apart: bool = False) -> Iterator[None]:
+    """Computations inside run in this many processes.
+
+    Args:
+        apart: a single worker is a process too, which can be stopped, and whose memory is not this process's;
+            otherwise one means this process itself.
+    """
     global _pool
-    if count < 2:
+    if count < 2 and not apart:
         yield
         return
     _pool = _Pool(count)
@@ -81,6 +106,22 @@ def workers(count: int) -> Iterator[None]:
         pool.close()
 
 
+def worker_count() -> int:
+    """How many processes compute."""
+    return _pool.count if _pool else 1
+
+
+def busy_share() -> float | None:
+    """The share of the workers' time in which they computed, since they were started; None without workers."""
+    return round(_pool.busy_share(), 4) if _pool else None
+
+
+def stop_computing() -> None:
+    """End what computes right now: a flow that was interrupted must not wait for it. Its tasks fail with Stopped."""
+    if _pool:
+        _pool.close()
+
+
 def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     """The function's result, from a worker process where there are some.
 
@@ -88,6 +129,11 @@ def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         WorkerLost: the process that computed it died, three times.
     """
     return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
+
+
+def _timed(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, float]:
+    began = time.monotonic()
+    return function(*args, **kwargs), time.monotonic() - began
 
 
 def _begin(parent: int) -> None:

@@ -34,6 +34,33 @@ def test_calibration(tmp_path: Path) -> None:
     assert clip.camera.K == ((800, 0, 320), (0, 810, 240), (0, 0, 1))
 
 
+def test_everything_about_a_video(tmp_path: Path) -> None:
+    text = """
+    transfer = "bt709"
+    video = "walk.mp4"
+    start_s = 1.5
+    stop = 90
+    background = "plate.png"
+    [camera]
+    calibration = "Calib.toml"
+    name = "cam01"
+    [exposure]
+    auto = true
+    position = "middle"
+    [person]
+    track = "tracks.csv"
+    id = 3
+    """
+    clip = read_clip(write(tmp_path, text))
+    assert clip.video == tmp_path / "walk.mp4"
+    assert clip.background == str(tmp_path / "plate.png")
+    assert clip.camera.calibration == tmp_path / "Calib.toml"
+    assert clip.person.track == tmp_path / "tracks.csv"
+    assert (clip.transfer, clip.start_s, clip.stop, clip.exposure.position) == ("bt709", 1.5, 90, "middle")
+    assert read_clip(write(tmp_path, 'background = "median"')).background == "median"
+    assert read_clip(write(tmp_path, "[person]\nbox = [1, 2, 3, 4]")).person.box == (1, 2, 3, 4)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -46,6 +73,14 @@ def test_calibration(tmp_path: Path) -> None:
         ("[camera]\nK = [[1, 0], [0, 1]]", "camera.K"),
         ("[camera\n", "not valid TOML"),
         ('transfer = "log"', "transfer: "),
+        ("start = 3\nstart_s = 0.1", "in frames .* or in seconds"),
+        ("start = 3\nstop = 3", "the range is empty"),
+        ("[exposure]\nauto = true\nseconds = 0.1", "auto and a length exclude each other"),
+        ('[camera]\ncalibration = "a.toml"\nfocal_px = 3', "focal_px, K or a calibration file"),
+        ('[camera]\nname = "cam01"', "give calibration too"),
+        ("[person]\nid = 3", "give track too"),
+        ("[person]\nbox = [3, 2, 1, 4]", "left < right"),
+        ('[person]\nbox = [1, 2, 3, 4]\ntrack = "a.csv"', "a box or a track, not both"),
     ],
 )
 def test_mistakes_are_named(tmp_path: Path, text: str, says: str) -> None:

@@ -11,7 +11,6 @@ from hfb.baselines.chain_spec import ChainSpec
 from hfb.baselines.deblurrers import Deblurrer, SharpPictures, subframe_times
 from hfb.baselines.estimates import Estimate, interpolate
 from hfb.baselines.estimators import Estimator, InitializerEstimator, NetworkEstimator, Sight
-from hfb.baselines.networks import load_network
 from hfb.baselines.stored_poses import read_estimates
 from hfb.body.model import Body
 from hfb.config import InitConfig, MattingConfig
@@ -21,6 +20,7 @@ from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import make_initializer
 from hfb.matting.matting import make_matting
+from hfb.networks import load_network
 from hfb.observation import Observation
 from hfb.photometry import srgb_to_linear
 from hfb.prediction import Prediction

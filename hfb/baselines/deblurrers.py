@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from hfb.baselines.chain_spec import ChainSpec, DeblurrerLayout
-from hfb.baselines.networks import Network, denormalised, load_network, normalised
 from hfb.datasets.case import Case, case_name
 from hfb.errors import InputError
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
+from hfb.networks import Network, denormalised, load_network, normalised
 from hfb.observation import Observation
 from hfb.shapes import Array, Float
 

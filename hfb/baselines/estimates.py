@@ -8,17 +8,10 @@ import torch
 
 from hfb.baselines.rows import motion_of_rows, points_at, poses_at, row_times_s
 from hfb.body.model import Body
-from hfb.body.skeleton import H36M_14, JOINT_COUNT
-from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.sampled import SampledMotion
 from hfb.observation import Observation
 from hfb.shapes import Array, Float, Tensor
-
-# Human3.6M's usual 17 joints (pelvis, right leg, left leg, torso, neck, nose, head, left arm, right arm), as the 14
-# of `H36M_14` in that order.
-_14_OF_17 = (3, 2, 1, 4, 5, 6, 16, 15, 14, 11, 12, 13, 8, 10)
-_LEFT_HIP, _RIGHT_HIP = 1, 2
 
 
 @dataclass(frozen=True)
@@ -40,24 +33,6 @@ class Estimate:
     def of(first: FirstBody) -> "Estimate":
         """What an initialiser found."""
         return Estimate(first.pose, first.translation, first.betas)
-
-
-def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
-    """SMPL's 24 joints out of 24, of Human3.6M's 17 or of the usual 14; unknown ones are NaN.
-
-    The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
-
-    Raises:
-        InputError: another number of joints.
-    """
-    if len(joints) == JOINT_COUNT:
-        return joints
-    if len(joints) not in (14, 17):
-        raise InputError(f"{len(joints)} joints are of no known layout; give 24, 17 or 14")
-    full = np.full((JOINT_COUNT, 3), np.nan, joints.dtype)
-    full[list(H36M_14)] = joints if len(joints) == 14 else joints[list(_14_OF_17)]
-    full[0] = joints[0] if len(joints) == 17 else (full[_LEFT_HIP] + full[_RIGHT_HIP]) / 2
-    return full
 
 
 def interpolate(

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from hfb.baselines.estimates import Estimate, joints_as_24
+from hfb.baselines.estimates import Estimate
 from hfb.baselines.estimators import regress_joints
 from hfb.body.model import Body
 from hfb.errors import InputError
+from hfb.initialize.joint_layouts import joints_as_24
 from hfb.shapes import Array, Float
 
 _LIMIT_BYTES = 256 << 20

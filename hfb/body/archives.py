@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hfb.body.pickles import load_pickle, to_array
+from hfb.body.pickled_arrays import to_array
+from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
 from hfb.shapes import Array, Shaped
 

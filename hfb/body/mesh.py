@@ -63,3 +63,13 @@ def make_mesh(
         edge_vertices=torch.from_numpy(edge_vertices),
         edge_faces=torch.from_numpy(edge_faces),
     )
+
+
+def vertex_normals(vertices: Float[Tensor, "S V 3"], mesh: Mesh) -> Float[Tensor, "S V 3"]:
+    """Unit normals, each the mean of its faces' weighted by their areas."""
+    corners = vertices[:, mesh.faces]
+    normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    summed = torch.zeros_like(vertices)
+    for corner in range(3):
+        summed.index_add_(1, mesh.faces[:, corner], normals)
+    return torch.nn.functional.normalize(summed, dim=-1)

@@ -6,15 +6,19 @@ skinning (eq. 2-4). Everything is differentiable in betas, rotations and transla
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import torch
 
+from hfb.body import operators, skinning
 from hfb.body.mesh import Mesh
-from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, BONES, JOINT_COUNT, PARENTS
-from hfb.shapes import Float, Tensor
+from hfb.body.skeleton import BONES, PARENTS
+from hfb.shapes import Float, Int, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
+
+_PARENTS = torch.tensor(PARENTS, dtype=torch.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,11 @@ class Body:
         """K, the number of betas."""
         return self.shape_directions.shape[2]
 
+    @cached_property
+    def sparse_skinning(self) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
+        """The skinning weights as lists, see `hfb.body.skinning.sparse_weights`."""
+        return skinning.sparse_weights(self.skinning_weights)
+
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
         return Body(
@@ -89,12 +98,7 @@ class Body:
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
         """The person with these betas (unit variance each) in the rest pose."""
         vertices = self.template + self.shape_directions @ betas
-        joints = self.rest_joints(betas)
-        # Where no pose blend shape moves the rest vertices, skinning is one product of (S 3, 24 4) transforms
-        # with this constant basis w_vj [x_v, 1]; it is computed once per person.
-        homogeneous = torch.cat([vertices.T, vertices.new_ones(1, vertices.shape[0])])
-        basis = (self.skinning_weights.T[:, None] * homogeneous).flatten(0, 1)
-        return ShapedBody(self, vertices, joints, basis)
+        return ShapedBody(self, vertices, self.rest_joints(betas))
 
 
 def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
@@ -110,13 +114,11 @@ class ShapedBody:
     Attributes:
         body: the model it came from.
         vertices, joints: in the rest pose [m].
-        skinning_basis: each joint's weight times the homogeneous rest vertex, (joint, xyz1) by vertex.
     """
 
     body: Body
     vertices: Float[Tensor, "V 3"]
     joints: Float[Tensor, "24 3"]
-    skinning_basis: Float[Tensor, "96 V"]
 
     def pose(self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]) -> PosedBody:
         """Skin the person at S instants.
@@ -125,57 +127,34 @@ class ShapedBody:
             rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
             translations: added to the posed vertices [m]; the root turns about its own joint, as in SMPL.
         """
-        T_world_joint = self._joint_transforms(rotations, translations)
-        joints = T_world_joint[:, :, :3, 3]
-        # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
-        offset = joints - (T_world_joint[:, :, :3, :3] @ self.joints[:, :, None]).squeeze(-1)
-        T_world_rest = torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1)
-        coordinates = self._skin(T_world_rest)
-        if self.body.pose_directions is not None:
-            coordinates = coordinates + self._rotated_pose_offsets(T_world_rest, rotations)
-        return PosedBody(coordinates.transpose(1, 2).contiguous(), joints)
+        T_world_rest, joints = self._placed(rotations, translations)
+        offsets = self._pose_offsets(rotations)
+        if rotations.device.type == "cpu":
+            none = T_world_rest.new_empty(0, 0, 3)
+            held = self.body.sparse_skinning
+            vertices = operators.skin(T_world_rest, self.vertices, none if offsets is None else offsets, *held)
+        else:
+            vertices = skinning.skin(T_world_rest, self.vertices, offsets, self.body.skinning_weights)
+        return PosedBody(vertices, joints)
 
     def joints_of(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> Float[Tensor, "S 24 3"]:
         """The posed joints alone, without skinning [m]; arguments as in `pose`."""
-        return self._joint_transforms(rotations, translations)[:, :, :3, 3]
+        return self._placed(rotations, translations)[1]
 
-    def _joint_transforms(
+    def _placed(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
-    ) -> Float[Tensor, "S 24 4 4"]:
-        """World transform of every joint: the product of the local ones along its chain (SMPL's eq. 4)."""
-        count = rotations.shape[0]
-        parents = self.joints.new_tensor([max(parent, 0) for parent in PARENTS], dtype=torch.long)
-        bones = torch.cat([self.joints[:1], (self.joints - self.joints[parents])[1:]])
-        offsets = bones.expand(count, -1, -1)
-        offsets = torch.cat([offsets[:, :1] + translations[:, None], offsets[:, 1:]], 1)
-        upper = torch.cat([rotations, offsets[..., None]], -1)
-        bottom = upper.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(count, JOINT_COUNT, 1, 4)
-        above_root = torch.eye(4, dtype=upper.dtype, device=upper.device).expand(count, 1, 4, 4)
-        transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
-        for ancestors in ANCESTORS_BY_DOUBLING:
-            index = torch.tensor(ancestors, device=upper.device)
-            transforms = transforms.index_select(1, index) @ transforms
-        return transforms[:, :JOINT_COUNT]
+    ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
+        """Transforms of the rest body to the world, and the joints."""
+        if rotations.device.type == "cpu":
+            return operators.place_joints(rotations, translations, self.joints, _PARENTS)
+        return skinning.place_joints(rotations, translations, self.joints)
 
-    def _skin(self, T_world_rest: Float[Tensor, "S 24 3 4"]) -> Float[Tensor, "S 3 V"]:
-        """Linear blend skinning of the rest vertices (SMPL's eq. 2) as one product."""
-        rows = T_world_rest.transpose(1, 2).flatten(0, 1).flatten(1)
-        return (rows @ self.skinning_basis).unflatten(0, (-1, 3))
-
-    def _rotated_pose_offsets(
-        self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
-    ) -> Float[Tensor, "S 3 V"]:
-        """Pose blend shapes (SMPL's eq. 9), turned by each vertex's blended rotation.
-
-        Skinning is linear in the rest vertex, so the offset is skinned apart from the shape. Vertices come last
-        throughout: products of whole planes are several times faster than V small matrices.
-        """
-        assert self.body.pose_directions is not None
+    def _pose_offsets(self, rotations: Float[Tensor, "S 24 3 3"]) -> Float[Tensor, "S V 3"] | None:
+        """Pose blend shapes (SMPL's eq. 9) [m]: displacements of the rest vertices."""
+        if self.body.pose_directions is None:
+            return None
         identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
         feature = (rotations[:, 1:] - identity).flatten(1)
-        offsets = (feature @ self.body.pose_directions).unflatten(1, (-1, 3)).transpose(1, 2).contiguous()
-        rows = T_world_rest[..., :3].permute(0, 2, 3, 1).flatten(0, 2)
-        blended = (rows @ self.body.skinning_weights.T).unflatten(0, (-1, 3, 3))
-        return (blended * offsets[:, None]).sum(2)
+        return (feature @ self.body.pose_directions).unflatten(1, (-1, 3))

@@ -1,78 +1,36 @@
-"""Arrays out of pickles without running them.
+"""Pickles read without running them.
 
 A pickle is a programme: it may name any function and call it. Here every name resolves to a placeholder of ours
-or to an error, so nothing of numpy, scipy, chumpy or the system is ever called; arrays are rebuilt by hand from
-the bytes that the placeholders collected.
+or to an error, so nothing of numpy, scipy, chumpy, torch, joblib or the system is ever called; hfb.body.pickled_arrays
+rebuilds arrays by hand from the bytes that the placeholders collected.
 """
 
 import io
 import pickle
-from typing import Any, ClassVar, NoReturn
+from collections.abc import Callable
+from typing import Any, ClassVar
 
-import numpy as np
-
+from hfb.body.placeholders import (
+    ChumpyArray,
+    JoblibArray,
+    NumpyArray,
+    NumpyDtype,
+    NumpyScalar,
+    Placeholder,
+    PlainDict,
+    SparseMatrix,
+    TorchStorage,
+    TorchTensor,
+)
 from hfb.errors import InputError
-from hfb.shapes import Array, Shaped
 
-_NUMERIC = {"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"}
 _SPARSE = {"csc_matrix", "csr_matrix", "coo_matrix", "csc_array", "csr_array", "coo_array"}
-_MAX_ENTRIES = 1 << 27  # 1 GiB of float64
-
-
-class Placeholder:
-    """An object of a class that is never imported: what it was called with, and its state."""
-
-    kind = "object"
-    arguments: tuple[Any, ...] = ()
-    state: Any = None
-
-    def __init__(self, *arguments: Any) -> None:
-        self.arguments = arguments
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state
-
-    def field(self, *names: str) -> Any:
-        """The first of these attributes that the pickled object had."""
-        state = self.state if isinstance(self.state, dict) else {}
-        for name in names:
-            if name in state:
-                return state[name]
-        raise InputError(f"it holds a {self.kind} without {' or '.join(names)}")
-
-
-class NumpyArray(Placeholder):
-    """Stands for numpy.ndarray: the state is (version, shape, dtype, Fortran order, bytes or a list of objects)."""
-
-    kind = "numpy array"
-
-    def __setstate__(self, state: Any) -> None:
-        self.state = state[-4:]  # very old pickles lack the version
-
-
-class NumpyDtype(Placeholder):
-    """Stands for numpy.dtype: called with its code, e.g. "f8"; the state's second entry is the byte order."""
-
-    kind = "numpy dtype"
-
-
-class NumpyScalar(Placeholder):
-    """Stands for numpy's scalar constructor: called with a dtype and bytes."""
-
-    kind = "numpy scalar"
-
-
-class SparseMatrix(Placeholder):
-    """Stands for scipy.sparse matrices in compressed or coordinate form."""
-
-    kind = "sparse matrix"
-    form = ""
-
-
-class ChumpyArray(Placeholder):
-    """Stands for every class of chumpy: a value is its attribute x, or entries `idxs` of another one, `a`."""
-
-    kind = "chumpy expression"
+_PATHS = {"PosixPath", "WindowsPath", "PurePosixPath", "PureWindowsPath"}
+_STORAGES = {
+    "FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "bf2", "LongStorage": "i8",
+    "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
+}  # fmt: skip
+_MAX_ITEM_BYTES = 1 << 16
 
 
 def _reconstruct(*_arguments: Any) -> NumpyArray:
@@ -91,7 +49,7 @@ def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-def _raw(data: Any = b"", encoding: Any = "latin1") -> bytes:
+def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
     """bytes() and bytearray(), but never of a bare size."""
     if isinstance(data, str):
         return _encode(data, encoding)
@@ -101,7 +59,7 @@ def _raw(data: Any = b"", encoding: Any = "latin1") -> bytes:
 
 
 def _new_object(cls: Any, *_arguments: Any) -> Any:
-    if not (isinstance(cls, type) and issubclass(cls, Placeholder)):
+    if not (isinstance(cls, type) and issubclass(cls, Placeholder | PlainDict)):
         raise InputError("it builds an unexpected object")
     return cls()
 
@@ -110,15 +68,45 @@ def _plain(*_arguments: Any) -> None:
     """Sets and the like, which chumpy keeps beside its values; they are of no use here."""
 
 
+def _tuple(values: Any = ()) -> tuple[Any, ...]:
+    if not isinstance(values, list | tuple):
+        raise InputError("it holds a size that is none")
+    return tuple(values)
+
+
+def _parameter(tensor: Any = None, *_arguments: Any) -> Any:
+    return tensor
+
+
+def _saved_by_torch(data: Any = b"") -> Any:
+    """A file of torch within the pickle, as tensors outside torch.save are kept."""
+    from hfb.body.torch_files import load_torch  # it needs this module
+
+    return load_torch(raw_bytes(data))
+
+
 _ALLOWED: dict[str, Any] = {
     "numpy.ndarray": NumpyArray,
     "numpy.dtype": NumpyDtype,
     "_codecs.encode": _encode,
-    "builtins.bytes": _raw,
-    "builtins.bytearray": _raw,
+    "builtins.bytes": raw_bytes,
+    "builtins.bytearray": raw_bytes,
     "builtins.set": _plain,
     "builtins.frozenset": _plain,
     "builtins.object": Placeholder,
+    "builtins.dict": PlainDict,
+    "collections.OrderedDict": PlainDict,
+    "collections.defaultdict": PlainDict,
+    "joblib.numpy_pickle.NumpyArrayWrapper": JoblibArray,
+    "torch._utils._rebuild_tensor": TorchTensor,
+    "torch._utils._rebuild_tensor_v2": TorchTensor,
+    "torch._utils._rebuild_parameter": _parameter,
+    "torch.storage._load_from_bytes": _saved_by_torch,
+    "torch.Size": _tuple,
+    "torch.device": _plain,
+    **{f"torch.{name}": type(name, (TorchStorage,), {"code": code}) for name, code in _STORAGES.items()},
+    **{f"pathlib.{name}": Placeholder for name in _PATHS},
+    **{f"pathlib._local.{name}": Placeholder for name in _PATHS},
     "copyreg._reconstructor": _new_object,
     **{f"numpy.{core}.multiarray._reconstruct": _reconstruct for core in ("core", "_core")},
     **{f"numpy.{core}.multiarray.scalar": NumpyScalar for core in ("core", "_core")},
@@ -134,10 +122,35 @@ def _sparse_placeholder(name: str) -> type[SparseMatrix]:
 _PythonUnpickler: Any = pickle._Unpickler
 
 
+class Bytes(io.BytesIO):
+    """A stream over bytes in memory, parts of which can be had without a copy."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(data)
+        self._whole = memoryview(data)
+
+    def view(self, size: int) -> memoryview:
+        """The next bytes.
+
+        Raises:
+            InputError: there are not so many.
+        """
+        start = self.tell()
+        if not 0 <= size <= len(self._whole) - start:
+            raise InputError("it is cut off")
+        self.seek(start + size)
+        return self._whole[start : start + size]
+
+
 class _Unpickler(_PythonUnpickler):
     """Resolves names to placeholders only."""
 
     dispatch: ClassVar[dict[int, Any]] = dict(_PythonUnpickler.dispatch)
+
+    def __init__(self, stream: Bytes, outside: Callable[[Any], Any] | None) -> None:
+        super().__init__(stream, encoding="latin1")
+        self._stream = stream
+        self._outside = outside
 
     def find_class(self, module: str, name: str) -> Any:
         module = {"__builtin__": "builtins", "copy_reg": "copyreg"}.get(module, module)
@@ -148,19 +161,41 @@ class _Unpickler(_PythonUnpickler):
             return ChumpyArray
         if module.startswith("scipy.sparse") and name in _SPARSE:
             return _sparse_placeholder(name)
-        raise InputError(f"its pickle asks for {full}, which a body model does not need and hfb does not run")
+        raise InputError(f"its pickle asks for {full}, which plain numbers do not need and hfb does not run")
 
-    def persistent_load(self, pid: Any) -> NoReturn:
-        raise InputError("its pickle refers to something outside the file")
+    def persistent_load(self, pid: Any) -> Any:
+        if self._outside is None:
+            raise InputError("its pickle refers to something outside the file")
+        return self._outside(pid)
 
-    def get_extension(self, code: int) -> NoReturn:
+    def get_extension(self, code: int) -> Any:
         raise InputError("its pickle uses the extension registry")
 
     def load_build(self) -> None:
         """As the base class, for placeholders only: a file must not set attributes of anything else."""
+        if isinstance(self.stack[-2], PlainDict):
+            self.stack.pop()
+            return
         if not isinstance(self.stack[-2], Placeholder):
             raise InputError("it gives a state to something that has none")
         super().load_build()
+        if isinstance(self.stack[-1], JoblibArray):
+            self._read_behind(self.stack[-1])
+
+    def _read_behind(self, array: JoblibArray) -> None:
+        """The bytes of a joblib array: padding that its first byte counts, then the numbers."""
+        if self._unframer.current_frame is not None and self._unframer.current_frame.read(1):
+            raise InputError("it holds an array in the middle of something else")
+        code = array.field("dtype").arguments[0]
+        if code == "O8" or code == "O":
+            array.data = _Unpickler(self._stream, self._outside).load()
+            return
+        if array.state.get("numpy_array_alignment_bytes") is not None:
+            self._stream.read(int.from_bytes(self._stream.read(1), "little"))
+        size = item_bytes(code)
+        for side in array.field("shape"):
+            size *= side
+        array.data = self._stream.view(size)
 
     def load_bytearray8(self) -> None:
         """As the base class, but never allocating more than the file holds."""
@@ -174,6 +209,21 @@ class _Unpickler(_PythonUnpickler):
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
 
+def item_bytes(code: Any) -> int:
+    """Bytes of one entry of numpy's type code, such as "f4" or "U12".
+
+    Raises:
+        InputError: no such code.
+    """
+    text = code.decode("latin1") if isinstance(code, bytes) else code
+    if not isinstance(text, str) or not text.lstrip("<>=|")[1:].isdigit():
+        raise InputError("it holds an array of things that are not numbers")
+    kind, size = text.lstrip("<>=|")[0], int(text.lstrip("<>=|")[1:])
+    if kind not in "biufcUS" or size > _MAX_ITEM_BYTES:
+        raise InputError("it holds an array of things that are not numbers")
+    return 4 * size if kind == "U" else size
+
+
 def load_pickle(data: bytes) -> Any:
     """What a pickle holds, with placeholders for everything that is not a plain Python value.
 
@@ -181,105 +231,21 @@ def load_pickle(data: bytes) -> Any:
         InputError: it names anything but arrays, or is not a whole pickle; the text continues "FILE cannot be
             used: ".
     """
+    return load_from(Bytes(data))
+
+
+def load_from(stream: Bytes, outside: Callable[[Any], Any] | None = None) -> Any:
+    """The next pickle of a stream, which is left at its end.
+
+    Args:
+        outside: gives what the pickle refers to outside itself; without it that is an error.
+
+    Raises:
+        InputError: see `load_pickle`.
+    """
     try:
-        return _Unpickler(io.BytesIO(data), encoding="latin1").load()
+        return _Unpickler(stream, outside).load()
     except InputError:
         raise
     except Exception as error:  # garbage makes the machine raise nearly anything
         raise InputError(f"it is not a readable pickle ({type(error).__name__})") from error
-
-
-def to_array(value: Any) -> Shaped[Array, "..."]:
-    """The numpy array that a loaded value stands for.
-
-    Raises:
-        InputError: it stands for none.
-    """
-    match value:
-        case NumpyArray():
-            return _numpy_array(value)
-        case NumpyScalar(arguments=(dtype, data)):
-            return _from_bytes((), dtype, False, data)
-        case ChumpyArray():
-            return _chumpy_value(value)
-        case SparseMatrix():
-            return _dense(value)
-        case bool() | int() | float():
-            return np.asarray(value)
-        case list() | tuple() if all(isinstance(entry, (bool, int, float)) for entry in value):
-            return np.asarray(value)
-        case Placeholder():
-            raise InputError(f"it holds a {value.kind} where numbers should be")
-    raise InputError(f"it holds a {type(value).__name__} where numbers should be")
-
-
-def _chumpy_value(value: ChumpyArray) -> Shaped[Array, "..."]:
-    state = value.state if isinstance(value.state, dict) else {}
-    if "x" in state or "r" in state:
-        return to_array(value.field("x", "r"))
-    entries = to_array(value.field("a")).reshape(-1)[to_array(value.field("idxs")).reshape(-1)]
-    return entries.reshape(_shape(state["preferred_shape"])) if "preferred_shape" in state else entries
-
-
-def _numpy_array(value: NumpyArray) -> Shaped[Array, "..."]:
-    if not isinstance(value.state, tuple) or len(value.state) != 4:
-        raise InputError("it holds an array that was never filled")
-    shape, dtype, fortran, data = value.state
-    if isinstance(data, list) and len(data) == 1:  # an object array around one thing: numpy.savez does that
-        return to_array(data[0])
-    return _from_bytes(shape, dtype, bool(fortran), data)
-
-
-def _shape(shape: Any) -> tuple[int, ...]:
-    if isinstance(shape, NumpyArray):
-        shape = tuple(to_array(shape).tolist())
-    if not isinstance(shape, tuple) or not all(isinstance(size, int) and size >= 0 for size in shape):
-        raise InputError("it holds an array of an impossible shape")
-    entries = 1
-    for size in shape:
-        entries *= size
-    if entries > _MAX_ENTRIES or len(shape) > 4:
-        raise InputError(f"it holds an array of an absurd shape {shape[:5]}")
-    return shape
-
-
-def _from_bytes(shape: Any, dtype: Any, fortran: bool, data: Any) -> Shaped[Array, "..."]:
-    code = dtype.arguments[0] if isinstance(dtype, NumpyDtype) and dtype.arguments else None
-    if isinstance(code, bytes):
-        code = code.decode("latin1")
-    if not isinstance(code, str) or code.lstrip("<>=|") not in _NUMERIC:
-        raise InputError("it holds an array of things that are not numbers")
-    order = dtype.state[1] if isinstance(dtype.state, tuple) and len(dtype.state) > 1 else "<"
-    if isinstance(order, bytes):
-        order = order.decode("latin1")
-    kind = np.dtype((">" if order == ">" or code.startswith(">") else "<") + code.lstrip("<>=|"))
-    shape = _shape(shape)
-    raw = _raw(data)
-    if len(raw) != int(np.prod(shape, dtype=np.int64)) * kind.itemsize:
-        raise InputError("it holds an array whose bytes do not fit its shape")
-    return np.frombuffer(raw, kind).reshape(shape, order="F" if fortran else "C").astype(kind.newbyteorder("="))
-
-
-def _dense(value: SparseMatrix) -> Shaped[Array, "rows columns"]:
-    shape = _shape(value.field("_shape", "shape"))
-    entries = to_array(value.field("data")).reshape(-1)
-    if len(shape) != 2:
-        raise InputError("it holds a sparse matrix without two sides")
-    if value.form == "coo":
-        rows, columns = value.field("coords") if "coords" in value.state else (value.field("row"), value.field("col"))
-        row, column = to_array(rows).reshape(-1), to_array(columns).reshape(-1)
-    else:
-        minor = to_array(value.field("indices")).reshape(-1)
-        counts = np.diff(to_array(value.field("indptr")).reshape(-1))
-        if (counts < 0).any() or counts.sum() != len(entries):
-            raise InputError("it holds a broken sparse matrix")
-        major = np.repeat(np.arange(len(counts)), counts)
-        row, column = (minor, major) if value.form == "csc" else (major, minor)
-    if not (len(row) == len(column) == len(entries)):
-        raise InputError("it holds a broken sparse matrix")
-    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-    if not inside.all():
-        raise InputError("it holds a broken sparse matrix")
-    dense = np.zeros(shape)
-    np.add.at(dense, (row, column), entries)
-    return dense

@@ -13,6 +13,7 @@ from hfb.shapes import Array
 
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
+_LIMIT_BYTES = 1 << 30
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
@@ -44,6 +45,9 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         InputError: not a motion file, or a damaged one.
     """
     try:
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > _LIMIT_BYTES:
+                raise ValueError("unpacked it would be larger than 1 GiB")
         with np.load(path, allow_pickle=False) as file:
             names = (*_ARRAYS, *(name for name in _OPTIONAL if name in file.files))
             return SampledMotion(**{name: file[name] for name in names}), str(file["betas_space"])

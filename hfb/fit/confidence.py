@@ -76,7 +76,7 @@ def shipped_confidence() -> ConfidenceModel:
 
 def joint_features(
     motion: SampledMotion,
-    alternatives: Alternatives,
+    alternatives: Alternatives | None,
     found: Variables,
     first_bodies: Sequence[FirstBody],
     coarse: Objective,
@@ -95,12 +95,15 @@ def joint_features(
     - ``network``: the joint network's own expected distance from the truth, where the fit asked it.
 
     Args:
+        alternatives: None where no directions were searched: ``spread`` is then not among the features.
         motion: the result. found: its polynomials, shape and texture.
         coarse: the objective at a small picture size.
     """
     frames = range(int(motion.frame_index.max()) + 1)
     centred = motion.joints - motion.joints[:, :1]
-    table: dict[str, Array] = {"spread": _log_m(alternatives.spread_m()), "depth": _log_m(np.abs(centred[..., 2]))}
+    table: dict[str, Array] = {"depth": _log_m(np.abs(centred[..., 2]))}
+    if alternatives is not None:
+        table["spread"] = _log_m(alternatives.spread_m())
     steps = [np.linalg.norm(np.diff(centred[motion.rows_of(frame)], axis=0), axis=-1).sum(0) for frame in frames]
     table["motion"] = _log_m(np.stack(steps))[motion.frame_index]
     firsts = _first_joints(first_bodies, coarse.body)

@@ -107,7 +107,7 @@ def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
     """The likeliest hypothesis; one that was not fitted to the full pictures has to be clearly likelier."""
     handicapped = probability / _CONVINCING
     handicapped[as_fitted] = probability[as_fitted]
-    return int(handicapped.argmax())
+    return int(np.round(handicapped, 6).argmax())  # a tie but for rounding stays what was fitted
 
 
 def _hypotheses(
@@ -188,7 +188,7 @@ def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterat
     given = start.trajectory
     rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
     free = given.with_coefficients(rotation, translation)
-    optimizer = torch.optim.Adam([rotation, translation], lr=rate, eps=_ADAM_EPSILON)
+    optimizer = torch.optim.Adam([rotation, translation], lr=rate, eps=_ADAM_EPSILON, fused=True)
     best = replace(start, loss=math.inf)  # the start's own loss may be of another picture size
     for iteration in range(iterations + 1):
         terms = _terms(free, found, objective)

@@ -11,6 +11,7 @@ from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
 from hfb.determinism import one_torch_thread
 from hfb.fit.alternatives import Alternatives
+from hfb.fit.clip_person import ClipPerson
 from hfb.fit.confidence import joint_features, shipped_confidence
 from hfb.fit.directions import search_directions
 from hfb.fit.settle import settle
@@ -66,11 +67,13 @@ def fit(
     pose_prior: PosePrior,
     on_progress: Progress | None = None,
     motion_prior: MotionPrior | None = None,
+    person: ClipPerson | None = None,
 ) -> FitResult:
     """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
 
     Args:
         motion_prior: what knows in which direction people move; the shipped one when not given.
+        person: shape and texture that are known and held fixed; the first bodies must have that shape.
         on_progress: called after every iteration with (iterations done, of how many, total loss).
 
     Raises:
@@ -82,7 +85,7 @@ def fit(
     started = time.perf_counter()
     motion_prior = motion_prior or load_motion_prior(None)
     rasterizer = make_rasterizer(config.silhouette, config.rasterizer, config.threads)
-    variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed))
+    variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed), person)
     window = observation.cropped(*observation.region())
     texels = _texels(body, config) if config.weights.texture > 0 else None
     first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(variables.betas))
@@ -120,6 +123,11 @@ def fit(
         if config.directions.search and stages:
             coarse = replace(objective, observation=window.resized(config.directions.size_px))
             result = _directed(result, best, first_bodies, coarse, objective, config)
+        elif person is not None and stages:  # a window of a clip: its neighbours tell the directions
+            coarse = replace(objective, observation=window.resized(config.directions.size_px))
+            features = joint_features(result.motion, None, best, first_bodies, coarse)
+            motion = replace(result.motion, joint_radius_mm=shipped_confidence().radius_mm(features))
+            result = replace(result, motion=motion, joint_features=features)
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -149,7 +157,7 @@ def _iterations(
     objective: Objective, variables: Variables, config: FitConfig, stage: Stage
 ) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
     """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
-    optimizer = torch.optim.Adam(variables.groups(config, stage), eps=config.adam_epsilon)
+    optimizer = torch.optim.Adam(variables.groups(config, stage), eps=config.adam_epsilon, fused=True)
     base = [group["lr"] for group in optimizer.param_groups]
     for iteration in range(stage.iterations):
         if stage.cosine:

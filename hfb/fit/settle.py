@@ -30,7 +30,7 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
         {"params": [trajectory.rotation, trajectory.translation], "lr": _RATE},
         {"params": [variables.betas], "lr": _RATE * _SHAPE_RATE},
     ]
-    optimizer = torch.optim.Adam(groups, eps=config.adam_epsilon)
+    optimizer = torch.optim.Adam(groups, eps=config.adam_epsilon, fused=True)
     for iteration in range(config.settle):
         share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / config.settle)) / 2
         optimizer.param_groups[0]["lr"], optimizer.param_groups[1]["lr"] = _RATE * share, _RATE * _SHAPE_RATE * share

@@ -7,6 +7,7 @@ import torch
 
 from hfb.body.model import Body, bone_length
 from hfb.config import FitConfig, Stage
+from hfb.fit.clip_person import ClipPerson
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.clock import next_opening
 from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest
@@ -62,12 +63,17 @@ class Variables:
 
 
 def start_variables(
-    first_bodies: Sequence[FirstBody], observation: Observation, config: FitConfig, generator: torch.Generator
+    first_bodies: Sequence[FirstBody],
+    observation: Observation,
+    config: FitConfig,
+    generator: torch.Generator,
+    person: ClipPerson | None = None,
 ) -> Variables:
     """A body at rest per frame (moving towards its neighbours' where there are several), one shape, one texture.
 
     The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse,
     and a body at rest is the saddle between the two: the root gets a small velocity in a random direction.
+    A known person's shape and texture are constants: no gradient, no step.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)
     translations = torch.stack([first.translation for first in first_bodies]).to(observation.mattes)
@@ -77,10 +83,15 @@ def start_variables(
     if len(first_bodies) == 1 and config.rotation == "quaternion":
         direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
         trajectory.translation[0, 1, :3] += config.root_kick * direction.to(trajectory.translation)
-    texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
-    reference = betas.clone() if config.size_moves_away and config.rotation == "quaternion" else None
-    leaves = Variables(trajectory, betas, texture, reference).copy()
-    for leaf in (leaves.trajectory.rotation, leaves.trajectory.translation, leaves.betas, leaves.texture):
+    if person is None:
+        texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
+        reference = betas.clone() if config.size_moves_away and config.rotation == "quaternion" else None
+        leaves = Variables(trajectory, betas, texture, reference).copy()
+        free = [leaves.betas, leaves.texture]
+    else:
+        leaves = Variables(trajectory, person.betas.to(betas), person.texture.to(betas)).copy()
+        free = []
+    for leaf in (leaves.trajectory.rotation, leaves.trajectory.translation, *free):
         leaf.requires_grad_(True)
     return leaves
 

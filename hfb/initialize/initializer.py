@@ -10,6 +10,7 @@ from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.landmarks import Landmarks, PoseNetworks, networks_ready
 from hfb.initialize.matte_search import search_by_matte
+from hfb.initialize.network_body import MetroBody
 from hfb.initialize.person_landmarks import find_landmarks
 from hfb.initialize.registration import register
 from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
@@ -50,6 +51,10 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
     drawing = rasterizer or make_rasterizer("coverage")
     if config.method == "matte":
         return MatteInitializer(drawing)
+    if config.method == "metro":
+        if config.weights is None:
+            raise InputError("--init metro needs the network's file: give it with --init-weights FILE")
+        return MetroBody(config.weights, drawing)
     if config.method == "mediapipe":
         return LandmarkInitializer(drawing)
     return AutoInitializer(drawing)

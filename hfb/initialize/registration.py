@@ -98,7 +98,7 @@ def register(
     R_root = _first_root(shaped, attachments, world)
     translation = _first_translation(shaped, camera, world, pixels, sure)
     # The optimised root turn is relative to the first guess: no wrap-around at pi, where upright people are.
-    free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), _natural_pose(dtype)])
+    free_pose = torch.cat([torch.zeros(1, 3, dtype=dtype), natural_pose(dtype)])
     variables = [free.requires_grad_() for free in (free_pose, translation, betas)]
     optimiser = torch.optim.Adam(
         [{"params": [free], "lr": rate} for free, rate in zip(variables, (0.05, 0.02, 0.02), strict=True)]
@@ -134,7 +134,7 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
     return landmarks.world @ R_camera_ray.T
 
 
-def _natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
+def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
     """Arms down, knees hardly bent: nearer to most poses than the rest pose T."""
     pose = torch.zeros(24, 3, dtype=dtype)
     for name, value in {

@@ -1,9 +1,15 @@
-"""Comparisons at several scales: what lies beside its place by a few pixels still meets it in a coarser picture."""
+"""Comparisons at several scales: what lies beside its place by a few pixels still meets it in a coarser picture.
+
+Readable torch; a fit on the processor runs the compiled form of the same, `hfb.losses.operators`.
+"""
 
 from collections.abc import Callable
 
 import torch
 
+from hfb.formation import compose
+from hfb.losses.image import image_loss
+from hfb.losses.matting import matting_loss
 from hfb.shapes import Float, Tensor
 
 Loss = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -29,3 +35,27 @@ def mean_over_scales(
         channels = predicted.shape[-1]
         values.append(loss(shrunk[..., :channels], shrunk[..., channels:-1], shrunk[..., -1]))
     return torch.stack(values).mean()
+
+
+def image_over_scales(
+    mean: Float[Tensor, "H W 4"],
+    plate: Float[Tensor, "H W 3"],
+    frame: Float[Tensor, "H W 3"],
+    matte: Float[Tensor, "H W"],
+    scales: int,
+) -> Float[Tensor, ""]:
+    """L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame."""
+
+    def loss(predicted: Tensor, seen: Tensor, area: Tensor) -> Tensor:
+        return image_loss(predicted, seen, area.sum())
+
+    return mean_over_scales(loss, compose(mean, plate), frame, matte, scales)
+
+
+def matte_over_scales(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"], scales: int) -> Float[Tensor, ""]:
+    """L_alpha, eq. (4), between a mean silhouette and the matte."""
+
+    def loss(predicted: Tensor, seen: Tensor, _: Tensor) -> Tensor:
+        return matting_loss(predicted[..., 0], seen[..., 0])
+
+    return mean_over_scales(loss, alpha[..., None], matte[..., None], matte, scales)

@@ -39,7 +39,9 @@ def make_matting(config: MattingConfig) -> Matting:
         from hfb.matting.network import NetworkMatting  # it needs this module
 
         return NetworkMatting()
-    raise ValueError(f"unknown matting method {config.method}")
+    from hfb.matting.external import external_matting  # it needs this module
+
+    return external_matting(config)
 
 
 class KnownBackground:

@@ -18,6 +18,7 @@ _BYTE_LIMIT = 1 << 30
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
 _KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"
 _ORIENTATION_TAG, _BITS_TAG = 0x0112, 258
+_EXIF_DIRECTORY, _EXPOSURE_TAG = 0x8769, 0x829A
 
 
 def read_picture_srgb(path: Path) -> Float[Array, "H W 3"]:
@@ -37,6 +38,38 @@ def read_picture_srgb(path: Path) -> Float[Array, "H W 3"]:
     else:
         pixels, full = np.asarray(ImageOps.exif_transpose(image).convert("RGB")), 255
     return np.ascontiguousarray(pixels, np.float32) / np.float32(full)
+
+
+def picture_size(path: Path) -> tuple[int, int, int]:
+    """(height, width, bits to store it with) as `read_picture_srgb` would give it; only the file's head is read.
+
+    Raises:
+        InputError: missing, or no picture.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=_FORMATS) as image:
+                turned = image.getexif().get(_ORIENTATION_TAG, 1) >= 5
+                with path.open("rb") as file:
+                    deep = _bits_per_channel(image, file.read(32)) > 8
+                width, height = image.size
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check the path.") from None
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError, struct.error):
+        raise InputError(f"{path}: is not a picture; give {_KINDS}.") from None
+    return (width, height, 16 if deep else 8) if turned else (height, width, 16 if deep else 8)
+
+
+def recorded_exposure(path: Path) -> tuple[float, str] | None:
+    """(seconds, where it stands) of a photograph that tells its exposure time (EXIF); None without."""
+    try:
+        with Image.open(path, formats=_FORMATS) as image:
+            seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
+        value = float(seconds) if seconds is not None else 0.0
+    except (OSError, SyntaxError, ValueError, TypeError, ZeroDivisionError, struct.error):
+        return None
+    return (value, f"the EXIF entry ExposureTime of {path.name}") if 0 < value < 10 else None
 
 
 def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) -> None:

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.video_index import upright
 from hfb.photometry import srgb_to_linear
 from hfb.shapes import Array, Float, Shaped
 
@@ -90,7 +91,7 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
                 if stop is not None and index >= stop:
                     return
                 if index >= start:
-                    yield _upright(frame)
+                    yield upright(frame)
     except av.FFmpegError as error:
         if decoded <= start:  # a damaged tail is no reason to lose the frames before it
             raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
@@ -98,10 +99,3 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
         raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
     if decoded <= start:
         raise InputError(f"{path}: has {decoded} frames, there is no frame {start}; choose frames inside the video.")
-
-
-def _upright(frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
-    deep = any(component.bits > 8 for component in frame.format.components)
-    pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-    # The container's display matrix turns counterclockwise; players apply it, the decoder does not.
-    return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90) % 4))

@@ -5,6 +5,7 @@ from typing import Literal
 
 import torch
 
+from hfb.motion.operators import turn
 from hfb.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,
@@ -49,9 +50,11 @@ class Trajectory:
 
     def at(self, u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
         """Rotations (root: body to camera; joints: relative to their parents) and translations [m] at u."""
-        powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype)
+        powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype, device=u.device)
+        path = powers @ self.translation
+        if self.kind == "quaternion" and u.device.type == "cpu":
+            return turn(self.rotation, powers), path[..., :3]
         curve = torch.einsum("sd,tdjc->tsjc", powers, self.rotation)
-        path = torch.einsum("sd,tdc->tsc", powers, self.translation)
         if self.kind == "quaternion":
             return quaternion_to_matrix(normalize_quaternion(curve)), path[..., :3]
         axis_angle = _unit(curve[..., :3]) * curve[..., 3:]

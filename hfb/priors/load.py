@@ -11,7 +11,8 @@ import torch
 from safetensors.torch import load_file
 from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 
-from hfb.body.pickles import load_pickle, to_array
+from hfb.body.pickled_arrays import to_array
+from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior

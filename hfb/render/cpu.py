@@ -6,7 +6,7 @@ import torch
 
 from hfb.body.mesh import Mesh
 from hfb.render.camera import PinholeCamera
-from hfb.render.operators import draw
+from hfb.render.operators import pictures
 from hfb.render.rasterizer import NEAR_M
 from hfb.render.reference_dibr import dibr_constants
 from hfb.render.texture import corner_uv
@@ -44,11 +44,7 @@ class CpuRasterizer:
         uv, topology = self._of_mesh(mesh)
         lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
         soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
-        if texture is None:
-            texels = vertices.new_empty(0, 0, 4)
-        else:
-            # A fourth channel of ones: four at a time suit the processor, and the fourth is the silhouette itself.
-            texels = torch.nn.functional.pad(texture.to(vertices.dtype), (0, 1), value=1.0)
+        texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
         numbers = [float(value) for value in lens], [float(value) for value in soft]
         return (vertices.contiguous(), texels.contiguous(), uv, topology, *numbers, mean, self.threads)
 
@@ -60,8 +56,8 @@ class CpuRasterizer:
         mesh: Mesh,
         mean: bool,
     ) -> Float[Tensor, "P H W 4"]:
-        pictures = draw(*self.arguments(vertices, texture, camera, mesh, mean))[0]
-        return pictures if texture is not None else torch.nn.functional.pad(pictures, (3, 0))
+        drawn = pictures(*self.arguments(vertices, texture, camera, mesh, mean))
+        return drawn if texture is not None else torch.nn.functional.pad(drawn, (3, 0))
 
     def render(
         self,
@@ -87,4 +83,4 @@ class CpuRasterizer:
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames."""
-        return draw(*self.arguments(vertices, None, camera, mesh, True))[0][0, ..., 0]
+        return pictures(*self.arguments(vertices, None, camera, mesh, True))[0, ..., 0]

@@ -12,11 +12,12 @@ coverage, owners, edges, shares), the last three for every piece of outline that
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import JIT, LOOP, entry, loop_entry
+from hfb.compilation import JIT, LOOP, entry, loop_entry
 from hfb.render.kernels_outline import collect, count_pieces, pull_outline, weigh_pieces, wind_outline
 from hfb.render.kernels_overlap import chain_pieces, resolve
 from hfb.render.kernels_screen import find_front, find_outline, mask_for, project, see_faces, to_metres
 from hfb.render.kernels_surface import shade, shade_gradient
+from hfb.render.kernels_vector import add_scaled
 
 
 @njit(**JIT)
@@ -107,12 +108,29 @@ def draw_body(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
 
 
 @loop_entry
+def widen(texture, texels):
+    """Copy a texture (A, A, 3) and set the fourth channel to one."""
+    for r in range(texture.shape[0]):
+        for c in range(texture.shape[1]):
+            texels[r, c, 0], texels[r, c, 1], texels[r, c, 2] = texture[r, c, 0], texture[r, c, 1], texture[r, c, 2]
+            texels[r, c, 3] = 1.0
+
+
+@loop_entry
+def move_texels(sums, total):
+    """Add the first three channels of `sums` (A, A, 4) to `total`, and set `sums` to zero."""
+    for r in range(total.shape[0]):
+        for c in range(total.shape[1]):
+            for q in range(3):
+                total[r, c, q] += sums[r, c, q]
+            sums[r, c, 0], sums[r, c, 1], sums[r, c, 2], sums[r, c, 3] = 0.0, 0.0, 0.0, 0.0
+
+
+@loop_entry
 def add_picture(pixels, colours, scale, picture):
     """Add `scale` times a body's pixels to a picture (H W, 4)."""
     for m in range(pixels.shape[0]):
-        pixel = np.uint32(pixels[m])
-        for q in range(4):
-            picture[pixel, q] += colours[m, q] * scale
+        add_scaled(picture, 4 * np.int64(pixels[m]), colours, 4 * m, scale)
 
 
 @loop_entry

@@ -13,8 +13,8 @@ squared distance.
 import numpy as np
 from numba import njit
 
+from hfb.compilation import INLINE, JIT, LOOP, entry
 from hfb.render.kernels import take
-from hfb.render.kernels_compile import INLINE, JIT, LOOP, entry
 from hfb.render.kernels_outline import closest_parameter
 from hfb.render.kernels_screen import code_of, mask_for, project, see_faces, to_metres
 from hfb.render.kernels_surface import shade, shade_gradient

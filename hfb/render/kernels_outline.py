@@ -13,7 +13,7 @@ whatever the number of faces.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.compilation import INLINE, LOOP
 from hfb.render.kernels_screen import code_of, pack
 
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums

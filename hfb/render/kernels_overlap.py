@@ -12,7 +12,7 @@ move, and their weights are kept for the way back.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.compilation import INLINE, LOOP
 
 ON_BORDER = 1e-9
 THIN = 1e-12  # heights closer than this are one
@@ -102,14 +102,20 @@ def _add_weights(part, p, low, high, span, piece, weights):
 
 
 @njit(**INLINE)
-def _cover_slab(base, m, member, part, low, high, active, where, step, span, weights):
-    """Covered area of a pixel between two heights; adds the weights of the pieces between body and background."""
+def _cover_slab(base, m, at_left, member, part, low, high, active, where, step, span, weights):
+    """Covered area of a pixel between two heights; adds the weights of the pieces between body and background.
+
+    at_left: whether any piece touches the pixel's left border.
+    """
     middle = 0.5 * (low + high)
     winding, n = base, 0
+    if at_left:
+        for p in range(m):
+            # Down the left border the winding falls by 1 where a piece comes in and rises by 1 where one goes out.
+            out, into = part[p, 2] < ON_BORDER, part[p, 0] < ON_BORDER
+            winding += int(out & (part[p, 3] < middle)) - int(into & (part[p, 1] < middle))
     for p in range(m):
         ya, yb = part[p, 1], part[p, 3]
-        # Down the left border the winding falls by 1 where a piece comes in and rises by 1 where one goes out.
-        winding += int((part[p, 2] < ON_BORDER) & (yb < middle)) - int((part[p, 0] < ON_BORDER) & (ya < middle))
         down, up = (ya < middle) & (middle < yb), (yb < middle) & (middle < ya)
         active[n], where[n] = p, part[p, 0] + (middle - ya) * part[p, 4]
         step[n] = int(down) - int(up)  # more body right of a piece that runs down, less of one that runs up
@@ -140,9 +146,12 @@ def resolve(
         base = int(np.round(windings[unsure[slot]] - mean))
         n = _add_crossings(m, part, n, heights)
         _sort(n, heights, sorted_heights)
+        at_left = False
+        for p in range(m):
+            at_left |= (part[p, 0] < ON_BORDER) | (part[p, 2] < ON_BORDER)
         covered = 0.0
         for s in range(1, n):
             low, high = sorted_heights[s - 1], sorted_heights[s]
             if high - low > THIN:
-                covered += _cover_slab(base, m, member, part, low, high, active, where, step, span, weights)
+                covered += _cover_slab(base, m, at_left, member, part, low, high, active, where, step, span, weights)
         windings[unsure[slot]] = covered

@@ -10,7 +10,7 @@ Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right,
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, JIT, LOOP
+from hfb.compilation import INLINE, JIT, LOOP
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces

@@ -10,9 +10,10 @@ body's colour, and the colour is continuous as the outline passes the centre.
 import numpy as np
 from numba import njit
 
-from hfb.render.kernels_compile import INLINE, LOOP
+from hfb.compilation import INLINE, LOOP
 from hfb.render.kernels_outline import closest_parameter
 from hfb.render.kernels_screen import NOTHING
+from hfb.render.kernels_vector import add_to_texels, dots, mix_texels
 
 
 @njit(**INLINE)
@@ -92,33 +93,17 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
             continue
         c, fc, _ = texel_cell(u, size)
         r, fr, _ = texel_cell(v, size)
-        c1, r1 = c + step, r + step
-        w10, w11 = texture.dtype.type(fr * (1.0 - fc) * alpha), texture.dtype.type(fr * fc * alpha)
-        w00, w01 = texture.dtype.type((1.0 - fr) * (1.0 - fc) * alpha), texture.dtype.type((1.0 - fr) * fc * alpha)
-        for q in range(4):
-            colours[m, q] = (
-                w00 * texture[r, c, q] + w01 * texture[r, c1, q] + w10 * texture[r1, c, q] + w11 * texture[r1, c1, q]
-            )
+        kind, t00 = texture.dtype.type, 4 * (r * size + c)
+        w00, w01 = kind((1.0 - fr) * (1.0 - fc) * alpha), kind((1.0 - fr) * fc * alpha)
+        w10, w11 = kind(fr * (1.0 - fc) * alpha), kind(fr * fc * alpha)
+        t01, t10 = t00 + 4 * step, t00 + 4 * step * size
+        mix_texels(texture, t00, t01, t10, t10 + 4 * step, w00, w01, w10, w11, colours, 4 * m)
 
 
 @njit(**INLINE)
-def dot4(g, texture, r, c):
-    """Inner product of four channels with a texel."""
-    return g[0] * texture[r, c, 0] + g[1] * texture[r, c, 1] + g[2] * texture[r, c, 2] + g[3] * texture[r, c, 3]
-
-
-@njit(**INLINE)
-def add4(weight, g, texture, r, c):
-    """Add four weighted channels to a texel."""
-    texture[r, c, 0] += weight * g[0]
-    texture[r, c, 1] += weight * g[1]
-    texture[r, c, 2] += weight * g[2]
-    texture[r, c, 3] += weight * g[3]
-
-
-@njit(**INLINE)
-def sample_gradient(u, v, texture, alpha, g, texture_gradient):
-    """alpha * (g . texture(u, v)) differentiated by alpha, u and v; adds the texture's own gradient.
+def sample_gradient(u, v, texture, alpha, picture_gradient, at, texture_gradient):
+    """g . texture(u, v), g being the picture's gradient from number `at` on, and alpha times its slopes by u and v;
+    adds the texture's own gradient.
 
     An empty `texture_gradient` leaves that one out.
     """
@@ -126,26 +111,23 @@ def sample_gradient(u, v, texture, alpha, g, texture_gradient):
     step = min(size - 1, 1)
     c, fc, c_inside = texel_cell(u, size)
     r, fr, r_inside = texel_cell(v, size)
-    c1, r1 = c + step, r + step
-    t00 = dot4(g, texture, r, c)
-    t01 = dot4(g, texture, r, c1)
-    t10 = dot4(g, texture, r1, c)
-    t11 = dot4(g, texture, r1, c1)
+    t00 = 4 * (r * size + c)
+    t01, t10 = t00 + 4 * step, t00 + 4 * step * size
+    t11 = t10 + 4 * step
+    g00, g01, g10, g11 = dots(picture_gradient, at, texture, t00, t01, t10, t11)
     if texture_gradient.shape[0] > 0:
-        w10, w11 = texture.dtype.type(fr * (1.0 - fc) * alpha), texture.dtype.type(fr * fc * alpha)
-        w00, w01 = texture.dtype.type((1.0 - fr) * (1.0 - fc) * alpha), texture.dtype.type((1.0 - fr) * fc * alpha)
-        add4(w00, g, texture_gradient, r, c)
-        add4(w01, g, texture_gradient, r, c1)
-        add4(w10, g, texture_gradient, r1, c)
-        add4(w11, g, texture_gradient, r1, c1)
-    above, below = t00 + fc * (t01 - t00), t10 + fc * (t11 - t10)
-    slope_u = alpha * size * ((1.0 - fr) * (t01 - t00) + fr * (t11 - t10)) if c_inside else 0.0
+        kind = texture.dtype.type
+        w00, w01 = kind((1.0 - fr) * (1.0 - fc) * alpha), kind((1.0 - fr) * fc * alpha)
+        w10, w11 = kind(fr * (1.0 - fc) * alpha), kind(fr * fc * alpha)
+        add_to_texels(texture_gradient, t00, t01, t10, t11, w00, w01, w10, w11, picture_gradient, at)
+    above, below = g00 + fc * (g01 - g00), g10 + fc * (g11 - g10)
+    slope_u = alpha * size * ((1.0 - fr) * (g01 - g00) + fr * (g11 - g10)) if c_inside else 0.0
     slope_v = alpha * size * (below - above) if r_inside else 0.0
     return above + fr * (below - above), slope_u, slope_v
 
 
 @njit(**INLINE)
-def face_gradient(px, py, projected, faces, uv, f, texture, alpha, g, texture_gradient, gradient):
+def face_gradient(px, py, projected, faces, uv, f, texture, alpha, picture_gradient, at, texture_gradient, gradient):
     """Way back of one pixel that shows face f: returns the pull on alpha, adds those on the corners.
 
     A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of
@@ -158,7 +140,7 @@ def face_gradient(px, py, projected, faces, uv, f, texture, alpha, g, texture_gr
     w0, w1, w2 = b0 * z0, b1 * z1, b2 * z2
     scale = 1.0 / (w0 + w1 + w2)
     u, v = (w0 * u0 + w1 * u1 + w2 * u2) * scale, (w0 * v0 + w1 * v1 + w2 * v2) * scale
-    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, g, texture_gradient)
+    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, picture_gradient, at, texture_gradient)
     if gradient.shape[0] == 0:
         return of_alpha
     slope_u, slope_v = slope_u * scale, slope_v * scale
@@ -181,7 +163,9 @@ def face_gradient(px, py, projected, faces, uv, f, texture, alpha, g, texture_gr
 
 
 @njit(**INLINE)
-def edge_gradient(px, py, projected, faces, uv, start, end, f, texture, alpha, g, texture_gradient, gradient):
+def edge_gradient(
+    px, py, projected, faces, uv, start, end, f, texture, alpha, picture_gradient, at, texture_gradient, gradient
+):
     """Way back of one rim pixel: returns the pull on alpha, adds those on the two ends of its outline edge."""
     x0, y0 = projected[start, 0], projected[start, 1]
     dx, dy = projected[end, 0] - x0, projected[end, 1] - y0
@@ -192,7 +176,7 @@ def edge_gradient(px, py, projected, faces, uv, start, end, f, texture, alpha, g
     scale = 1.0 / ((1.0 - t) * z0 + t * z1)
     share = t * z1 * scale
     u, v = u0 + share * (u1 - u0), v0 + share * (v1 - v0)
-    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, g, texture_gradient)
+    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, picture_gradient, at, texture_gradient)
     if gradient.shape[0] == 0:
         return of_alpha
     # d share / dt = z0 z1 scale^2
@@ -222,23 +206,18 @@ def shade_gradient(
         while pixel >= (row + 1) * width:
             row += 1
         px, py = pixel - row * width + 0.5, row + 0.5
-        code, alpha = codes[m], min(coverage[m], 1.0)
-        at = np.uint32(pixel)
-        g = (
-            picture_gradient[at, 0] * scale,
-            picture_gradient[at, 1] * scale,
-            picture_gradient[at, 2] * scale,
-            picture_gradient[at, 3] * scale,
-        )
+        code, alpha, at = codes[m], scale * min(coverage[m], 1.0), 4 * np.int64(pixel)
         if code >= 0:
-            of_coverage[m] = face_gradient(
-                px, py, projected, faces, uv, np.uint32(code), texture, alpha, g, texture_gradient, on_screen
-            )
+            of_alpha = face_gradient(
+                px, py, projected, faces, uv, np.uint32(code), texture, alpha, picture_gradient, at, texture_gradient,
+                on_screen,
+            )  # fmt: skip
         elif code != NOTHING:
             k = np.uint32(~code)
-            of_coverage[m] = edge_gradient(
+            of_alpha = edge_gradient(
                 px, py, projected, faces, uv, outline[k, 0], outline[k, 1], outline[k, 2],
-                texture, alpha, g, texture_gradient, on_screen,
+                texture, alpha, picture_gradient, at, texture_gradient, on_screen,
             )  # fmt: skip
         else:
-            of_coverage[m] = g[3]
+            of_alpha = np.float64(picture_gradient[pixel, 3])
+        of_coverage[m] = scale * of_alpha

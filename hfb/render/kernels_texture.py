@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from hfb.render.kernels_compile import entry
+from hfb.compilation import entry
 from hfb.render.kernels_screen import code_of, mask_for, project, see_faces
 from hfb.render.kernels_surface import texel_cell, uv_of_face
 

@@ -1,28 +1,53 @@
-"""The fast rasteriser as torch operators, so that autograd, torch.compile and export see them.
+"""The fast rasteriser in torch: operators that autograd, torch.compile and export see, and a short cut past them.
 
 `draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
-same bits for any number of threads. `draw_gradient` is its way back.
+same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
+nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
+from torch.autograd.function import once_differentiable
 
-from hfb.render import kernels, kernels_dibr
-from hfb.render.threads import run_tasks
-from hfb.shapes import Array, Tensor
+from hfb.render.drawing import Body, Setting, draw_bodies, pull_bodies
+from hfb.shapes import Tensor
 
-TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
-PARTS = 8  # tensors kept of each body: its trace (see `kernels`) and its pixels' codes
+_PARTS = 8  # tensors kept of each body: its trace (see `kernels`) and its pixels' codes
 
 
-def _indices(topology: Sequence[Tensor]) -> list[Array]:
-    """Faces, edges, and the edges' faces, unsigned (-1, no face, becomes the largest number).
+def pictures(
+    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, threads: int,
+) -> Tensor:  # fmt: skip
+    """The first result of `draw`, differentiable in the vertices and the texture."""
+    arguments = (vertices, texture, uv, topology, lens, soft, mean, threads)
+    return draw(*arguments)[0] if torch.compiler.is_compiling() else _Pictures.apply(*arguments)
 
-    Unsigned because numba tests every signed index for being negative.
-    """
-    return [table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology]
+
+class _Pictures(torch.autograd.Function):
+    """`draw` with its way back, the bodies' traces kept as they are."""
+
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, *arguments: Any) -> Tensor:
+        setting = Setting.of(*arguments)
+        drawn, texels, bodies = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+        ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+        ctx.setting, ctx.texels, ctx.bodies = setting, texels, bodies
+        return torch.from_numpy(drawn)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, of_pictures: Tensor) -> tuple[Tensor | None, ...]:
+        vertices, texture = ctx.saved_tensors
+        wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
+        gradients = pull_bodies(
+            of_pictures.contiguous().numpy(), vertices.detach().numpy(), ctx.texels, ctx.bodies, ctx.setting, *wanted
+        )
+        found = (torch.from_numpy(one) if want else None for one, want in zip(gradients, wanted, strict=True))
+        return *found, None, None, None, None, None, None
 
 
 @torch.library.custom_op("hfb::draw", mutates_args=())
@@ -33,7 +58,7 @@ def draw(
     """Pictures of S bodies, and what the way back needs.
 
     Args:
-        vertices: (S, V, 3) [m]. texture: (A, A, 4), linear RGB and ones; with A = 0 only silhouettes are drawn.
+        vertices: (S, V, 3) [m]. texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
         uv: (F, 3, 2), of the faces' corners. topology: tables faces, edge_vertices, edge_faces of the mesh, int16
             (read as unsigned) where that holds them, else int32.
         lens: fx, fy, cx, cy, nearest depth used, width, height. soft: DIB-R's 1 / delta [1/px^2], reach [px] and
@@ -41,47 +66,15 @@ def draw(
         mean: average the pictures. threads: to draw with.
 
     Returns:
-        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; for each body in turn the seven parts of its
-        trace (see `kernels`) and its pixels' codes.
+        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
+        and for each body in turn the seven parts of its trace (see `kernels`) and its pixels' codes.
     """
-    faces, edge_vertices, edge_faces = _indices(topology)
-    corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
-    view, halo, count = np.asarray(lens), np.asarray(soft), len(vertices)
-    coloured, is_soft = len(colours) > 0, soft[0] > 0
-
-    def task(s: int) -> tuple[Array, ...]:
-        if is_soft and coloured:
-            return kernels_dibr.draw_body_softly(corners[s], view, halo, faces, coordinates, colours)
-        if is_soft:
-            return kernels_dibr.cover_body_softly(corners[s], view, halo, faces)
-        if coloured:
-            tables = faces, coordinates, edge_vertices, edge_faces
-            return kernels.draw_body(corners[s], view, *tables, colours)
-        return kernels.cover_body(corners[s], view, faces, edge_vertices, edge_faces)
-
-    bodies = run_tasks(task, count, threads)
-    size = (1 if mean else count, int(lens[6]), int(lens[5]), 4 if coloured else 1)
-    pictures = np.zeros(size, corners.dtype)
-    scale = corners.dtype.type(1 / count if mean else 1)
-    for s, body in enumerate(bodies):
-        picture = pictures[0 if mean else s].reshape(-1, size[3])
-        if coloured:
-            kernels.add_picture(body[2], body[8], scale, picture)
-        else:
-            kernels.add_silhouette(body[2], body[3], scale, picture)
-    return torch.from_numpy(pictures), [torch.from_numpy(part) for body in bodies for part in _signed(body)]
-
-
-def _signed(body: tuple[Array, ...]) -> list[Array]:
-    """What is kept of a body, in types that torch knows."""
-    trace, codes = body[:7], body[7] if len(body) > 7 else np.empty(0, np.int32)
-    return [trace[0], trace[1].view(np.int32), *trace[2:], codes]
-
-
-def _trace(kept: Sequence[Tensor], s: int) -> tuple[Array, ...]:
-    """The trace of body s."""
-    projected, outline, *rest = (part.detach().numpy() for part in kept[PARTS * s : PARTS * s + 7])
-    return (projected, outline.view(np.uint32), *rest)
+    setting = Setting.of(uv, topology, lens, soft, mean, threads)
+    drawn, texels, bodies = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    kept = [texels]
+    for trace, codes in bodies:
+        kept += [trace[0], trace[1].view(np.int32), *trace[2:], codes]  # types that torch knows
+    return torch.from_numpy(drawn), [torch.from_numpy(part) for part in kept]
 
 
 @draw.register_fake
@@ -97,7 +90,7 @@ def _(
     def real(*size: int | torch.SymInt) -> Tensor:
         return vertices.new_empty(*size, dtype=torch.float64)
 
-    kept = []
+    kept = [vertices.new_empty(texture.shape[0], texture.shape[1], 4)]
     for _ in range(len(vertices)):
         edges, pixels, pieces = (context.new_dynamic_size() for _ in range(3))
         kept += [real(vertices.shape[1], 3), whole(edges, 3), whole(pixels), real(pixels)]
@@ -113,51 +106,36 @@ def _(
 
 @torch.library.custom_op("hfb::draw_gradient", mutates_args=())
 def draw_gradient(
-    pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lens: Sequence[float], is_soft: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 4), empty where not asked for."""
-    faces = _indices(topology)[0]
-    corners, colours, coordinates = vertices.detach().numpy(), texture.detach().numpy(), uv.numpy()
-    given, view, count = pictures.detach().contiguous().numpy(), np.asarray(lens), len(vertices)
-    groups, mean = min(count, TEXTURE_GROUPS), len(pictures) != count
-    gradient = np.empty_like(corners) if of_vertices else np.empty((count, 0, 3), corners.dtype)
-    partial = np.zeros((groups, *colours.shape) if of_texture else (groups, 0, 0, 4), colours.dtype)
-    scale = corners.dtype.type(1 / count if mean else 1)
+    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    texels, *parts = (part.detach().numpy() for part in kept)
+    bodies = [_body(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
+    setting = Setting.of(uv, topology, lens, soft, mean, threads)
+    given = of_pictures.detach().contiguous().numpy()
+    gradients = pull_bodies(given, vertices.detach().numpy(), texels, bodies, setting, of_vertices, of_texture)
+    return torch.from_numpy(gradients[0]), torch.from_numpy(gradients[1])
 
-    def pull(s: int, group: int) -> None:
-        trace, codes = _trace(kept, s), kept[PARTS * s + 7].numpy()
-        picture = given[0 if mean else s].reshape(-1, given.shape[3])
-        if len(colours):
-            way_back = kernels_dibr.draw_body_softly_gradient if is_soft else kernels.draw_body_gradient
-            tables = faces, coordinates, colours
-            way_back(corners[s], view, *tables, trace, codes, picture, scale, gradient[s], partial[group])
-        elif is_soft:
-            kernels_dibr.cover_body_softly_gradient(corners[s], view, faces, trace, picture, scale, gradient[s])
-        else:
-            kernels.cover_body_gradient(corners[s], view, trace, picture, scale, gradient[s])
 
-    def task(group: int) -> None:
-        for s in range(group * count // groups, (group + 1) * count // groups):
-            pull(s, group)
-
-    run_tasks(task, groups, threads)
-    return torch.from_numpy(gradient), torch.from_numpy(partial.sum(0))
+def _body(parts: Sequence[Any]) -> Body:
+    return (parts[0], parts[1].view(np.uint32), *parts[2:-1]), parts[-1]
 
 
 @draw_gradient.register_fake
 def _(
-    pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lens: Sequence[float], is_soft: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
-    return gradient, torch.empty_like(texture) if of_texture else texture.new_empty(0, 0, 4)
+    side = kept[0].shape[0] if of_texture else 0
+    return gradient, vertices.new_empty(side, side, 3)
 
 
 def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    vertices, texture, uv, topology, lens, soft, _, threads = inputs
-    ctx.save_for_backward(vertices, texture, uv, *topology, *output[1])
-    ctx.lens, ctx.is_soft, ctx.threads = lens, soft[0] > 0, threads
+    vertices, texture, uv, topology, *ctx.numbers, ctx.threads = inputs
+    ctx.coloured = len(texture) > 0
+    ctx.save_for_backward(vertices, uv, *topology, *output[1])
     ctx.set_materialize_grads(False)
 
 
@@ -165,11 +143,11 @@ def _backward(ctx, of_pictures, *_):  # type: ignore[no-untyped-def]
     no_gradient = None, [None] * 3, None, None, None, None
     if of_pictures is None:
         return None, None, *no_gradient
-    vertices, texture, uv, *tables = ctx.saved_tensors
-    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
+    vertices, uv, *tables = ctx.saved_tensors
+    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and ctx.coloured
     gradients = draw_gradient(
-        of_pictures, vertices, texture, uv, tables[:3], ctx.lens, ctx.is_soft, tables[3:], *wanted, ctx.threads
-    )
+        of_pictures, vertices, uv, tables[:3], *ctx.numbers, tables[3:], *wanted, ctx.threads
+    )  # fmt: skip
     return *(gradient if want else None for gradient, want in zip(gradients, wanted, strict=True)), *no_gradient
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from hfb.body.mesh import Mesh
+from hfb.body.mesh import Mesh, vertex_normals
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
 from hfb.shapes import Float, Tensor
@@ -20,16 +20,6 @@ def time_colours(count: int) -> Float[Tensor, "S 3"]:
     first, middle, last = torch.tensor(_TIME_COLOURS)
     share = torch.linspace(-1, 1, count)[:, None]
     return middle + (-share).clamp_min(0) * (first - middle) + share.clamp_min(0) * (last - middle)
-
-
-def vertex_normals(vertices: Float[Tensor, "S V 3"], mesh: Mesh) -> Float[Tensor, "S V 3"]:
-    """Unit normals, each the mean of its faces' weighted by their areas."""
-    corners = vertices[:, mesh.faces]
-    normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    summed = torch.zeros_like(vertices)
-    for corner in range(3):
-        summed.index_add_(1, mesh.faces[:, corner], normals)
-    return torch.nn.functional.normalize(summed, dim=-1)
 
 
 def shade_bodies(

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from hfb.baselines.estimates import Estimate, interpolate, joints_as_24
-from hfb.baselines.estimators import cut_square, person_square, regress_joints, weak_perspective_place
+from hfb.baselines.estimates import Estimate, interpolate
+from hfb.baselines.estimators import regress_joints
 from hfb.baselines.stored_poses import read_estimates
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import H36M_14, JOINT_NAMES
 from hfb.errors import InputError
+from hfb.initialize.joint_layouts import joints_as_24
+from hfb.initialize.person_crop import cut_square, person_square, weak_perspective_place
 from hfb.render.camera import PinholeCamera
 from tests.scenes import moving_scene
 

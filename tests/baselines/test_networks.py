@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from hfb.baselines.networks import denormalised, load_network, normalised
 from hfb.errors import InputError
+from hfb.networks import denormalised, load_network, normalised
 from tests.baselines.networks import Linear, ShiftedCopies, save_linear_onnx, save_torchscript
 
 _SIZE = 16

@@ -1,31 +1,123 @@
-"""How long the parts of a fit take: `make bench`. Never a bound: figures of one run compare with each other."""
+"""An iteration against the product that it cannot do without, whole fits, and two of them at once."""
+
+import json
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.config import Stage, preset
-from hfb.fit.loop import fit
+from hfb.body.model import Body
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rotations import axis_angle_to_matrix
-from tests.scenes import moving_scene
-
-pytestmark = pytest.mark.benchmark(min_rounds=3)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> None:
-    torch.set_num_threads(1)
+from tests.bench import jobs
+from tests.bench.conftest import Scale
+from tests.bench.figures import Figures
+from tests.bench.rounds import Times, between, clock, interleaved, together
+from tests.scenes import Scene, moving_scene
 
 
+def pose_blend_product(vertex_count: int) -> Callable[[], None]:
+    """The floor: SMPL's pose blend shapes of 8 bodies as one product, forward and backward."""
+    generator = torch.Generator().manual_seed(0)
+    feature = torch.randn(8, 207, generator=generator).requires_grad_()
+    directions = torch.randn(207, 3 * vertex_count, generator=generator)
+    gradient = torch.randn(8, 3 * vertex_count, generator=generator)
+
+    def once() -> None:
+        feature.grad = None
+        (feature @ directions).backward(gradient)
+
+    return once
+
+
+def iterations_of(scene: Scene, body: Body, count: int) -> Times:
+    """Single iterations of a fit at its real size, from one forward's end to the next's; the first is left out."""
+    stamps: list[tuple[float, float]] = []
+    jobs.small_fit(scene, body, jobs.default_config(count), lambda *_: stamps.append(clock()))
+    return between(stamps[1:])
+
+
+def test_iteration_against_the_floor(scale: Scale, figures: Figures) -> None:
+    """Both by the CPU seconds of their one thread, which a busy machine changes less than the wall's."""
+    plain = load_default_body()
+    bodies = {"the embedded body": plain, "a body with pose blend shapes": jobs.with_pose_blend_shapes(plain)}
+    scene = moving_scene(plain, size_px=jobs.SIZE_PX if scale.measures else 48)
+    product = pose_blend_product(len(plain.template))
+    rounds, count = (max(scale.rounds // 5, 2), 12) if scale.measures else (1, 4)
+    floor = interleaved({"": product}, 1)[""]
+    found = {name: iterations_of(scene, body, 4) for name, body in bodies.items()}
+    for _ in range(rounds):
+        floor = together(floor, interleaved({"": product}, 10)[""])
+        found = {name: together(times, iterations_of(scene, bodies[name], count)) for name, times in found.items()}
+    figures.say(f"pose blend product of 8 bodies, there and back, 1 core: {floor}")
+    ratios = {name: times.best_cpu / floor.best_cpu for name, times in found.items()}
+    for name, times in found.items():
+        figures.say(f"one iteration, 256 px, N = 8, {name}, 1 core: {times}: {ratios[name]:.2f} floors")
+    figures.set("iteration_vs_floor", ratios["a body with pose blend shapes"], "of CPU seconds, pose blend shapes in")
+
+
+@contextmanager
+def fitting_process(iterations: int) -> Iterator[tuple[Callable[[], None], Callable[[], list[float]]]]:
+    """A process that fits when told: (tell it to begin, wait for its wall and CPU seconds)."""
+    arguments = jobs.command("fits", iterations)
+    with subprocess.Popen(
+        arguments, env=jobs.environment(), text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        into, out_of = process.stdin, process.stdout
+        assert into is not None
+        assert out_of is not None
+
+        def begin() -> None:
+            into.write("fit\n")
+            into.flush()
+
+        def wait() -> list[float]:
+            return json.loads(out_of.readline())
+
+        assert json.loads(out_of.readline()) == "ready"
+        yield begin, wait
+        into.close()
+
+
+def test_fits(scale: Scale, figures: Figures) -> None:
+    """One fit by itself, then two at once in two processes, in turn."""
+    iterations = 200 if scale.measures else 2
+    alone, both = [], []
+    with fitting_process(iterations) as first, fitting_process(iterations) as second:
+        for number in range(scale.fits):
+            begin, wait = (first, second)[number % 2]
+            begin()
+            *times, peak_mb = wait()
+            alone.append(times)
+            began = time.perf_counter()
+            first[0]()
+            second[0]()
+            cpu = first[1]()[1] + second[1]()[1]
+            both.append([time.perf_counter() - began, cpu])
+    one, two = (Times(*map(tuple, zip(*found, strict=True))) for found in (alone, both))
+    figures.say(f"200 iterations at 256 px, N = 8, one process, one core: {one}")
+    figures.say(f"two such fits at once, two cores: {two}")
+    figures.set("fit_seconds_1core", one.best, f"{one.best_cpu:.2f} s of CPU")
+    figures.set("two_fits_throughput", 2 * one.best / two.best, "best of each")
+    figures.set("fit_peak_mb", peak_mb, "whole process, default settings, 256 px")
+
+
+@pytest.mark.benchmark(min_rounds=3)
 def test_pose_prior_8_subframes(benchmark) -> None:
     prior = AnatomicalPrior()
     poses = (0.1 * torch.randn(8, 23, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
     benchmark(lambda: prior(poses).sum().backward())
 
 
-def test_skinning_8_bodies(benchmark) -> None:
+@pytest.mark.parametrize("blend_shapes", [False, True])
+def test_skinning_8_bodies(benchmark, blend_shapes: bool) -> None:
     body = load_default_body()
+    if blend_shapes:
+        body = jobs.with_pose_blend_shapes(body)
     poses = (0.3 * torch.randn(8, 24, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
     betas = torch.zeros(10, requires_grad=True)
 
@@ -34,12 +126,3 @@ def test_skinning_8_bodies(benchmark) -> None:
         posed.vertices.sum().backward()
 
     benchmark(forward_and_backward)
-
-
-def test_twenty_iterations_at_256_px(benchmark) -> None:
-    body = load_default_body()
-    scene = moving_scene(body, size_px=256)
-    config = preset("best").fit.model_copy(update={"stages": (Stage(size_px=256, iterations=20),)})
-    benchmark.pedantic(
-        lambda: fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()), rounds=3, warmup_rounds=1
-    )

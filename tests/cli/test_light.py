@@ -25,9 +25,12 @@ def answer(*words: str) -> tuple[int, str, set[str]]:
     return done.returncode, "\n".join(output) + done.stderr, set(modules.split()[1:])
 
 
-@pytest.mark.parametrize("words", [(), ("fit",), ("demo",), ("models",), ("synth",), ("benchmark",), ("reproduce",)])
-def test_help_is_light(words: tuple[str, ...]) -> None:
-    code, text, modules = answer(*words, "--help")
+COMMANDS = ("", "fit", "video", "batch", "demo", "models", "synth", "benchmark", "reproduce", "rerun", "compare")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_light(command: str) -> None:
+    code, text, modules = answer(*command.split(), "--help")
     assert code == 0
     assert "usage: hfb" in text
     assert not modules & HEAVY
@@ -48,6 +51,10 @@ def test_help_names_what_there_is() -> None:
         (("fit", "a.png", "--background", "b.png", "--fit.subframe", "3"), "--fit.subframe"),
         (("fit", "none.png", "--background", "b.png"), "none.png does not exist"),
         (("fit", "none.png", "--background", "b.png", "--fit.subframes", "0"), "fit.subframes"),
+        (("video", "none.mp4"), "none.mp4 does not exist"),
+        (("video", "none.mp4", "--window", "1"), "video.window"),
+        (("batch", "none"), "none is no folder"),
+        (("batch", "none", "--attempts", "0"), "--attempts"),
         (("benchmark", "bt-mass"), "bt-mass"),
         (("benchmark", "bt-amass", "--methods", "best,worst"), "worst"),
         (("benchmark", "bt-amass", "--count", "0"), "--count"),
@@ -56,6 +63,9 @@ def test_help_names_what_there_is() -> None:
         (("benchmark", "bt-amass", "--config", "a.toml"), "--config"),
         (("synth", "bt-amass", "--workers", "two"), "--workers"),
         (("reproduce", "table9"), "table1"),
+        (("rerun",), "RUN_ID"),
+        (("rerun", "0123", "--workers", "0"), "--workers"),
+        (("compare", "0123"), "RUN_B"),
     ],
 )
 def test_mistakes_are_light(words: tuple[str, ...], says: str) -> None:

@@ -1,5 +1,6 @@
 """motion.npz reads back bit for bit, without pickle, and bad files are said so."""
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -64,3 +65,13 @@ def test_how_far_off_joints_may_be_is_kept_where_it_is_known(tmp_path: Path) -> 
     np.testing.assert_array_equal(read.joint_radius_mm, radius)
     save_motion(path, motion(), "hfb")
     assert load_motion(path)[0].joint_radius_mm is None
+
+
+def test_what_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "motion.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("poses.npy", "w") as member:
+        for _ in range(65):
+            member.write(bytes(1 << 24))
+    assert path.stat().st_size < 2 << 20
+    with pytest.raises(InputError, match="larger than 1 GiB"):
+        load_motion(path)

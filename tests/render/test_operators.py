@@ -43,3 +43,19 @@ def test_views_and_other_layouts_are_welcome() -> None:
     turned = texture.permute(2, 0, 1).contiguous().permute(1, 2, 0)
     assert not strided.is_contiguous()
     assert torch.equal(make_rasterizer().render_mean(strided, turned, CAMERA, mesh), expected)
+
+
+@pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_short_cut_is_the_operator(silhouette: str, threads: int) -> None:
+    """Values and gradients, bit for bit."""
+    vertices, mesh = ball(subdivisions=1)
+    results = []
+    for draw in (operators.pictures, lambda *arguments: operators.draw(*arguments)[0]):
+        body = torch.cat([at(vertices, 0.02 * s, 0, 2.0) for s in range(5)]).requires_grad_()
+        texture = smooth_texture(8).requires_grad_()
+        drawn = draw(*CpuRasterizer(silhouette, threads).arguments(body, texture, CAMERA, mesh, True))
+        drawn.square().sum().backward()
+        results.append((drawn.detach(), body.grad, texture.grad))
+    for found, expected in zip(*results, strict=True):
+        assert torch.equal(found, expected)

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
+from hfb.body.mesh import vertex_normals
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
-from hfb.report.shading import shade_bodies, side_view, time_colours, vertex_normals
+from hfb.report.shading import shade_bodies, side_view, time_colours
 from hfb.rotations import axis_angle_to_matrix
 from tests.scenes import standing_pose
 

@@ -1,21 +1,16 @@
 """MLflow: one run per problem, every value once, whatever was interrupted."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from hfb.errors import InputError
 from tasks import tracking
-from tests.orchestration import mlflow_rows, orchestrated
+from tasks.ownership import owner
+from tasks.store_place import pages_command
+from tests.orchestration import mlflow_rows
 
 PARAMS = {"fit": {"degree": 2, "stages": [{"size_px": 64}]}, "seed": 0, "long": "x" * 9000}
-
-
-@pytest.fixture
-def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with orchestrated(tmp_path, monkeypatch) as database:
-        yield database
 
 
 def record(histories: dict[str, list[float]], key: str = "k") -> str:
@@ -64,6 +59,33 @@ def test_a_killed_record_is_finished_by_the_next(store: Path) -> None:
     assert mlflow_rows(store, "select count(*) from metrics") == [(2,)]
 
 
+def test_a_long_run_is_recorded_on_the_way(store: Path) -> None:
+    run = tracking.begin_run("name", "k", PARAMS, {})
+    tracking.log_points(run, {"fit/loss": {3: 0.5}, "frame/seen": {0: 1.0, 3: 1.0}})
+    assert mlflow_rows(store, "select status from runs") == [("RUNNING",)]
+    assert tracking.logged_steps(run, "frame/seen") == {0, 3}
+    assert tracking.logged_steps(run, "none") == set()
+    again = tracking.begin_run("name", "k", PARAMS, {})
+    assert again == run
+    tracking.log_points(again, {"fit/loss": {3: 0.5, 4: 0.25}})
+    tracking.end_run(again, "FINISHED")
+    points = mlflow_rows(store, "select step, value from metrics where key = 'fit/loss' order by step")
+    assert points == [(3, 0.5), (4, 0.25)]
+    assert tracking.begin_run("name", "k", PARAMS, {}).complete
+    assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+
+
+def test_runs_of_dead_processes_are_ended(store: Path) -> None:
+    mine, dead, unknown = (tracking.begin_run(name, name, PARAMS, {}) for name in ("mine", "dead", "unknown"))
+    host, process, _ = owner().split("/")
+    client = tracking.client()
+    client.set_tag(dead.run_id, "hfb.owner", f"{host}/{process}/another-start")
+    client.set_tag(unknown.run_id, "hfb.owner", f"elsewhere/{process}/1")
+    assert tracking.end_abandoned_runs() == 1
+    statuses = dict(mlflow_rows(store, "select run_uuid, status from runs"))
+    assert statuses == {mine.run_id: "RUNNING", dead.run_id: "KILLED", unknown.run_id: "RUNNING"}
+
+
 def test_more_values_than_one_batch_takes(store: Path) -> None:
     record({f"loss/{name}": [float(step) for step in range(300)] for name in "abcdefg"})
     assert mlflow_rows(store, "select count(*) from metrics") == [(2100,)]
@@ -83,4 +105,4 @@ def test_links(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tracking.link(served).startswith("https://mlflow.example/#/experiments/1/runs/abc?")
     monkeypatch.setenv("MLFLOW_TRACKING_URI", served.uri)
     with pytest.raises(InputError, match="pages of its own"):
-        tracking.pages_command()
+        pages_command()

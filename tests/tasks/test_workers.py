@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tasks.workers import WorkerLost, compute, workers
+from tasks.workers import Stopped, WorkerLost, busy_share, compute, stop_computing, workers
 
 
 def process_id(_: int) -> int:
@@ -51,6 +51,34 @@ def test_two_workers_compute_elsewhere_and_mend(tmp_path: Path) -> None:
             compute(die)
         assert compute(process_id, 0) != os.getpid()
     assert compute(process_id, 0) == os.getpid()
+
+
+def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
+    assert busy_share() is None
+    with workers(1, apart=True):
+        assert compute(process_id, 0) != os.getpid()
+        share = busy_share()
+        assert share is not None
+        assert 0 < share < 1
+
+
+def nap(seconds: float) -> None:
+    time.sleep(seconds)
+
+
+def test_what_is_stopped_does_not_wait() -> None:
+    began = time.monotonic()
+    with workers(1, apart=True), ThreadPoolExecutor(3) as threads:
+        compute(process_id, 0)
+        running = [threads.submit(compute, nap, 60.0) for _ in range(3)]
+        time.sleep(0.3)
+        stop_computing()
+        for one in running:
+            with pytest.raises(Stopped):
+                one.result(timeout=20)
+        with pytest.raises(Stopped):
+            compute(process_id, 0)
+    assert time.monotonic() - began < 40
 
 
 ORPHANS = """

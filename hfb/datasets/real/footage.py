@@ -16,7 +16,7 @@ from hfb.clip import Clip, read_clip
 from hfb.errors import InputError
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
-from hfb.photometry import srgb_to_linear
+from hfb.photometry import as_srgb, srgb_to_linear
 from hfb.shapes import Array, Bool, Float
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
@@ -68,7 +68,7 @@ class Footage:
 
     def to_linear(self, stored: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
         """A stored picture, or a part of one, in linear light."""
-        return stored if self.clip.transfer == "linear" else srgb_to_linear(stored)
+        return stored if self.clip.transfer == "linear" else srgb_to_linear(as_srgb(stored, self.clip.transfer))
 
     def _stored(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
         if not self.pictures:

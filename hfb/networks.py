@@ -4,9 +4,12 @@ A network is a program: run those you trust. No Python object of a file is ever 
 archive and no ONNX file is refused.
 """
 
+import importlib.util
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -17,7 +20,11 @@ from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.shapes import Array, Float
 
+_MAX_CODE_BYTES = 64 << 20
+_OLDER_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
 _IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]
+Given = Float[Array, "..."] | float | None
+"""An input: numbers, a setting, or nothing where a network makes it up itself, such as the first state of a memory."""
 _IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
 
 
@@ -55,13 +62,16 @@ class Outputs:
 class Network(Protocol):
     """Pictures in, arrays out."""
 
-    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+    def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """Run it. Raises InputError where it fails, FloatingPointError where an output is not finite."""
         ...
 
 
-def load_network(path: Path) -> Network:
+def load_network(path: Path, settings: Mapping[str, float | str] | None = None) -> Network:
     """Open a network file.
+
+    Args:
+        settings: attributes of a TorchScript network to set, as far as it has them; an ONNX one keeps its own.
 
     Raises:
         InputError: missing, damaged, or neither TorchScript nor ONNX.
@@ -71,27 +81,45 @@ def load_network(path: Path) -> Network:
     if path.suffix.lower() == ".onnx":
         return OnnxNetwork(path)
     _check_torchscript(path)
-    return TorchScriptNetwork(path)
+    return TorchScriptNetwork(path, settings or {})
 
 
-class TorchScriptNetwork:
-    """A `Network` out of torch.jit.save's archive."""
+class TorchNetwork:
+    """A `Network` out of a module of torch."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, module: torch.nn.Module) -> None:
+        """`path`: where its weights are from, for messages."""
         self._path = path
-        try:
-            self._module = torch.jit.load(str(path), map_location="cpu").eval()
-        except (RuntimeError, ValueError, OSError) as error:
-            raise InputError(f"{path}: torch cannot read this TorchScript file ({_first_line(error)})") from None
+        self._module = module
 
-    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+    def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """See `Network`."""
         try:
             with torch.inference_mode(), one_torch_thread():
-                result = self._module(*[torch.from_numpy(np.ascontiguousarray(one)) for one in inputs])
+                result = self._module(*[
+                    torch.from_numpy(np.ascontiguousarray(one)) if isinstance(one, np.ndarray) else one
+                    for one in inputs
+                ])  # fmt: skip
         except (RuntimeError, TypeError, ValueError) as error:
             raise _failed(self._path, inputs, error) from None
         return _finite(self._path, *_flat(result, self._path))
+
+
+class TorchScriptNetwork(TorchNetwork):
+    """A `Network` out of torch.jit.save's archive."""
+
+    def __init__(self, path: Path, settings: Mapping[str, float | str]) -> None:
+        """Raises InputError where torch cannot read it."""
+        _declare_roi_align(path)
+        try:
+            module = torch.jit.load(str(path), map_location="cpu").eval()
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"{path}: torch cannot read this TorchScript file ({_first_line(error)})") from None
+        module.float()  # processors compute in half precision slowly or not at all
+        for name, value in settings.items():
+            if hasattr(module, name):
+                setattr(module, name, value)
+        super().__init__(path, module)
 
 
 class OnnxNetwork:
@@ -113,20 +141,23 @@ class OnnxNetwork:
         except Exception as error:  # its own exception classes share no base but this
             raise InputError(f"{path}: onnxruntime cannot read this file ({_first_line(error)})") from None
 
-    def __call__(self, inputs: Sequence[Float[Array, "B C H W"]]) -> Outputs:
+    def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """See `Network`."""
-        names = [one.name for one in self._session.get_inputs()]
+        known = self._session.get_inputs()
+        names = [one.name for one in known]
         if len(names) != len(inputs):
             raise InputError(
                 f"{self._path} takes {len(names)} inputs and was given {len(inputs)}: "
                 'set frames in its layout ("one", "stacked" or "list")'
             )
+        kinds = [np.float16 if one.type == "tensor(float16)" else np.float32 for one in known]
+        arrays = [np.asarray(one, kind) for one, kind in zip(inputs, kinds, strict=True)]
         try:
-            arrays = self._session.run(None, dict(zip(names, inputs, strict=True)))
+            arrays = self._session.run(None, dict(zip(names, arrays, strict=True)))
         except Exception as error:  # see above
             raise _failed(self._path, inputs, error) from None
-        known = tuple(one.name for one in self._session.get_outputs())
-        return _finite(self._path, known, tuple(np.asarray(one, np.float32) for one in arrays))
+        given = tuple(one.name for one in self._session.get_outputs())
+        return _finite(self._path, given, tuple(np.asarray(one, np.float32) for one in arrays))
 
 
 def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels: str) -> Float[Array, "1 3 H W"]:
@@ -147,6 +178,46 @@ def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: 
     elif normalisation == "imagenet":
         rgb = rgb * _IMAGENET_DEVIATION + _IMAGENET_MEAN
     return np.ascontiguousarray(np.clip(rgb, 0, 1).transpose(0, 2, 3, 1), np.float32)
+
+
+@lru_cache(maxsize=1)
+def _roi_align_schema() -> torch.library.Library | None:
+    """An operator of torchvision that some matting networks name and do not call; kept alive by the cache."""
+    if importlib.util.find_spec("torchvision") is not None:
+        try:
+            importlib.import_module("torchvision")
+        except (ImportError, RuntimeError, OSError):  # it fits its own torch only
+            pass
+        else:
+            return None
+    library = torch.library.Library("torchvision", "FRAGMENT")
+    with suppress(RuntimeError):  # half an import may have declared it
+        library.define(
+            "roi_align(Tensor input, Tensor rois, float spatial_scale, int pooled_height, int pooled_width, "
+            "int sampling_ratio, bool aligned) -> Tensor"
+        )
+    return library
+
+
+def _declare_roi_align(path: Path) -> None:
+    """torch refuses a script that names an operator it does not know, even if it is never called."""
+    with zipfile.ZipFile(path) as archive:
+        codes = [info for info in archive.infolist() if info.filename.endswith(".py") and "code/" in info.filename]
+        if any(b"torchvision.roi_align" in archive.read(info) for info in codes if info.file_size < _MAX_CODE_BYTES):
+            _roi_align_schema()
+
+
+def holds_weights(path: Path) -> bool:
+    """Whether a file of torch.save is no network that runs by itself: weights, or a pickled model."""
+    if not path.is_file() or path.suffix.lower() == ".onnx":
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {name.partition("/")[2] for name in archive.namelist()}
+    except (zipfile.BadZipFile, OSError):
+        with path.open("rb") as file:
+            return file.read(len(_OLDER_TORCH)) == _OLDER_TORCH
+    return "data.pkl" in members and not any(name.startswith("code/") for name in members)
 
 
 def _check_torchscript(path: Path) -> None:
@@ -189,10 +260,11 @@ def _finite(path: Path, names: tuple[str, ...], arrays: tuple[Float[Array, "..."
     return Outputs(path, names, arrays)
 
 
-def _failed(path: Path, inputs: Sequence[Array], error: Exception) -> InputError:
-    shapes = ", ".join(str(one.shape) for one in inputs)
+def _failed(path: Path, inputs: Sequence[Given], error: Exception) -> InputError:
+    shapes = ", ".join(str(one.shape) for one in inputs if isinstance(one, np.ndarray))
     return InputError(
-        f"{path} failed on inputs of {shapes} ({_first_line(error)}); check its layout in the chains file"
+        f"{path} failed on inputs of {shapes} ({_first_line(error)}); "
+        "check that it is the network it was named, and the layout in its chains file where it has one"
     )
 
 

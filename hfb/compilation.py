@@ -1,7 +1,11 @@
-"""How the kernels are compiled: once per machine, whatever the process, and again when any of their sources changes."""
+"""How kernels are compiled: once per machine, whatever the process, and again when any of their sources changes.
+
+Kernels live in files called kernels*.py; a change in any of a room's makes all of that room's compile again.
+"""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 
+from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -14,25 +18,30 @@ JIT = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 LOOP = {**JIT, "_nrt": False}
 INLINE = {**LOOP, "forceinline": True}
 
-_SOURCES = sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("kernels*.py")))).hexdigest()
+
+@lru_cache
+def _sources(folder: Path) -> str:
+    files = (*sorted(folder.glob("kernels*.py")), Path(__file__))
+    return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 class _SourcesCache(FunctionCache):
     """Numba's own cache looks at the file of the cached function only; its callees here live in several."""
 
     def _index_key(self, sig, codegen):
-        return (*super()._index_key(sig, codegen), _SOURCES)
+        return (*super()._index_key(sig, codegen), _sources(Path(self._py_func.__code__.co_filename).parent))
+
+
+def _cached(compiled, function):
+    compiled._cache = _SourcesCache(function)
+    return compiled
 
 
 def entry(function):
     """Compile a function that Python calls, and keep the machine code beside it or in the user's cache."""
-    compiled = njit(**JIT)(function)
-    compiled._cache = _SourcesCache(function)
-    return compiled
+    return _cached(njit(**JIT)(function), function)
 
 
 def loop_entry(function):
     """`entry` for a function that allocates nothing."""
-    compiled = njit(**LOOP)(function)
-    compiled._cache = _SourcesCache(function)
-    return compiled
+    return _cached(njit(**LOOP)(function), function)

@@ -1,0 +1,133 @@
+"""The commands about clips: `hfb video`, `hfb batch`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from flows.judging import cores, positive
+from flows.options import run_config
+from flows.running import Chain, surrounded, tell, through_prefect, when_ready
+
+VIDEO_KEYS = (
+    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "mlflow_run_id",
+    "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
+)  # fmt: skip
+
+
+def add_video_flags(parser: argparse.ArgumentParser) -> None:
+    """Which clip, and how it was taken."""
+    add = parser.add_argument
+    add("source", type=Path, metavar="CLIP", help="a video, a folder of its frames, or a folder with a clip.toml")
+    add(
+        "--background", metavar="PLATE|median|still",
+        help="a picture of the view without the person, the median over time, or the longest stretch in which nobody "
+        "moves [what clip.toml says, a background.png or plate.png beside the clip, median]",
+    )  # fmt: skip
+    add("--clip", type=Path, metavar="clip.toml", help="camera, exposure, time range, person [the folder's own]")
+    add("--truth", type=Path, metavar="FILE", help="a motion file of what really happened: adds errors against it")
+    _add_shared_flags(parser)
+
+
+def add_batch_flags(parser: argparse.ArgumentParser) -> None:
+    """Which folder, and how often."""
+    add = parser.add_argument
+    add("folder", type=Path, metavar="FOLDER", help="clips: NAME.mp4 with NAME.toml, folders NAME/ with a clip.toml")
+    add("--attempts", type=positive, default=3, metavar="N", help="failures after which a clip is set aside [3]")
+    add("--wait", type=positive, default=60, metavar="S", help="before a second attempt, doubled for each further [60]")
+    add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
+    add("--again", action="store_true", help="take clips that were set aside once more")
+    _add_shared_flags(parser)
+
+
+def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--window", metavar="K", dest="config:video.window", default=argparse.SUPPRESS, help="as --video.window")
+    add("--average", metavar="K", dest="config:video.average", default=argparse.SUPPRESS, help="as --video.average")
+    add("--workers", type=positive, default=cores(), metavar="N", help="processes; changes no digit [all cores]")
+
+
+def video(given: argparse.Namespace) -> None:
+    """`hfb video`."""
+    from tasks.video_inputs import take_video_inputs
+
+    config = run_config(given)
+    out = given.out or Path("runs") / given.source.resolve().stem
+    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth)
+
+    def load() -> Chain:
+        from flows.video import run_video
+
+        return when_ready(lambda: run_video(inputs, out, config, given.workers))
+
+    result = through_prefect(given, out, load)
+    result["total_seconds"] = round(time.perf_counter() - given.began, 3)
+    shown = {key: result.get(key) for key in VIDEO_KEYS} if given.json else result
+    tell(given, shown, "" if given.json else video_text(result))
+
+
+def batch(given: argparse.Namespace) -> None:
+    """`hfb batch`."""
+    from tasks.clip_places import find_clips
+
+    config = run_config(given)
+    out = given.out or Path("runs") / given.folder.resolve().name
+    find_clips(given.folder, out)  # a folder that is none is said at once
+
+    def load() -> Chain:
+        from flows.batch import batch as every_clip
+
+        options = config.model_dump(mode="json")
+        pace = (given.attempts, given.wait, given.watch, given.again)
+        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
+
+    result = through_prefect(given, out, load)
+    tell(given, result, batch_text(result))
+
+
+def synth_clip(given: argparse.Namespace) -> None:
+    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame."""
+    out = given.out or Path("runs/clip")
+    with surrounded(given, out, recorded=False):
+        from tasks import progress
+
+        with progress.step("libraries"):
+            from hfb.datasets.clip_making import make_clip
+        height, width = (480, 640) if given.size is None else (given.size * 3 // 4, given.size)
+        with progress.step("frames"):
+            made = make_clip(
+                out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance
+            )  # fmt: skip
+    result = {"frames": given.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
+    tell(given, result, f"{given.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
+
+
+def video_text(result: Mapping[str, Any]) -> str:
+    """The short table that ends a clip."""
+    gaps = ", ".join(f"{first} to {last}" for first, last in result["gaps"]) or "none"
+    rows = [
+        ("frames", f"{result['frames']} ({result['resumed_frames']} from an earlier start)"),
+        ("sub-frames", str(result["sub_frames"])),
+        ("gaps", gaps),
+        ("IoU with the matte", _shown(result.get("matte_iou"), ".3f")),
+        ("image PSNR [dB]", _shown(result.get("psnr_db"), ".1f")),
+        ("MPJPE [mm]", _shown(result.get("mpjpe_mm"), ".1f")),
+        ("jump at an edge [mm]", _shown(result.get("worst_jump_mm"), ".2f")),
+        ("seconds", f"{result['seconds']:.1f}   ({result['seconds'] / result['frames']:.2f} per frame)"),
+    ]
+    lines = ["", *(f"{name:<24}{value}" for name, value in rows if value != "-"), ""]
+    lines += [f"strip    {result['strip']}", f"result   {result['out']}"]
+    return "\n".join(lines + ([f"MLflow   {result['mlflow_link']}"] if result.get("mlflow_link") else []))
+
+
+def batch_text(result: Mapping[str, Any]) -> str:
+    """What became of a folder."""
+    counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
+    return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
+
+
+def _shown(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

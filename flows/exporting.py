@@ -1,0 +1,63 @@
+"""The command that writes a result in other programs' formats: `hfb export`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast, get_args
+
+from flows.running import surrounded, tell, unwatched_by_gc
+from hfb.config import ExportConfig, MeshFormat, MotionFormat
+from hfb.errors import InputError
+
+_MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
+_ALL = (*get_args(MotionFormat), *_MESHES)
+_RATE = ExportConfig().amass_rate
+
+
+def add_export_flags(parser: argparse.ArgumentParser) -> None:
+    """Which result, and what for."""
+    shown = ",".join(ExportConfig().formats)
+    add = parser.add_argument
+    add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
+    add("--formats", metavar="NAME,...", help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame [{shown}]")
+    add("--amass-rate", type=int, choices=(30, 60, 120), help=f"poses per second in amass.npz [{_RATE}]")
+    add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
+
+
+def export(given: argparse.Namespace) -> None:
+    """Run `hfb export`."""
+    formats, meshes = asked_formats(given.formats)
+    with surrounded(given, given.out or Path("runs"), recorded=False):
+        from tasks import progress
+
+        with progress.step("libraries"), unwatched_by_gc():
+            from flows.export import export_result
+        rate = given.amass_rate or _RATE
+        result = export_result(given.source, given.out, formats, meshes, given.body, rate)
+    tell(given, result, export_text(result))
+
+
+def asked_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
+    """(motion files, meshes) that a list of names asks for.
+
+    Raises:
+        InputError: a name is none of them, or there is none.
+    """
+    if words is None:
+        return ExportConfig().formats, ()
+    names = tuple(dict.fromkeys(word.strip() for word in words.split(",") if word.strip()))
+    unknown = [name for name in names if name not in _ALL]
+    if unknown or not names:
+        raise InputError(f"{unknown[0] if unknown else words!r} is no format: take some of {', '.join(_ALL)}")
+    motion = tuple(cast(MotionFormat, name) for name in names if name not in _MESHES)
+    return motion, tuple(name for name in names if name in _MESHES)
+
+
+def export_text(result: Mapping[str, Any]) -> str:
+    """What was written, in a few lines."""
+    lines = ["", *(f"{name:<14}{size / 1e6:8.2f} MB" for name, size in result["files"].items())]
+    if result["meshes"]:
+        lines.append(f"{'meshes/':<14}{result['meshes']:8} files")
+    return "\n".join([*lines, "", f"result   {result['out']}"])

@@ -1,0 +1,122 @@
+"""The commands about recorded runs: `hfb rerun`, `hfb compare`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from flows.judging import cores, positive
+from flows.running import Chain, surrounded, tell, through_prefect, unwatched_by_gc, when_ready
+from hfb.errors import InputError
+
+DIFFERS = 3
+"""Exit code: the run was repeated and came out otherwise."""
+
+_RUN = "a run's id, the beginning of it, or the folder of its result"
+_SHOWN_OPTIONS = 30
+_SHOWN_FIGURES = ("eval/", "rerun/", "time/", "loss/total")
+_WIDTH = 34
+
+
+def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
+    """Which run, and where its inputs are."""
+    parser.add_argument("run_id", metavar="RUN_ID", help=_RUN)
+    parser.add_argument(
+        "--inputs", type=Path, metavar="DIR", help="where inputs lie that were moved; they are told by their content"
+    )
+    parser.add_argument(
+        "--workers", type=positive, default=cores(), metavar="K", help="processes; changes no digit [all cores]"
+    )
+
+
+def add_compare_flags(parser: argparse.ArgumentParser) -> None:
+    """Which two runs."""
+    parser.add_argument("run_a", metavar="RUN_A", help=_RUN)
+    parser.add_argument("run_b", metavar="RUN_B", help="another one")
+
+
+def rerun(given: argparse.Namespace) -> int:
+    """`hfb rerun`; returns the exit code."""
+    if given.seed is not None:
+        raise InputError("a repetition keeps its run's seed: leave --seed out")
+
+    def load() -> Chain:
+        from flows.rerun import plan_rerun, run_again
+
+        plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers)
+        return when_ready(lambda: run_again(plan))
+
+    verdict = through_prefect(given, given.out or Path("runs"), load)
+    tell(given, verdict, rerun_text(verdict))
+    return 0 if verdict["bit_equal"] else DIFFERS
+
+
+def compare(given: argparse.Namespace) -> None:
+    """`hfb compare`."""
+    with surrounded(given, given.out or Path("runs")):
+        from tasks import progress
+
+        with progress.step("libraries"), unwatched_by_gc():
+            from flows.compare import compare_runs
+        result = compare_runs((given.run_a, given.run_b), given.out)
+    tell(given, result, compare_text(result))
+
+
+def rerun_text(verdict: Mapping[str, Any]) -> str:
+    """What came out of a repetition, in a sentence or two."""
+    lines = ["", _sentence(verdict)]
+    if verdict["changed"]:
+        lines.append("not as it was then: " + "; ".join(verdict["changed"]))
+    others = [name for name in verdict["files_that_differ"] if verdict["bit_equal"]]
+    if others:
+        lines.append(f"other files differ: {', '.join(others)}")
+    return "\n".join([*lines, "", f"seconds  {verdict['seconds']:.1f}", f"result   {verdict['out']}"])
+
+
+def compare_text(comparison: Mapping[str, Any]) -> str:
+    """The short tables that end a comparison."""
+    first, second = comparison["names"]
+    head = f"{'':<{_WIDTH}} {_cut(first)}  {_cut(second)}"
+    lines = ["", comparison["sentence"], "", head]
+    for title, entry in (("options", "config"), ("machine and versions", "environment")):
+        pairs = comparison[entry]
+        lines.append(f"{title}: {f'{len(pairs)} differ' if pairs else 'the same'}")
+        lines += [f"  {_row(pair['name'], pair['a'], pair['b'])}" for pair in pairs[:_SHOWN_OPTIONS]]
+    lines.append("figures")
+    for pair in comparison["metrics"]:
+        if pair["name"].startswith(_SHOWN_FIGURES):
+            lines.append(f"  {_row(pair['name'], number_text(pair['a']), number_text(pair['b']))}")
+    picture = [f"picture  {comparison['picture']}"] if comparison["picture"] else []
+    return "\n".join([*lines, "", f"page     {comparison['page']}", *picture])
+
+
+def number_text(value: float | None) -> str:
+    """A figure in few characters."""
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+
+
+def _sentence(verdict: Mapping[str, Any]) -> str:
+    run = verdict["run_id"][:8]
+    if verdict["bit_equal"]:
+        return f"The same motion as run {run}, bit for bit."
+    if verdict["mean_mm"] is None:
+        return f"Not the same motion as run {run}; how far it is cannot be told, since the recorded one is gone."
+    far = f"{number_text(verdict['mean_mm'])} mm on average and {number_text(verdict['max_mm'])} mm at most"
+    why = (
+        "though machine and versions are the same: that should not be, please report it"
+        if verdict["same_environment"]
+        else "as is to be expected where something else computes"
+    )
+    return f"The joints are {far} from those of run {run}, {why}."
+
+
+def _row(name: str, one: str | None, other: str | None) -> str:
+    return f"{name:<{_WIDTH - 2}} {_cut('-' if one is None else one)}  {_cut('-' if other is None else other)}".rstrip()
+
+
+def _cut(text: str) -> str:
+    return f"{text if len(text) <= 30 else text[:27] + '...':<30}"

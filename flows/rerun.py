@@ -1,0 +1,201 @@
+"""A recorded run, made again from the same inputs and options, and how far the two results are from each other."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from flows.fit_image import fit_image_again
+from flows.video import run_video
+from flows.workplace import INTERMEDIATE
+from hfb.config import RunConfig
+from hfb.errors import InputError
+from hfb.evaluate.motion_difference import motion_difference
+from hfb.export.motion_file import load_motion
+from hfb.media.atomic import write_bytes_atomic
+from tasks import progress, tracking
+from tasks.environment import environment
+from tasks.handles import sha256_of
+from tasks.inputs import Inputs, networks_at_hand
+from tasks.present_files import find_present
+from tasks.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
+from tasks.repetition import Repetition, repeating
+from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from tasks.task import code_version
+from tasks.video_inputs import VideoInputs
+
+MOTION = "motion.npz"
+VERDICT = "rerun.json"
+InputsT = TypeVar("InputsT", Inputs, VideoInputs)
+_FETCHED_NETWORKS = ("auto", "mediapipe")  # ways to a first body that use what `hfb models` has fetched
+_ENVIRONMENT = ("version.", "platform", "processor", "device")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run that can be repeated: its inputs are all there.
+
+    Attributes:
+        again: runs the command's chain and returns the content of its result.json.
+        out: a fresh folder, or one in which this repetition was interrupted.
+        results: sha256 of what the run made, by name.
+        changed: what computes otherwise than then, in words.
+    """
+
+    run: StoredRun
+    again: Callable[[], dict[str, Any]]
+    out: Path
+    results: dict[str, str]
+    changed: tuple[str, ...]
+
+
+def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None = None, workers: int = 1) -> Plan:
+    """Find a run and everything it needs.
+
+    Args:
+        words: a run's id, the beginning of it, or its result's folder.
+        inputs_folder: where to look for files that are no longer where they were; they are told by their content.
+        out: the folder of the repetition; a new one under runs/ when not given.
+        workers: processes that compute a clip; their number changes no digit.
+
+    Raises:
+        InputError: there is no such run, it cannot be repeated, an input is gone or was changed, or the folder holds
+            something already.
+    """
+    run = find_run(words)
+    if run.tags.get(COMMAND_TAG) is None:
+        raise InputError(
+            f"run {run.title} cannot be repeated: only runs of `hfb fit`, `hfb demo` and `hfb video` of this version "
+            "on say what they were made of; run its own command again"
+        )
+    if run.status != "FINISHED":
+        raise InputError(
+            f"run {run.title} is {run.status}: it has no result to compare with; run its own command again"
+        )
+    with tempfile.TemporaryDirectory() as folder, readable_store():
+        path = fetch_file(run, RECIPE, Path(folder))
+        if path is None:
+            raise InputError(f"the recipe of run {run.title} is gone from the store: run its own command again")
+        recipe = read_recipe(path, run.title)
+    fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
+    with progress.step("inputs"):
+        given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
+        places = find_present(given, inputs_folder)
+    target = _fresh(out, run.run_id)
+    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run.title, target, workers)
+    return Plan(run, again, target, recipe.results, _changed(run))
+
+
+def run_again(plan: Plan) -> dict[str, Any]:
+    """Run it again, and compare.
+
+    Returns:
+        the content of rerun.json.
+    """
+    began = time.perf_counter()
+    with repeating(Repetition(plan.run.run_id, plan.out)):
+        result = plan.again()
+    seconds = time.perf_counter() - began
+    with progress.step("comparison"):
+        verdict = _compared(plan) | {"seconds": round(seconds, 3), "mlflow_run_id": result.get("mlflow_run_id")}
+    write_bytes_atomic(plan.out / VERDICT, json.dumps(verdict, indent=2, allow_nan=False).encode() + b"\n")
+    _record(verdict)
+    return verdict
+
+
+def _chain(
+    recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, out: Path, workers: int
+) -> Callable[[], dict[str, Any]]:
+    """The command's chain with its inputs where they lie now."""
+    if recipe.command == "fit":
+        inputs, settled = with_networks(recipe_inputs(Inputs, recipe, places, run), config, run)
+        return lambda: fit_image_again(inputs, out, settled)
+    clip, settled = with_networks(recipe_inputs(VideoInputs, recipe, places, run), config, run)
+    return lambda: run_video(clip, out, settled, workers)
+
+
+def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT, RunConfig]:
+    """The same fetched pose networks as then; where there were none, `auto` meant the matte alone."""
+    here = networks_at_hand()
+    if config.init.method not in _FETCHED_NETWORKS or getattr(inputs, "first_bodies", None):
+        return inputs, config
+    if not inputs.networks and config.init.method == "auto":
+        return inputs, config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
+    if [one.sha256 for one in here] != [one.sha256 for one in inputs.networks]:
+        state = "are other ones now" if here else "are gone"
+        raise InputError(f"the pose networks that run {run} used {state}: `hfb models fetch --force` brings them back")
+    return inputs.model_copy(update={"networks": here}), config
+
+
+def _fresh(out: Path | None, run_id: str) -> Path:
+    """A folder without a result, for this repetition alone."""
+    if out is not None:
+        if not _is_fresh(out):
+            raise InputError(f"{out} holds something already: choose a new folder with --out")
+        return out
+    number, first = 1, Path("runs") / f"rerun-{run_id[:8]}"
+    target = first
+    while not _is_fresh(target):
+        number += 1
+        target = first.with_name(f"{first.name}-{number}")
+    return target
+
+
+def _is_fresh(folder: Path) -> bool:
+    """Nothing there, or what an interrupted run leaves."""
+    return not folder.exists() or (folder.is_dir() and {path.name for path in folder.iterdir()} <= {INTERMEDIATE})
+
+
+def _changed(run: StoredRun) -> tuple[str, ...]:
+    now = environment() | {"code": code_version()}
+    then = {name: value for name, value in run.tags.items() if name == "code" or name.startswith(_ENVIRONMENT)}
+    names = sorted(name for name in now.keys() | then.keys() if now.get(name) != then.get(name))
+    return tuple(
+        f"{name.removeprefix('version.')} ({then.get(name, 'unknown')} then, {now.get(name, 'none')} now)"
+        for name in names
+    )
+
+
+def _compared(plan: Plan) -> dict[str, Any]:
+    """The result against the recorded one; how far it is from a motion that the store lost cannot be told."""
+    made = {name: sha256_of(plan.out / name) if (plan.out / name).is_file() else None for name in plan.results}
+    differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
+    bit_equal, mean_mm, max_mm = _difference(plan) if MOTION in differing else (True, 0.0, 0.0)
+    return {
+        "run_id": plan.run.run_id, "bit_equal": bit_equal, "mean_mm": mean_mm, "max_mm": max_mm,
+        "same_environment": not plan.changed, "changed": list(plan.changed),
+        "files_that_differ": [name for name in differing if name != MOTION or not bit_equal],
+        "out": str(plan.out.resolve()),
+    }  # fmt: skip
+
+
+def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:
+    """Whether the arrays are the same after all (another packing of the file), and mean and largest distance [mm]."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            path = fetch_file(plan.run, MOTION, Path(folder))
+            if path is None or sha256_of(path) != plan.results[MOTION]:
+                return False, None, None
+        except tracking.StoreLost:
+            return False, None, None
+        found = motion_difference(load_motion(path)[0], load_motion(plan.out / MOTION)[0])
+    return found.bit_equal, found.mean_mm, found.max_mm
+
+
+def _record(verdict: dict[str, Any]) -> None:
+    """The verdict beside the repetition's own record; the result does not depend on it."""
+    if verdict["mlflow_run_id"] is None:
+        return
+    try:
+        with tracking.store_losses():
+            run = tracking.recorded(verdict["mlflow_run_id"])
+            numbers = {name: verdict[name] for name in ("bit_equal", "mean_mm", "max_mm")}
+            tracking.log_histories(run, {f"rerun/{name}": [value] for name, value in numbers.items()})
+            tracking.log_dict(run, verdict, VERDICT)
+    except tracking.StoreLost as lost:
+        progress.say(f"the comparison is not recorded in MLflow, the result itself is complete: {lost}")

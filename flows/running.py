@@ -1,0 +1,102 @@
+"""Around every command: log, store, display, Prefect's server, and the result on standard output. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from flows import summary
+
+Chain = Callable[[Callable[[], None]], dict[str, Any]]
+"""Does the work; calls what it is given before it needs the server."""
+
+
+def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
+    """Start the server, import the method while it starts, then run the chain."""
+    with surrounded(given, out):
+        from flows.surroundings import PrefectServer
+        from tasks import progress, tracking
+
+        with progress.step("libraries"), unwatched_by_gc():
+            server = PrefectServer()
+            chain = load()
+            tracking.open_store()
+
+        def ready() -> None:
+            with progress.step("Prefect's server"):
+                server.wait()
+            with suppress(Exception):  # tidying up after others must not stop this run
+                from flows.reaper import end_abandoned_flow_runs
+
+                end_abandoned_flow_runs()
+
+        return chain(ready)
+
+
+@contextmanager
+def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
+    """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
+    from flows.surroundings import keep_log
+    from flows.workplace import check_writable
+    from tasks import progress
+    from tasks.store_place import check_store, tracking_uri
+
+    keep_log(given.verbose)
+    check_writable(out)
+    if recorded:
+        check_store(tracking_uri())
+    with progress.showing(progress.display_for(sys.stderr, given.quiet)):
+        yield
+
+
+@contextmanager
+def unwatched_by_gc() -> Iterator[None]:
+    """Importing makes millions of objects that live as long as the process.
+
+    Python would search them for garbage while they come, a third of the time, and once more at the end: seconds.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
+    """A chain that needs the server from its beginning."""
+
+    def chain(ready: Callable[[], None]) -> dict[str, Any]:
+        ready()
+        return work()
+
+    return chain
+
+
+def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
+    """The result as JSON, or in words."""
+    if given.json:
+        print(json.dumps(result))
+    elif not given.quiet:
+        print(text)
+
+
+def report(
+    given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
+) -> None:
+    """The chosen keys as JSON, or a table of scores, times and places."""
+    result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
+    if given.json:
+        print(json.dumps({key: result.get(key) for key in keys}))
+    elif not given.quiet:
+        from tasks.store_place import on_server, tracking_uri
+
+        local = not on_server(tracking_uri())
+        print(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None))

@@ -1,0 +1,139 @@
+"""A blurred video, or a folder of its pictures, to one continuous motion."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
+from prefect.task_runners import ThreadPoolTaskRunner
+
+from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, score, see
+from flows.reaper import mark_owner
+from flows.trouble import told_plainly
+from flows.workplace import publish, workplace
+from hfb.config import RunConfig
+from tasks.export_files import export_files
+from tasks.task import code_version
+from tasks.video_handles import ClipBodiesHandle, JoinedHandle
+from tasks.video_inputs import VideoInputs, video_hashes
+from tasks.video_look import draw_texture
+from tasks.video_record import ClipRecord
+from tasks.workers import busy_share, workers
+
+_SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
+_SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
+
+
+def run_video(inputs: VideoInputs, out: Path, config: RunConfig, worker_count: int) -> dict[str, Any]:
+    """From a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
+
+    One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
+    ``out``: the same call goes on from them, after a kill too. The number of workers changes nothing but the seconds.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+        Unavailable: the disk is full, or Prefect's server went away; what is finished is kept.
+    """
+
+    # A closure: as parameters Prefect would send a folder's pictures to its server, which takes half a megabyte.
+    def video(clip: str, out_folder: str) -> dict[str, Any]:
+        return _motion_of(inputs, out, folder, config)
+
+    threads: Any = ThreadPoolTaskRunner(max_workers=worker_count + _SPARE_THREADS)
+    made = flow(name="video", persist_result=False, on_running=[mark_owner], task_runner=threads)(video)
+    with (
+        told_plainly(out),
+        workplace(out) as folder,
+        workers(worker_count, apart=True),
+        # Results of tasks stay with the files that they name: no other folder takes them for its own.
+        temporary_settings({PREFECT_LOCAL_STORAGE_PATH: folder / "records"}),
+    ):
+        return made(str(inputs.video[0].path), str(out))
+
+
+def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) -> dict[str, Any]:
+    began = time.perf_counter()
+    record = ClipRecord(out.resolve().name, inputs, config)
+    try:
+        scene = see(inputs, config, folder)
+        bodies = find_first_bodies(scene)
+        fitted = fit_windows(
+            scene, bodies, lambda frames, loss: record.frames("fit/loss", dict.fromkeys(frames, loss))
+        )  # fmt: skip
+        joined = join(scene, fitted)
+        record.frames("frame/seen", _seen(bodies, joined))
+        scores = score(scene, fitted, joined)
+        for name, values in scores.items():
+            record.frames(f"eval/{name}", values)
+        texture = draw_texture(scene.footage.light, fitted.person, folder)
+        exports = export_files(joined.motion, texture, inputs.body, config.export, folder)
+        files = {
+            "motion.npz": joined.motion, "edges.json": joined.edges, "strip.png": draw(scene, fitted, joined),
+            "texture.png": texture, **exports.by_name(), **film(scene, fitted, joined).by_name(),
+        }  # fmt: skip
+        result = _result(scene, bodies, fitted, joined, scores, out)
+        result["seconds"] = round(time.perf_counter() - began, 3)
+        result["workers_busy"] = busy_share()
+        place = record.finish(files, result)
+        if place is not None:
+            result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
+        publish(out, {name: file.path for name, file in files.items()}, result)
+        return result
+    except Exception:
+        record.stop("FAILED")
+        raise
+    except BaseException:  # Ctrl-C, SIGTERM
+        record.stop("KILLED")
+        raise
+
+
+def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
+    """Every frame of the clip: seen, filled in from its neighbours, or in a gap."""
+    filled = {number for number, made in enumerate(bodies.filled) if made} | set(joined.bridged)
+    pairs = enumerate(bodies.usable)
+    return {number: _FILLED if number in filled else _SEEN if usable else _GAP for number, usable in pairs}
+
+
+def _result(
+    scene: Scene,
+    bodies: ClipBodiesHandle,
+    fitted: Fitted,
+    joined: JoinedHandle,
+    scores: Mapping[str, Mapping[int, float]],
+    out: Path,
+) -> dict[str, Any]:
+    """result.json: what came out, how good it is, where things are, and what they were made from."""
+    footage = scene.footage
+    return {
+        "frames": footage.count,
+        "sub_frames": joined.rows,
+        "gaps": [list(gap) for gap in joined.gaps],
+        "filled": sorted({number for number, filled in enumerate(bodies.filled) if filled} | set(joined.bridged)),
+        "windows": len(fitted.windows),
+        "resumed_frames": len(fitted.resumed),
+        **{name: _mean(values) for name, values in scores.items()},
+        "worst_jump_mm": joined.worst_jump_mm,
+        "worst_velocity_share": joined.worst_velocity_share,
+        "out": str(out.resolve()),
+        "strip": str(out.resolve() / "strip.png"),
+        "mlflow_run_id": None,
+        "mlflow_link": None,
+        "background": scene.plate.source,
+        "remarks": list(footage.remarks),
+        "inputs": video_hashes(scene.inputs),
+        "config": scene.config.model_dump(mode="json"),
+        "code": code_version(),
+    }
+
+
+def _mean(values: Mapping[int, float]) -> float | None:
+    finite = [value for value in values.values() if math.isfinite(value)]
+    return sum(finite) / len(finite) if finite else None

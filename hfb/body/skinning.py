@@ -1,0 +1,57 @@
+"""Joints along their chains and linear blend skinning in readable torch: what the compiled operators are tested
+against, and what runs where tensors are not in the processor's memory."""
+
+import torch
+
+from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENTS
+from hfb.shapes import Float, Int, Tensor
+
+
+def place_joints(
+    rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"], rest_joints: Float[Tensor, "24 3"]
+) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
+    """Transforms of the rest body to the world, and the joints: products along every joint's chain (SMPL's eq. 4).
+
+    Args:
+        rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
+        translations: added to everything [m]; the root turns about its own joint, as in SMPL.
+    """
+    count = rotations.shape[0]
+    parents = rest_joints.new_tensor([max(parent, 0) for parent in PARENTS], dtype=torch.long)
+    bones = torch.cat([rest_joints[:1], (rest_joints - rest_joints[parents])[1:]])
+    offsets = bones.expand(count, -1, -1)
+    offsets = torch.cat([offsets[:, :1] + translations[:, None], offsets[:, 1:]], 1)
+    upper = torch.cat([rotations, offsets[..., None]], -1)
+    bottom = upper.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(count, JOINT_COUNT, 1, 4)
+    above_root = torch.eye(4, dtype=upper.dtype, device=upper.device).expand(count, 1, 4, 4)
+    transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
+    for ancestors in ANCESTORS_BY_DOUBLING:
+        index = torch.tensor(ancestors, device=upper.device)
+        transforms = transforms.index_select(1, index) @ transforms
+    T_world_joint = transforms[:, :JOINT_COUNT]
+    joints = T_world_joint[:, :, :3, 3]
+    # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
+    offset = joints - (T_world_joint[:, :, :3, :3] @ rest_joints[:, :, None]).squeeze(-1)
+    return torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1), joints
+
+
+def skin(
+    T_world_rest: Float[Tensor, "S 24 3 4"],
+    rest: Float[Tensor, "V 3"],
+    offsets: Float[Tensor, "S V 3"] | None,
+    weights: Float[Tensor, "V 24"],
+) -> Float[Tensor, "S V 3"]:
+    """Linear blend skinning (SMPL's eq. 2) of the rest vertices and their pose offsets [m]."""
+    blended = torch.einsum("vj,sjrc->svrc", weights, T_world_rest)
+    points = rest.expand(T_world_rest.shape[0], -1, -1) if offsets is None else rest + offsets
+    return (blended[..., :3] @ points[..., None]).squeeze(-1) + blended[..., 3]
+
+
+def sparse_weights(
+    weights: Float[Tensor, "V 24"],
+) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
+    """(starts, joints, weights): vertex v is held by joints[starts[v]:starts[v + 1]] with these shares."""
+    vertices, joints = weights.nonzero(as_tuple=True)
+    starts = torch.zeros(len(weights) + 1, dtype=torch.int64)
+    starts[1:] = torch.bincount(vertices, minlength=len(weights)).cumsum(0)
+    return starts.to(torch.int32), joints.to(torch.int32), weights[vertices, joints].contiguous()

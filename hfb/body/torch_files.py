@@ -1,0 +1,117 @@
+"""Files of torch.save, zipped or of the older kind, read without torch and without running their pickles."""
+
+import io
+import zipfile
+from typing import Any
+
+from hfb.body.pickles import Bytes, load_from
+from hfb.body.placeholders import TorchStorage
+from hfb.errors import InputError
+
+_MAX_BYTES = 1 << 30
+_MAGIC = 0x1950A86A20F9469CFC6C
+_ITEM_BYTES = {"bf2": 2}
+
+
+def load_torch(data: bytes) -> Any:
+    """What torch.save wrote, with placeholders for its tensors (see `hfb.body.pickled_arrays.to_array`).
+
+    Raises:
+        InputError: no such file, a damaged one, or one whose pickle names anything but tensors; the text continues
+            "FILE cannot be used: ".
+    """
+    return _zipped(data) if data[:2] == b"PK" else _older(data)
+
+
+def looks_like_torch(data: bytes) -> bool:
+    """Whether a file that is no archive begins as torch.save's older files do."""
+    return data[:14] in (b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19", b"\x80\x03\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19")
+
+
+def _zipped(data: bytes) -> Any:
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        members = {info.filename: info for info in archive.infolist()}
+        program = next(name for name in members if name.endswith("/data.pkl") or name == "data.pkl")
+    except (zipfile.BadZipFile, StopIteration, ValueError, OSError) as error:
+        raise InputError("it is not a readable file of torch") from error
+    if sum(info.file_size for info in members.values()) > _MAX_BYTES:
+        raise InputError("unpacked it would be larger than 1 GiB")
+    folder = program.removesuffix("data.pkl")
+
+    def read(name: str) -> bytes:
+        try:
+            with archive.open(members[name]) as member:
+                return member.read(members[name].file_size)
+        except (
+            KeyError,
+            zipfile.BadZipFile,
+            OSError,
+            ValueError,
+            EOFError,
+            NotImplementedError,
+            RuntimeError,
+        ) as error:
+            raise InputError("it is damaged: numbers of a tensor are missing") from error
+        except Exception as error:  # a broken stream makes the unpackers raise their own kinds
+            raise InputError(f"it is damaged ({type(error).__name__})") from error
+
+    storages: dict[str, TorchStorage] = {}
+
+    def outside(reference: Any) -> TorchStorage:
+        kind, key, count = _reference(reference)
+        if key not in storages:
+            storages[key] = _filled(kind, read(f"{folder}data/{key}"), count)
+        return storages[key]
+
+    return load_from(Bytes(read(program)), outside)
+
+
+def _older(data: bytes) -> Any:
+    """Four pickles (a number, a version, a machine, the content), the storages' names, and their numbers."""
+    stream = Bytes(data)
+    if load_from(stream) != _MAGIC:
+        raise InputError("it is not a readable file of torch")
+    load_from(stream)
+    machine = load_from(stream)
+    if isinstance(machine, dict) and machine.get("little_endian") is False:
+        raise InputError("it was written on a machine of the other byte order")
+    storages: dict[str, tuple[TorchStorage, int]] = {}
+
+    def outside(reference: Any) -> TorchStorage:
+        kind, key, count = _reference(reference)
+        storages.setdefault(key, (kind(), count))
+        return storages[key][0]
+
+    content = load_from(stream, outside)
+    names = load_from(stream)
+    if not isinstance(names, list) or set(map(str, names)) != set(storages):
+        raise InputError("it is damaged: its list of tensors is not that of its content")
+    for name in names:
+        storage, count = storages[str(name)]
+        if int.from_bytes(stream.read(8), "little") != count:
+            raise InputError("it is damaged: a tensor has another size than it says")
+        storage.data = stream.view(count * _item_bytes(storage.code))
+    return content
+
+
+def _reference(reference: Any) -> tuple[type[TorchStorage], str, int]:
+    """("storage", class, key, device, entries ...)."""
+    if not isinstance(reference, tuple) or len(reference) < 5 or reference[0] not in ("storage", b"storage"):
+        raise InputError("its pickle refers to something outside the file")
+    kind, key, count = reference[1], reference[2], reference[4]
+    if not (isinstance(kind, type) and issubclass(kind, TorchStorage)) or not isinstance(count, int) or count < 0:
+        raise InputError("it holds a tensor of things that are not numbers")
+    return kind, str(key), count
+
+
+def _filled(kind: type[TorchStorage], data: bytes, count: int) -> TorchStorage:
+    if len(data) != count * _item_bytes(kind.code):
+        raise InputError("it is damaged: a tensor has another size than it says")
+    storage = kind()
+    storage.data = data
+    return storage
+
+
+def _item_bytes(code: str) -> int:
+    return _ITEM_BYTES.get(code) or int(code[1:])

@@ -1,0 +1,29 @@
+"""What exported files are called, and which libraries they need. Light to import."""
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+
+from hfb.config import Film, MotionFormat
+from hfb.errors import InputError
+
+FILE_NAMES: dict[MotionFormat, str] = {
+    "amass": "amass.npz", "glb": "motion.glb", "bvh": "motion.bvh", "csv": "joints.csv", "trc": "joints.trc",
+    "c3d": "joints.c3d",
+}  # fmt: skip
+"""What each format's file is called in a run's folder."""
+
+FILM_NAMES: dict[Film, str] = {
+    "slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4",
+}  # fmt: skip
+"""What each film is called there."""
+
+EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
+
+NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
+"""Formats with a surface; the others need nothing but the motion."""
+
+
+def check_formats(formats: Sequence[MotionFormat]) -> None:
+    """Raises InputError where a format needs a library that is not installed."""
+    if "c3d" in formats and find_spec("c3d") is None:
+        raise InputError("joints.c3d needs the c3d library: pip install 'hfb[c3d]', or leave c3d out of the formats")

@@ -1,0 +1,200 @@
+"""A clip in windows: a few neighbouring frames each, fitted by themselves, overlapping by one frame.
+
+With the person known, no window needs another's result: they can be fitted in any order and at once, and the cost
+grows in proportion to the frames.
+"""
+
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.config import FitConfig, RunConfig
+from hfb.errors import InputError
+from hfb.export.motion_file import write_arrays
+from hfb.fit.clip_person import ClipPerson, as_person
+from hfb.fit.loop import Progress, fit
+from hfb.initialize.first_body import FirstBody
+from hfb.motion.trajectory import Trajectory
+from hfb.observation import Observation
+from hfb.priors.motion_prior import MotionPrior
+from hfb.priors.pose import PosePrior
+from hfb.shapes import Array, Bool, Float, Tensor
+
+
+@dataclass(frozen=True)
+class ClipWindow:
+    """Neighbouring frames of a clip that are fitted jointly.
+
+    Attributes:
+        frames: their numbers in the clip, one after another.
+        segment: which unbroken stretch of the clip they belong to, counted from 0.
+    """
+
+    frames: tuple[int, ...]
+    segment: int
+
+
+@dataclass(frozen=True)
+class WindowFit:
+    """What the fit of one window found, in metres and camera coordinates.
+
+    Attributes:
+        frames, segment: see `ClipWindow`.
+        texture: linear light; None where the person was known.
+        joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
+        loss: the kept iterate's weighted sum; history: one value per iteration of every term.
+    """
+
+    frames: tuple[int, ...]
+    segment: int
+    trajectory: Trajectory
+    betas: Float[Tensor, "10"]
+    texture: Float[Tensor, "A A 3"] | None
+    joint_radius_mm: Float[Array, "T S 24"] | None
+    loss: float
+    seconds: float
+    history: dict[str, list[float]] = field(default_factory=dict)
+
+
+def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...]:
+    """Cut every unbroken run of usable frames into windows of `length` frames that share one with the next.
+
+    The last window of a run is shorter where the run does not divide; a lone frame is a window of its own.
+    """
+    if length < 2:
+        raise ValueError(f"windows of {length} frames cannot overlap: give 2 or more")
+    windows: list[ClipWindow] = []
+    for segment, run in enumerate(runs(usable)):
+        firsts = range(run.start, max(run.stop - 1, run.start + 1), length - 1)
+        windows += [ClipWindow(tuple(range(at, min(at + length, run.stop))), segment) for at in firsts]
+    return tuple(windows)
+
+
+def runs(usable: Bool[Array, "T"]) -> list[range]:
+    """The unbroken runs of true entries, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
+    return [range(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"], count: int) -> tuple[int, ...]:
+    """Which windows settle the person: from the middle of each equal part of the clip, where most of them is seen.
+
+    Args:
+        matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
+    """
+    whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
+    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
+    seen = np.array([float(np.mean([matte_areas[frame] for frame in window.frames])) for window in windows])
+    several = np.array([len(window.frames) > 1 for window in windows])
+    # A window of one frame knows the least about depth: it is taken only where its part has no other.
+    return tuple(int(part[np.lexsort((-seen[part], ~several[part]))[0]]) for part in parts)
+
+
+def window_config(config: RunConfig) -> FitConfig:
+    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing."""
+    video, base = config.video, config.fit
+    return base.model_copy(
+        update={
+            "stages": video.stages,
+            "settle": min(video.settle, base.settle),
+            "directions": base.directions.model_copy(update={"search": False}),
+        }
+    )
+
+
+def person_config(config: RunConfig) -> FitConfig:
+    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions."""
+    return config.fit.model_copy(update={"directions": config.fit.directions.model_copy(update={"search": False})})
+
+
+def fit_window(
+    window: ClipWindow,
+    observation: Observation,
+    first_bodies: Sequence[FirstBody],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    person: ClipPerson | None = None,
+    motion_prior: MotionPrior | None = None,
+    on_progress: Progress | None = None,
+) -> WindowFit:
+    """Fit one window.
+
+    Args:
+        observation, first_bodies: of the window's frames alone.
+        person: shape and texture to hold fixed; both are found where it is not given.
+    """
+    if person is not None:
+        first_bodies = [as_person(first, person.betas, body) for first in first_bodies]
+    found = fit(
+        observation, first_bodies, body, config, seed, pose_prior, on_progress, motion_prior, person=person
+    )  # fmt: skip
+    radius = found.motion.joint_radius_mm
+    return WindowFit(
+        frames=window.frames,
+        segment=window.segment,
+        trajectory=found.trajectory,
+        betas=torch.from_numpy(found.motion.betas).float(),
+        texture=found.texture if person is None else None,
+        joint_radius_mm=None if radius is None else radius.reshape(len(window.frames), config.subframes, 24),
+        loss=found.history["total"][found.best_iteration] if found.history else 0.0,
+        seconds=found.seconds,
+        history=found.history,
+    )
+
+
+def save_window(path: Path, found: WindowFit) -> None:
+    """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat."""
+    motion = found.trajectory
+    arrays: dict[str, Array] = {
+        "frames": np.array(found.frames), "segment": np.array(found.segment), "betas": found.betas.double().numpy(),
+        "rotation": motion.rotation.detach().numpy(), "translation": motion.translation.detach().numpy(),
+        "anchor": motion.anchor.detach().numpy(), "kind": np.array(motion.kind), "origin": np.array(motion.origin),
+        "loss": np.array(found.loss), "history": np.array(json.dumps(found.history)),
+    }  # fmt: skip
+    if found.texture is not None:
+        arrays["texture"] = found.texture.detach().numpy()
+    if found.joint_radius_mm is not None:
+        arrays["joint_radius_mm"] = found.joint_radius_mm
+    write_arrays(path, arrays)
+
+
+def load_window(path: Path) -> WindowFit:
+    """Read a window's result; its ``seconds`` are 0.
+
+    Raises:
+        InputError: missing, damaged, or not a window's result.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            content = {name: file[name] for name in file.files}
+        motion = Trajectory(
+            torch.from_numpy(content["rotation"]),
+            torch.from_numpy(content["translation"]),
+            torch.from_numpy(content["anchor"]),
+            "axis-angle" if str(content["kind"]) == "axis-angle" else "quaternion",
+            float(content["origin"]),
+        )
+        texture = content.get("texture")
+        return WindowFit(
+            frames=tuple(int(frame) for frame in content["frames"]),
+            segment=int(content["segment"]),
+            trajectory=motion,
+            betas=torch.from_numpy(content["betas"]).float(),
+            texture=None if texture is None else torch.from_numpy(texture),
+            joint_radius_mm=content.get("joint_radius_mm"),
+            loss=float(content["loss"]),
+            seconds=0.0,
+            history=json.loads(str(content["history"])),
+        )
+    except FileNotFoundError:
+        raise InputError(f"there is no window's result at {path}") from None
+    except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is not a window's result of hfb ({error}); delete it to have it made again") from None

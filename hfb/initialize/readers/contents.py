@@ -1,0 +1,232 @@
+"""What another system left in a file, whatever container it is in: told by content, and no code of it is ever run."""
+
+import bz2
+import io
+import json
+import lzma
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hfb.body.pickled_arrays import to_array
+from hfb.body.pickles import load_pickle
+from hfb.body.placeholders import JoblibArray, NumpyArray, NumpyScalar
+from hfb.body.torch_files import load_torch, looks_like_torch
+from hfb.errors import InputError
+from hfb.shapes import Array, Float, Shaped
+
+_MAX_BYTES = 1 << 30
+_MAX_NUMBERS = 1 << 26  # of one array that is really read: half a GiB as float64
+_NPY, _GZIP, _BZ2, _XZ = b"\x93NUMPY", b"\x1f\x8b", b"BZh", b"\xfd7zXZ"
+_ZLIB = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
+_WHAT = "give a result file of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS or of hfb"
+
+
+def read_contents(path: Path) -> Any:
+    """Dictionaries, lists, numbers, texts, and what stands for arrays (see `numbers`): pickles, joblib's pickles
+    (compressed ones too), files of torch.save, .npy, .npz and JSON.
+
+    Raises:
+        InputError: not there, too large, damaged, or a pickle that names code: the sentence says which.
+    """
+    try:
+        if path.is_dir():
+            raise InputError(f"{path} is a folder; {_WHAT}")
+        if path.stat().st_size > _MAX_BYTES:
+            raise InputError(
+                f"{path} has {path.stat().st_size / 1e9:.1f} GB: save it without its vertices, below 1 GiB"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {_WHAT}") from error
+    try:
+        return _loaded(data)
+    except InputError as error:
+        raise InputError(f"{path} cannot be used: {error}; {_WHAT}") from error
+
+
+def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
+    """The array that a part of a file stands for, as float64; sides of size 1 may be missing or too many.
+
+    Args:
+        shape: what it must be; None for a side of any length.
+
+    Raises:
+        InputError: no numbers, another shape, or not finite; the text continues "FILE cannot be used: ".
+    """
+    array = np.asarray(_gathered(value))
+    if array.size > _MAX_NUMBERS:
+        raise InputError(f"it holds an array of {array.size} numbers where a few were expected")
+    if array.dtype.kind not in "fiub":
+        raise InputError("it holds something else where numbers should be")
+    wanted = tuple(side for side in shape if side != 1)
+    squeezed = tuple(side for side in array.shape if side != 1)
+    free = [side for side in wanted if side is None]
+    if len(free) == 1 and len(squeezed) == len(wanted) - 1:  # one row of a list of rows
+        squeezed = _with_one(squeezed, wanted)
+    if len(squeezed) != len(wanted) or any(w is not None and w != s for w, s in zip(wanted, squeezed, strict=True)):
+        raise InputError(f"it holds numbers of the shape {array.shape} where {_shown(shape)} were expected")
+    lengths = iter(squeezed)
+    full = tuple(1 if side == 1 else next(lengths) for side in shape)
+    result = array.reshape(full).astype(np.float64)
+    if not np.isfinite(result).all():
+        raise InputError("it holds numbers that are not finite")
+    return result
+
+
+def _gathered(value: Any) -> Any:
+    """An array, or lists of them: JSON has nothing else."""
+    if not isinstance(value, list | tuple):
+        return to_array(value)
+    parts = [_gathered(one) if isinstance(one, list | tuple) else to_array(one) for one in value]
+    if len({np.shape(part) for part in parts}) > 1:
+        raise InputError("it holds lists of different lengths where numbers should be")
+    return np.asarray(parts)
+
+
+def texts(value: Any) -> list[str]:
+    """Texts of a list, or of a numpy array of texts; empty where it is neither."""
+    if isinstance(value, list | tuple):
+        return [one for one in value if isinstance(one, str)]
+    if isinstance(value, NumpyArray) and isinstance(value.state, tuple) and len(value.state) == 4:
+        dtype, data = value.state[1], value.state[3]
+    elif isinstance(value, JoblibArray):
+        dtype, data = value.field("dtype"), value.data
+    else:
+        return []
+    code = getattr(dtype, "arguments", ("",))[0]
+    if isinstance(code, str) and code.lstrip("<>=|").startswith("U") and code.lstrip("<>=|")[1:].isdigit():
+        width = 4 * int(code.lstrip("<>=|")[1:])
+        raw = bytes(data) if not isinstance(data, str) else b""
+        if width and len(raw) % width == 0:
+            pieces = [raw[at : at + width] for at in range(0, len(raw), width)]
+            return [piece.decode("utf-32-le", "replace").rstrip("\0") for piece in pieces]
+    if isinstance(data, list):
+        return [one for one in data if isinstance(one, str)]
+    return []
+
+
+def text_of(value: Any) -> str:
+    """A key or name as text."""
+    return value.decode("latin1") if isinstance(value, bytes) else str(_plain(value))
+
+
+def named(value: Any) -> dict[str, Any]:
+    """A dictionary by texts; empty where it is none."""
+    return {text_of(key): one for key, one in value.items()} if isinstance(value, dict) else {}
+
+
+def _plain(value: Any) -> Any:
+    return to_array(value).item() if isinstance(value, NumpyScalar) else value
+
+
+def _with_one(squeezed: tuple[int, ...], wanted: tuple[int | None, ...]) -> tuple[int, ...]:
+    at = wanted.index(None)
+    return (*squeezed[:at], 1, *squeezed[at:])
+
+
+def _shown(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("N" if side is None else str(side) for side in shape) + ")"
+
+
+def _loaded(data: bytes) -> Any:
+    if data[:2] == b"PK":
+        return _zipped(data)
+    if data[:6] == _NPY:
+        return _npy(data)
+    if looks_like_torch(data):
+        return load_torch(data)
+    if data[:2] == _GZIP:
+        return _loaded_inside(_inflated(data, zlib.decompressobj(31).decompress))
+    if data[:2] in _ZLIB:
+        return _loaded_inside(_inflated(data, zlib.decompressobj().decompress))
+    if data[:3] == _BZ2:
+        return _loaded_inside(_inflated(data, bz2.BZ2Decompressor().decompress))
+    if data[:5] == _XZ or data[:1] == b"\x5d":
+        return _loaded_inside(_inflated(data, lzma.LZMADecompressor(memlimit=1 << 28).decompress))
+    if data[:512].lstrip()[:1] in (b"{", b"["):
+        return _json(data)
+    return load_pickle(data)
+
+
+def _loaded_inside(data: bytes) -> Any:
+    """joblib compresses pickles; a file within a file within a file is nobody's."""
+    return load_pickle(data)
+
+
+def _inflated(data: bytes, decompress: Callable[..., bytes]) -> bytes:
+    try:
+        unpacked = decompress(data, _MAX_BYTES + 1)
+    except (zlib.error, OSError, lzma.LZMAError, EOFError, ValueError) as error:
+        raise InputError("it is damaged: it cannot be unpacked") from error
+    if len(unpacked) > _MAX_BYTES:
+        raise InputError("unpacked it would be larger than 1 GiB")
+    return unpacked
+
+
+def _json(data: bytes) -> Any:
+    try:
+        return json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError("it is not readable JSON") from error
+
+
+def _zipped(data: bytes) -> Any:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {info.filename: info for info in archive.infolist()}
+            if any(name.endswith("data.pkl") for name in members):
+                return load_torch(data)
+            if sum(info.file_size for info in members.values()) > _MAX_BYTES:
+                raise InputError("unpacked it would be larger than 1 GiB")
+            arrays = {}
+            for name, info in members.items():
+                with archive.open(info) as member:
+                    arrays[name.removesuffix(".npy")] = _npy(member.read(info.file_size))
+            return arrays
+    except InputError:
+        raise
+    except Exception as error:  # a broken archive makes zipfile raise nearly anything
+        raise InputError(f"it is not a readable archive ({type(error).__name__})") from error
+
+
+def _npy(data: bytes) -> Any:
+    """An array of numbers or texts; what an array of objects holds, where it is a single one."""
+    stream = io.BytesIO(data)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, dtype = read_header(stream)
+    except (ValueError, EOFError) as error:
+        raise InputError("it is not a readable array of numpy") from error
+    rest = memoryview(data)[stream.tell() :]
+    if dtype.hasobject:
+        return _single(load_pickle(bytes(rest)))
+    if dtype.kind not in "fiubUS" or len(rest) != int(np.prod(shape, dtype=np.float64)) * dtype.itemsize:
+        raise InputError("it holds an array whose bytes do not fit its shape")
+    array: Shaped[Array, ...] = np.frombuffer(rest, dtype).reshape(shape, order="F" if fortran else "C")
+    return array.tolist() if dtype.kind in "US" else array.astype(dtype.newbyteorder("="))
+
+
+def _single(value: Any) -> Any:
+    """An object array around one thing is that thing, around several their list."""
+    if isinstance(value, NumpyArray) and isinstance(value.state, tuple) and len(value.state) == 4:
+        objects = value.state[3]
+        if isinstance(objects, list):
+            return _nested(objects, value.state[0]) if isinstance(value.state[0], tuple) else objects
+    return value
+
+
+def _nested(objects: list[Any], shape: tuple[Any, ...]) -> Any:
+    """A flat list as lists of lists; the thing itself where the array had no sides."""
+    if not shape:
+        return objects[0] if len(objects) == 1 else objects
+    rows = shape[0] if isinstance(shape[0], int) else 0
+    if len(shape) == 1 or rows < 1 or len(objects) % rows:
+        return objects
+    each = len(objects) // rows
+    return [_nested(objects[at * each : (at + 1) * each], shape[1:]) for at in range(rows)]

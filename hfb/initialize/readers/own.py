@@ -1,0 +1,36 @@
+"""hfb's own motion.npz, as the start of another fit: the middle row of every frame; and the canonical result."""
+
+from typing import Any
+
+import numpy as np
+
+from hfb.initialize.readers.contents import named, numbers, text_of
+from hfb.initialize.readers.pose_track import PoseTrack, track_of
+
+SYSTEM = "hfb"
+
+
+def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
+    """The person of a motion.npz or of a canonical result; None where it is something else."""
+    one = named(content)
+    if {"frame_index", "system"} <= one.keys():
+        return [track_of(one)]
+    if not {"poses", "trans", "betas", "frame_index", "K", "betas_space"} <= one.keys():
+        return None
+    poses = numbers(one["poses"], None, 72)
+    frame_of_row = numbers(one["frame_index"], len(poses)).astype(np.int64)
+    frames = np.unique(frame_of_row)
+    middle = [rows[len(rows) // 2] for rows in (np.flatnonzero(frame_of_row == frame) for frame in frames)]
+    return [
+        PoseTrack(
+            SYSTEM,
+            "0",
+            frames,
+            None,
+            poses=poses.reshape(-1, 24, 3)[middle],
+            trans=numbers(one["trans"], len(poses), 3)[middle],
+            betas=np.tile(numbers(one["betas"], 10), (len(frames), 1)),
+            betas_space="hfb" if text_of(one["betas_space"]) == "hfb" else "smpl",
+            K=np.tile(numbers(one["K"], 3, 3), (len(frames), 1, 1)),
+        )
+    ]

@@ -1,0 +1,51 @@
+"""TRAM: hps/hps_track_k.npy, tensors in a pickle (pred_rotmat, pred_shape, pred_trans, frame), and camera.npy beside.
+
+`pred_trans` is SMPL's translation before the camera of camera.npy (img_focal, img_center). Without that file the focal
+length is taken for the picture's diagonal, as TRAM's own first guess.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.initialize.readers.contents import named, numbers
+from hfb.initialize.readers.pose_track import PoseTrack, pinhole
+from hfb.initialize.readers.rotations import from_matrices
+from hfb.shapes import Array, Float
+
+SYSTEM = "TRAM"
+CAMERA_FILE = "camera.npy"
+
+
+def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
+    """The one person of a track file; None where it is something else."""
+    one = named(content)
+    if not {"pred_rotmat", "pred_shape", "pred_trans", "frame"} <= one.keys():
+        return None
+    frames = numbers(one["frame"], None)
+    count = len(frames)
+    K = _camera(named(beside.get(CAMERA_FILE)), size)
+    return [
+        PoseTrack(
+            SYSTEM,
+            "0",
+            frames.astype(np.int64),
+            size,
+            poses=from_matrices(numbers(one["pred_rotmat"], count, 24, 3, 3)),
+            trans=numbers(one["pred_trans"], count, 1, 3)[:, 0],
+            betas=numbers(one["pred_shape"], count, 10),
+            K=np.tile(K, (count, 1, 1)),
+        )
+    ]
+
+
+def _camera(camera: dict[str, Any], size: tuple[int, int]) -> Float[Array, "3 3"]:
+    height, width = size
+    if not camera:
+        return pinhole(math.hypot(height, width), width / 2, height / 2)
+    if not {"img_focal", "img_center"} <= camera.keys():
+        raise InputError(f"the {CAMERA_FILE} beside it has no img_focal and img_center")
+    cx, cy = numbers(camera["img_center"], 2)
+    return pinhole(float(numbers(camera["img_focal"], 1)[0]), float(cx), float(cy))

@@ -1,0 +1,252 @@
+"""Who is where in a clip: people as the areas that differ from the background, followed from frame to frame.
+
+Cheap on purpose: a small picture per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
+"""
+
+import csv
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from hfb.clip import PersonChoice
+from hfb.errors import InputError
+from hfb.initialize.track_rows import rows_of_csv, rows_of_npz
+from hfb.matting.matting import nobody_found
+from hfb.media.plate import changed_pixels
+from hfb.shapes import Array, Bool, Float
+
+_LOOK_PX = 240
+_LEAST_SHARE = 0.0015
+"""Of the picture's area; a smaller change is no person."""
+_LEAST_OF_LARGEST = 0.15
+"""Of the frame's largest change: less is a part of somebody, a shade, a reflection."""
+_FARTHEST, _LONGEST_ABSENCE = 0.4, 30
+"""How far somebody who was lost goes per frame, in their own height, and for how many frames they are looked for."""
+_SHORTEST = 2
+_MARGIN = 0.12
+_BYTE_LIMIT = 64 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One person's way through a clip.
+
+    Attributes:
+        name: for messages. boxes: left, top, right, bottom [px]; NaN where not visible.
+        areas: of what was seen of the person [px]; a box's own where nothing better is known.
+    """
+
+    name: str
+    boxes: Float[Array, "T 4"]
+    areas: Float[Array, "T"]
+
+    @property
+    def present(self) -> Bool[Array, "T"]:
+        """Frames in which the person is seen."""
+        return np.isfinite(self.boxes).all(1)
+
+
+def find_tracks(
+    frames: Iterable[Float[Array, "H W 3"]],
+    plate: Float[Array, "H W 3"],
+    on_progress: Callable[[int], None] | None = None,
+) -> tuple[Track, ...]:
+    """Everyone seen, in the order of appearance; people who cross count as the one with the larger overlap.
+
+    Args:
+        frames: one after another, encoded like the plate.
+        on_progress: called after every frame with the number of frames done.
+    """
+    scale = min(1.0, _LOOK_PX / max(plate.shape[:2]))
+    empty = _small(plate, scale)
+    open_tracks: list[dict[int, tuple[float, ...]]] = []
+    done = 0
+    for done, frame in enumerate(frames, 1):
+        changed = changed_pixels(_small(frame, scale)[None], empty)[0]
+        _follow(open_tracks, _people(changed, scale), done - 1)
+        if on_progress:
+            on_progress(done)
+    kept = [track for track in open_tracks if len(track) >= min(_SHORTEST, done)]
+    return tuple(_as_track(f"person {number}", track, done) for number, track in enumerate(kept, 1))
+
+
+def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
+    """The person who is meant: in the given box of the given frame, else the one of whom most is seen.
+
+    Without a box, whoever is seen while that one is away counts as the same person, who left and came back.
+
+    Raises:
+        InputError: nobody was seen, or nobody in the box.
+    """
+    if not tracks:
+        raise InputError(
+            "nobody was seen in any frame: nothing differs from the background; check that the plate shows the empty "
+            "scene and that the person moves."
+        )
+    if choice.box is None:
+        return _with_returns(sorted(tracks, key=lambda track: -float(np.nansum(track.areas))))
+    if choice.frame >= len(tracks[0].boxes):
+        raise InputError(f"person.frame {choice.frame} lies past the clip's last frame {len(tracks[0].boxes) - 1}.")
+    box = np.array(choice.box)
+    shared = [_overlap(track.boxes[choice.frame], box) for track in tracks]
+    if max(shared) <= 0:
+        seen = [track.name for track in tracks if track.present[choice.frame]]
+        raise InputError(
+            f"nobody was seen in the box of frame {choice.frame}"
+            + (f"; seen there: {', '.join(seen)}" if seen else "; give a frame in which the person is seen")
+            + "."
+        )
+    return tracks[int(np.argmax(shared))]
+
+
+def _with_returns(by_size: Sequence[Track]) -> Track:
+    """The first track, and of the others those that never show while it, or one taken before, does."""
+    boxes, areas = by_size[0].boxes.copy(), by_size[0].areas.copy()
+    for track in by_size[1:]:
+        seen = track.present
+        if not (seen & np.isfinite(boxes).all(1)).any():
+            boxes[seen], areas[seen] = track.boxes[seen], track.areas[seen]
+    return Track(by_size[0].name, boxes, areas)
+
+
+def keep_person(matte: Float[Array, "H W"], box: Float[Array, "4"]) -> Float[Array, "H W"]:
+    """The matte without whoever is outside of the box: connected parts that lie mostly elsewhere are removed.
+
+    Raises:
+        InputError: nothing is left.
+    """
+    number, labels = cv2.connectedComponents((matte > 0.1).astype(np.uint8))
+    margin = _MARGIN * max(box[2] - box[0], box[3] - box[1])
+    height, width = matte.shape
+    left, top, right, bottom = (
+        int(np.clip(value, 0, limit))
+        for value, limit in zip(
+            (box[0] - margin, box[1] - margin, box[2] + margin + 1, box[3] + margin + 1),
+            (width, height, width, height),
+            strict=True,
+        )
+    )
+    sizes = np.bincount(labels.ravel(), minlength=number)
+    inside = np.bincount(labels[top:bottom, left:right].ravel(), minlength=number)
+    kept = inside >= 0.5 * sizes
+    kept[0] = False
+    if not kept.any():
+        raise nobody_found()
+    near = cv2.dilate(kept[labels].astype(np.uint8), np.ones((9, 9), np.uint8)).astype(bool)
+    others = cv2.dilate((~kept[labels] & (labels > 0)).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return np.where(near & ~(others & ~kept[labels]), matte, 0).astype(np.float32)
+
+
+def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
+    """One person's boxes out of another system's file.
+
+    A .csv names its columns: ``frame`` (from 0), ``id``, ``left``, ``top`` and ``right``, ``bottom`` or ``width``,
+    ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
+    ``box`` (N, 4: left, top, right, bottom).
+
+    Args:
+        track_id: whose; may be left out where the file holds one person. frames: of the clip.
+
+    Raises:
+        InputError: missing, damaged, no such track, or none of its frames lies within the clip.
+    """
+    try:
+        if path.stat().st_size > _BYTE_LIMIT:
+            raise InputError(f"{path}: is too large for a file of tracks.")
+        rows = rows_of_npz(path) if path.suffix.lower() == ".npz" else rows_of_csv(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check person.track.") from None
+    except (OSError, ValueError, KeyError, IndexError, EOFError, csv.Error, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: is no file of tracks ({error}); give columns frame, id, left, top, width, height."
+        ) from None
+    known = sorted({name for _, name, _ in rows})
+    if track_id is None and len(known) != 1:
+        raise InputError(f"{path}: holds {len(known)} people; choose one with person.id: {', '.join(known[:12])}.")
+    wanted = known[0] if track_id is None else str(track_id)
+    if wanted not in known:
+        raise InputError(f"{path}: has no track {wanted}; it has {', '.join(known[:12])}.")
+    boxes = np.full((frames, 4), np.nan)
+    for frame, name, box in rows:
+        if name == wanted and 0 <= frame < frames and np.isfinite(box).all():
+            boxes[frame] = box
+    if not np.isfinite(boxes).any():
+        raise InputError(f"{path}: track {wanted} has no box in the clip's {frames} frames.")
+    return Track(f"track {wanted}", boxes, (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]))
+
+
+def _people(changed: Bool[Array, "h w"], scale: float) -> list[tuple[float, ...]]:
+    """left, top, right, bottom, area of every person-sized change, in full pixels, the largest first."""
+    closed = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
+    found = sorted((tuple(float(v) for v in row) for row in stats[1:]), key=lambda row: -row[cv2.CC_STAT_AREA])
+    least = max(_LEAST_SHARE * changed.size, _LEAST_OF_LARGEST * found[0][4] if found else 0)
+    return [
+        (x / scale, y / scale, (x + w) / scale, (y + h) / scale, area / scale**2)
+        for x, y, w, h, area in found
+        if area >= least
+    ]
+
+
+def _follow(tracks: list[dict[int, tuple[float, ...]]], people: list[tuple[float, ...]], frame: int) -> None:
+    """Give every person of a frame to the track whose last box shares most with theirs, or to a new one."""
+    last = [track[max(track)] for track in tracks]
+    pairs = sorted(
+        (
+            (-_overlap(np.array(box[:4]), np.array(person[:4])), number, index)
+            for number, box in enumerate(last)
+            for index, person in enumerate(people)
+        ),
+    )
+    taken: set[int] = set()
+    given: set[int] = set()
+    for shared, number, index in pairs:
+        if shared < 0 and number not in taken and index not in given:
+            tracks[number][frame] = people[index]
+            taken.add(number)
+            given.add(index)
+    for index, person in enumerate(people):
+        if index in given:
+            continue
+        near = [(_way(track, person, frame), number) for number, track in enumerate(tracks) if frame not in track]
+        way, number = min(near, default=(np.inf, -1))
+        if way <= _FARTHEST:
+            tracks[number][frame] = person
+        else:
+            tracks.append({frame: person})
+
+
+def _way(track: dict[int, tuple[float, ...]], person: tuple[float, ...], frame: int) -> float:
+    """How far a person would have gone since a track's last box, in lengths of the larger box per frame that passed."""
+    last = max(track)
+    one, other = np.array(track[last][:4]), np.array(person[:4])
+    sides = [float((box[2:] - box[:2]).max()) for box in (one, other)]
+    if frame - last > _LONGEST_ABSENCE or max(sides) > 2 * min(sides):
+        return np.inf
+    return float(np.linalg.norm((one[:2] + one[2:] - other[:2] - other[2:]) / 2)) / max(sides) / (frame - last)
+
+
+def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
+    """Shared area as a share of the smaller box; 0 for a box that is not known."""
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return 0.0
+    size = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
+    if (size <= 0).any():
+        return 0.0
+    return float(size.prod() / max(min((box[2:] - box[:2]).prod() for box in (one, other)), 1e-9))
+
+
+def _as_track(name: str, found: dict[int, tuple[float, ...]], frames: int) -> Track:
+    boxes, areas = np.full((frames, 4), np.nan), np.full(frames, np.nan)
+    for frame, person in found.items():
+        boxes[frame], areas[frame] = person[:4], person[4]
+    return Track(name, boxes, areas)
+
+
+def _small(picture: Float[Array, "H W 3"], scale: float) -> Float[Array, "h w 3"]:
+    size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+    return np.asarray(cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,0 +1,206 @@
+"""The clean background of footage: a picture of the empty scene or one made from the footage, and its checks."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.media.footage import Footage
+from hfb.media.pictures import read_picture_srgb
+from hfb.shapes import Array, Bool, Float, Shaped
+
+OnProgress = Callable[[int, int], None]
+
+_MOST_FRAMES, _FEWEST_FRAMES = 41, 3
+_MEMORY_BYTES, _BAND = 256 << 20, 32
+_LOOK_PX, _LOOKS = 160, 15
+_STILL_SHARE, _SHORTEST_STILL = 5e-4, 5
+_LEAST_CHANGE = 0.06
+_MOST_CHANGED = 0.6
+_LEAST_EDGES_KEPT = 0.5
+_GHOST_RATE, _GHOST_SHARE, _CLEARLY = 0.3, 0.25, 1.5
+_CONSTANT, _CONSTANT_SHARE = 0.05, 0.6
+
+
+def find_plate(
+    footage: Footage, how: Path | Literal["median", "still"], on_progress: OnProgress | None = None
+) -> tuple[Float[Array, "H W 3"], str]:
+    """The background as the footage stores pictures, in [0, 1], and one sentence on where it is from.
+
+    Args:
+        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: the mean
+            of the longest stretch in which nothing moves.
+        on_progress: called with (frames looked at, of how many).
+
+    Raises:
+        InputError: the picture cannot be read, nothing is ever still, or see `check_plate`.
+    """
+    if isinstance(how, Path):
+        stored = read_picture_srgb(how)
+        _check_size(stored, footage)
+        plate, told = footage.developed(stored), f"background: {how.name}"
+    elif how == "median":
+        chosen = _spread(footage, _count_in_memory(footage))
+        plate = _median(footage, chosen, on_progress)
+        told = f"background: the median of {len(chosen)} frames"
+    else:
+        first, last = _longest_still(footage, on_progress)
+        plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)
+        told = f"background: frames {first} to {last}, in which nothing moves"
+    check_plate(plate, footage)
+    return plate, told
+
+
+def check_plate(plate: Float[Array, "h w 3"], footage: Footage) -> None:
+    """Does a plate belong to the footage, and is the scene empty in it?
+
+    Raises:
+        InputError: another size, another camera or another light, or it holds a person who is elsewhere in the frames.
+    """
+    _check_size(plate, footage)
+    empty = _small(plate)
+    looks = np.stack([_small(one) for one in footage.chosen(_spread_over(footage.count, _LOOKS).tolist())])
+    changed = changed_pixels(looks, empty)
+    if float(np.median(changed.mean((1, 2)))) > _MOST_CHANGED or _edges_kept(looks, empty) < _LEAST_EDGES_KEPT:
+        raise InputError(
+            f"{footage.source.name} differs from its background plate nearly everywhere: give a plate of the same "
+            "scene and light from the same camera, which must stand still."
+        )
+    if _holds_person(looks, empty, changed):
+        raise InputError(
+            "the background still holds the person: somebody stands in it where the frames show the empty "
+            "scene; give a plate of the empty scene, or another time range of the video."
+        )
+
+
+def _check_size(plate: Float[Array, "h w 3"], footage: Footage) -> None:
+    if plate.shape[:2] != (footage.height, footage.width):
+        raise InputError(
+            f"the frames have {footage.width} x {footage.height} pixels and the background plate {plate.shape[1]} x "
+            f"{plate.shape[0]}; give a plate from the same camera in the same size."
+        )
+
+
+def changed_pixels(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"]) -> Bool[Array, "n h w"]:
+    """Where small pictures clearly differ from the small plate."""
+    difference = np.abs(looks - empty).max(-1)
+    usual = np.median(difference, axis=(1, 2), keepdims=True)
+    smooth = np.stack([cv2.blur(one, (3, 3)) for one in difference.astype(np.float32)])
+    return smooth > np.maximum(_LEAST_CHANGE, 3 * usual)
+
+
+def _holds_person(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"], changed: Bool[Array, "n h w"]) -> bool:
+    """A ghost: an area of a person's size that differs always in the same way and whose outline the plate has.
+
+    Where a plate holds a person, frames show the constant background, without an edge along the person's outline; where
+    a person stands in the frames, it is the frames that have the edge.
+    """
+    count = changed.sum(0)
+    often = count >= max(2, _GHOST_RATE * len(looks))
+    usual = np.nanmedian(np.where((changed & often)[..., None], looks, np.where(often, np.nan, 0)[..., None]), axis=0)
+    same = changed & (np.abs(looks - usual).max(-1) < _CONSTANT)
+    ghost = (often & (same.sum(0) >= _CONSTANT_SHARE * count)).astype(np.uint8)
+    ghost = cv2.morphologyEx(ghost, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    person = float(np.median([size for size in map(_largest_area, changed) if size] or [0]))
+    number, labels = cv2.connectedComponents(ghost)
+    for label in range(1, number):
+        area = labels == label
+        shown = [look for look, one in zip(looks, changed, strict=True) if one[area].mean() > 0.6]
+        if not person or area.sum() < _GHOST_SHARE * person or len(shown) < 2:
+            continue
+        grown, shrunk = (how(area.astype(np.uint8), np.ones((3, 3), np.uint8)) for how in (cv2.dilate, cv2.erode))
+        outline = (grown > 0) & (shrunk == 0)
+        in_plate, in_frames = (_slope(one.mean(-1))[outline].mean() for one in (empty, np.median(shown, axis=0)))
+        if in_plate > _CLEARLY * in_frames:
+            return True
+    return False
+
+
+def _largest_area(mask: Bool[Array, "h w"]) -> int:
+    _, _, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+    return int(stats[1:, cv2.CC_STAT_AREA].max(initial=0))
+
+
+def _slope(gray: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    """How steep a picture is [per pixel]."""
+    gray = np.asarray(gray, np.float32)
+    return np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8
+
+
+def _edges_kept(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"]) -> float:
+    """Share of the plate's edges that most looks have in the same place; 1 for a plate without edges."""
+    gray = empty.mean(-1)
+    slope = _slope(gray)
+    edges = slope >= max(0.02, float(np.quantile(slope, 0.85)))
+    if edges.sum() < 50:
+        return 1.0
+    apart = looks.mean(-1) - gray
+    apart = apart - np.median(apart, axis=(1, 2), keepdims=True)
+    return float(np.median([(np.abs(one) < 0.5 * slope + 0.02)[edges].mean() for one in apart]))
+
+
+def _small(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
+    scale = min(1.0, _LOOK_PX / max(picture.shape[:2]))
+    size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+    return np.asarray(cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _count_in_memory(footage: Footage) -> int:
+    """How many frames a median may hold at once."""
+    frame_bytes = footage.height * footage.width * 3 * (footage.bits // 8)
+    return int(np.clip(_MEMORY_BYTES // frame_bytes, _FEWEST_FRAMES, _MOST_FRAMES))
+
+
+def _spread(footage: Footage, most: int) -> Array:
+    return _spread_over(footage.count, most)
+
+
+def _spread_over(count: int, most: int) -> Array:
+    """An odd number of frames (the median is then one of the values), evenly over the footage; both of only two."""
+    wanted = min(most, count)
+    wanted -= 1 - wanted % 2 if wanted > 2 else 0
+    return np.unique(np.linspace(0, count - 1, wanted).round().astype(np.int64))
+
+
+def _median(footage: Footage, chosen: Array, on_progress: OnProgress | None) -> Float[Array, "H W 3"]:
+    full, kind = (255, np.uint8) if footage.bits == 8 else (65535, np.uint16)
+    stack: list[Shaped[Array, "H W 3"]] = []
+    for frame in footage.chosen(chosen.tolist()):
+        stack.append(np.round(frame * full).astype(kind))
+        if on_progress:
+            on_progress(len(stack), len(chosen))
+    low, high = (len(stack) - 1) // 2, len(stack) // 2
+    plate = np.empty((footage.height, footage.width, 3), np.float32)
+    for top in range(0, footage.height, _BAND):
+        band = slice(top, top + _BAND)
+        # Sorted as 16 bits along the last axis: many times faster than a median across pictures of 8 bits.
+        levels = np.sort(np.stack([one[band] for one in stack], -1).astype(np.uint16), axis=-1)
+        plate[band] = (levels[..., low].astype(np.float32) + levels[..., high]) / (2 * full)
+    return plate
+
+
+def _longest_still(footage: Footage, on_progress: OnProgress | None) -> tuple[int, int]:
+    """(first, last) of the longest stretch in which no frame differs from the stretch's first one."""
+    best, first, reference = (0, -1), 0, None
+    for number, frame in enumerate(footage.frames()):
+        small = cv2.GaussianBlur(_small(frame), (0, 0), 1.0)
+        if reference is None or _moved(small, reference):
+            first, reference = number, small
+        if number - first > best[1] - best[0]:
+            best = first, number
+        if on_progress:
+            on_progress(number + 1, footage.count)
+    if best[1] + 1 - best[0] < _SHORTEST_STILL:
+        raise InputError(
+            f"{footage.source.name}: something moves all the time, so no still span can be the background; give a "
+            "plate (--background PLATE) or --background median."
+        )
+    return best
+
+
+def _moved(small: Float[Array, "h w 3"], reference: Float[Array, "h w 3"]) -> bool:
+    difference = np.abs(small - reference).max(-1)
+    return float((difference > max(0.03, 4 * float(np.median(difference)))).mean()) > _STILL_SHARE

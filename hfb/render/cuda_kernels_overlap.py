@@ -1,0 +1,167 @@
+"""Warp functions: the exact covered share of a pixel in which layers of the body may overlap.
+
+As in `kernels_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
+another; within a slab the order of the pieces from left to right does not change, so the length covered at its
+middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting.
+"""
+# mypy: ignore-errors
+# (Warp compiles these: its types are not mypy's)
+
+import warp as wp
+
+from hfb.render.cuda_kernels_screen import HALF, ONE, ZERO
+
+wp.set_module_options({"enable_backward": False})
+
+ON_BORDER = wp.constant(wp.float64(1e-9))
+INNER = wp.constant(wp.float64(1.0 - 1e-12))
+THIN = wp.constant(wp.float64(1e-12))  # heights closer than this are one
+
+
+@wp.func
+def mean_without_corner(
+    newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
+) -> wp.float64:
+    """A pixel's mean winding number if that of its top left corner were 0."""
+    mean, piece = wp.float64(0.0), wp.int32(newest)
+    while piece >= 0:
+        at = line[piece]
+        mean = mean + (at[3] - at[1]) * (ONE - HALF * (at[0] + at[2]))
+        if at[0] < ON_BORDER:
+            mean = mean - (ONE - at[1])
+        if at[2] < ON_BORDER:
+            mean = mean + (ONE - at[3])
+        piece = older[piece]
+    return mean
+
+
+@wp.func
+def slope_of(at: wp.vec4d) -> wp.float64:
+    """dx/dy of a piece; 0 of a level one."""
+    slope = ZERO
+    if at[3] != at[1]:
+        slope = (at[2] - at[0]) / (at[3] - at[1])
+    return slope
+
+
+@wp.func
+def crossing_of(p: wp.vec4d, q: wp.vec4d) -> wp.float64:
+    """Height at which two pieces cross; 1 where they do not."""
+    low = wp.max(wp.min(p[1], p[3]), wp.min(q[1], q[3]))
+    high = wp.min(wp.max(p[1], p[3]), wp.max(q[1], q[3]))
+    height = ONE
+    if low < high:
+        slope_p, slope_q = slope_of(p), slope_of(q)
+        apart = p[0] - q[0] + (low - p[1]) * slope_p - (low - q[1]) * slope_q
+        slope = slope_p - slope_q
+        if apart * (apart + (high - low) * slope) < ZERO:
+            height = low - apart / slope
+    return height
+
+
+@wp.func
+def next_height(
+    above: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
+) -> wp.float64:
+    """The first height below `above` (y runs down) at which a piece begins, ends or crosses another, or the bottom."""
+    lowest, best = above + THIN, wp.float64(ONE)
+    p = wp.int32(newest)
+    while p >= 0:
+        at = line[p]
+        if at[1] > lowest:
+            best = wp.min(best, at[1])
+        if at[3] > lowest:
+            best = wp.min(best, at[3])
+        q = wp.int32(older[p])
+        while q >= 0:
+            crossing = crossing_of(at, line[q])
+            if crossing > lowest:
+                best = wp.min(best, crossing)
+            q = older[q]
+        p = older[p]
+    return best
+
+
+@wp.func
+def step_of(at: wp.vec4d, y: wp.float64) -> wp.int32:
+    """1 for a piece that runs down past a height (more body to its right), -1 for one that runs up, 0 for none."""
+    step = wp.int32(0)
+    if at[1] < y and y < at[3]:
+        step = 1
+    if at[3] < y and y < at[1]:
+        step = -1
+    return step
+
+
+@wp.func
+def winding_to_left(
+    base: wp.int32, piece: wp.int32, y: wp.float64,
+    newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
+) -> wp.int32:  # fmt: skip
+    """Winding number just left of a piece at a height; of the pixel's left border for piece -1.
+
+    Down the left border it falls by 1 where a piece comes in and rises by 1 where one goes out.
+    """
+    x = wp.float64(0.0)
+    if piece >= 0:
+        x = line[piece][0] + (y - line[piece][1]) * slope_of(line[piece])
+    winding, before = wp.int32(base), wp.bool(True)
+    q = wp.int32(newest)
+    while q >= 0:
+        at = line[q]
+        if at[2] < ON_BORDER and at[3] < y:
+            winding = winding + 1
+        if at[0] < ON_BORDER and at[1] < y:
+            winding = winding - 1
+        if q == piece:
+            before = False
+        elif piece >= 0:
+            step = step_of(at, y)
+            where = at[0] + (y - at[1]) * slope_of(at)
+            if step != 0 and (where < x or (where == x and before)):
+                winding = winding + step
+        q = older[q]
+    return winding
+
+
+@wp.func
+def stretch_shares(t: wp.vec2d, at: wp.vec4d, low: wp.float64, high: wp.float64) -> wp.vec2d:
+    """What the stretch of a piece between two heights gives to the ends of its edge: integrals of 1 - t and t."""
+    slope = (t[1] - t[0]) / (at[3] - at[1])
+    t1, t2 = t[0] + (low - at[1]) * slope, t[0] + (high - at[1]) * slope
+    t_from, t_to = wp.min(t1, t2), wp.max(t1, t2)
+    second = HALF * (t_to * t_to - t_from * t_from)
+    return wp.vec2d(t_to - t_from - second, second)
+
+
+@wp.func
+def resolve(
+    mean: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d), shares: wp.array(dtype=wp.vec2d),
+) -> wp.float64:  # fmt: skip
+    """Covered share of a pixel from its mean winding number and its pieces; adds the shares of those pieces that
+    separate body from background."""
+    base = wp.int32(wp.floor(mean - mean_without_corner(newest, older, line) + HALF))
+    covered, low = wp.float64(0.0), wp.float64(0.0)
+    while low < INNER:
+        high = next_height(low, newest, older, line)
+        middle = HALF * (low + high)
+        length = wp.float64(0.0)
+        if winding_to_left(base, -1, middle, newest, older, line) >= 1:
+            length = wp.float64(1.0)
+        p = wp.int32(newest)
+        while p >= 0:
+            at = line[p]
+            step = step_of(at, middle)
+            if step != 0:
+                left, outside = winding_to_left(base, p, middle, newest, older, line), wp.int32(0)
+                if step < 0:
+                    outside = 1
+                if left == outside:
+                    where = at[0] + (middle - at[1]) * slope_of(at)
+                    length = length + wp.float64(step) * (ONE - where)
+                    shares[p] = shares[p] + stretch_shares(span[p], at, low, high)
+            p = older[p]
+        covered = covered + length * (high - low)
+        low = high
+    return covered

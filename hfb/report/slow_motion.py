@@ -1,0 +1,220 @@
+"""The de-blurred video: what happened while the shutter was open, slowed down.
+
+Side by side are the blurred picture, the body over the plate as it stood at one instant, and the blur that the fitted
+motion makes; between exposures the motion runs on, and the caption says so. The overlay shows the body over the blurred
+picture.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import torch
+
+from hfb.body.model import Body, PosedBody
+from hfb.config import Film
+from hfb.evaluate.protocol import pose_rows
+from hfb.export.keys import MotionKeys, exact_keys, keys_at, subframe_rate_hz
+from hfb.formation import compose
+from hfb.motion.sampled import SampledMotion
+from hfb.photometry import linear_to_srgb
+from hfb.render.camera import PinholeCamera
+from hfb.render.rasterizer import Rasterizer
+from hfb.report.shading import shade_bodies, time_colours
+from hfb.report.strip import captioned
+from hfb.report.time_line import draw_time_line
+from hfb.rotations import quaternion_to_matrix
+from hfb.shapes import Array, Float, Tensor
+
+FILM_FPS = 30
+_PANEL_HEIGHT_PX, _PANEL_WIDTH_PX = (360, 480), 636  # three panels and their margins: 1920
+_SHORT_S = 2.0  # a motion that takes less is shown so long at least
+_HOLD_S = 0.5
+_BODY_OPACITY = 0.75
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What a film is made of.
+
+    Attributes:
+        frame_linear: the blurred picture of a frame, by the motion's own number for it, in the light of the fit.
+        plate_linear: the background, in the same light; ``light`` says which that is. camera: of both.
+    """
+
+    motion: SampledMotion
+    body: Body
+    texture: Float[Tensor, "A A 3"]
+    rasterizer: Rasterizer
+    camera: PinholeCamera
+    plate_linear: Float[Tensor, "H W 3"]
+    frame_linear: Callable[[int], Float[Tensor, "H W 3"]] = field(repr=False)
+    light: str = "linear"
+
+
+def film_slow_factor(motion: SampledMotion) -> float:
+    """How many times slower the film is: at most one sub-frame per picture, and two seconds at least."""
+    lasts = float(motion.times_s[-1] - motion.times_s[0])
+    return max(1.0, subframe_rate_hz(motion) / FILM_FPS, _SHORT_S / max(lasts, 1e-9))
+
+
+def film_instants(motion: SampledMotion) -> Float[Array, "F"]:
+    """When the pictures of the slow-motion film are [s]: at an even pace; stretches without the person are cut out."""
+    first, last = float(motion.times_s[0]), float(motion.times_s[-1])
+    steps = int(np.ceil((last - first) * film_slow_factor(motion) * FILM_FPS - 1e-6))
+    instants = np.minimum(first + np.arange(steps + 1) / (film_slow_factor(motion) * FILM_FPS), last)
+    return instants[keys_at(motion, instants).present]
+
+
+def slow_motion(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
+    """Pictures for `FILM_FPS` per second; the last is held for half a second."""
+    instants = film_instants(shot.motion)
+    for number, picture in enumerate(_side_by_side(shot, keys_at(shot.motion, instants)), 1):
+        yield picture
+        for _ in range(round(_HOLD_S * FILM_FPS) if number == len(instants) else 0):
+            yield picture
+
+
+def exact_sub_frames(shot: Shot) -> Iterator[tuple[float, Float[Array, "Y X 3"]]]:
+    """(when [s], the picture) of every sub-frame, at the times they really had."""
+    keys = exact_keys(shot.motion)
+    yield from zip(keys.times_s.tolist(), _side_by_side(shot, keys), strict=True)
+
+
+def picture_count(motion: SampledMotion, film: Film) -> int:
+    """How many pictures a film has."""
+    if film == "exact":
+        return len(exact_keys(motion).times_s)
+    if film == "overlay":
+        return len(_overlay_instants(motion))
+    return len(film_instants(motion)) + round(_HOLD_S * FILM_FPS)
+
+
+def overlay_rate(motion: SampledMotion) -> float:
+    """Pictures per second of the overlay: those of the recording, or of the slow-motion film where that is short."""
+    opened = _opened(motion)
+    if float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S:
+        return float(FILM_FPS)
+    return 1 / float(np.median(np.diff(opened)))
+
+
+def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
+    """The body over the blurred pictures: in the middle of each exposure, or of a short motion at every instant."""
+    motion, view, instants = shot.motion, _View(shot), _overlay_instants(shot.motion)
+    keys = keys_at(motion, instants)
+    for row, time_s in enumerate(instants.tolist()):
+        frame = view.frame_at(time_s)
+        state = "" if keys.observed[row] else ", shutter closed"
+        picture = captioned(view.with_clay(frame, keys, row), f"frame {frame}, body at t = {time_s:.4f} s{state}")
+        yield _even(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1])]))
+
+
+def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
+    """When the overlay shows the body [s]."""
+    if float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S:
+        return film_instants(motion)
+    exposure = motion.times_s[motion.rows_of(int(motion.frame_index[0]))]
+    return _opened(motion) + float(exposure[-1] - exposure[0]) / 2
+
+
+def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"]]:
+    """Blurred | one instant | re-blurred, under captions, over a time line."""
+    view, slow = _View(shot), film_slow_factor(shot.motion)
+    for row, time_s in enumerate(keys.times_s.tolist()):
+        frame = view.frame_at(time_s)
+        state = "" if keys.observed[row] else ", shutter closed"
+        cells = [
+            captioned(view.seen(frame), f"frame {frame}, blurred"),
+            captioned(view.instant(keys, row), f"de-blurred, t = {time_s:.4f} s{state}"),
+            captioned(view.reblurred(frame), "re-blurred from the motion"),
+        ]
+        picture = np.concatenate(cells, 1)
+        yield _even(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+
+
+def _opened(motion: SampledMotion) -> Float[Array, "T"]:
+    """When the shutter opened for every frame of the motion [s]."""
+    return motion.times_s[np.flatnonzero(np.diff(motion.frame_index, prepend=-1))]
+
+
+def _even(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y X 3"]:
+    """The picture with white below and right where H.264 needs an even number of pixels."""
+    height, width = picture.shape[:2]
+    pads = ((0, height % 2), (0, width % 2), (0, 0))
+    return np.pad(picture, pads, constant_values=1.0) if height % 2 or width % 2 else picture
+
+
+class _View:
+    """A shot at the size of the film; holds the pictures of the frame that was asked for last."""
+
+    def __init__(self, shot: Shot) -> None:
+        self._shot = shot
+        height, width = shot.plate_linear.shape[:2]
+        low, high = _PANEL_HEIGHT_PX
+        scale = min(max(min(height, high), low) / height, _PANEL_WIDTH_PX / width)
+        self._size = max(8, round(width * scale)), max(8, round(height * scale))
+        self._camera = shot.camera.resize(self._size[1], self._size[0])
+        self._plate = self._resized(shot.plate_linear)
+        self._shaped = shot.body.shape(torch.from_numpy(shot.motion.betas).to(shot.body.template.dtype))
+        self._numbers = shot.motion.frame_index[np.flatnonzero(np.diff(shot.motion.frame_index, prepend=-1))]
+        self._opened = _opened(shot.motion)
+        self._held: dict[str, tuple[int, Float[Array, "H W 3"]]] = {}
+
+    def frame_at(self, time_s: float) -> int:
+        """The number of the frame whose shutter opened last."""
+        return int(self._numbers[max(0, int(np.searchsorted(self._opened, time_s + 1e-9, side="right")) - 1)])
+
+    def seen(self, frame: int) -> Float[Array, "H W 3"]:
+        """The blurred picture."""
+        return self._kept("seen", frame, lambda: self._srgb(self._resized(self._shot.frame_linear(frame))))
+
+    def reblurred(self, frame: int) -> Float[Array, "H W 3"]:
+        """The mean over the frame's sub-frames, over the plate."""
+        return self._kept("reblurred", frame, lambda: self._reblur(frame))
+
+    def instant(self, keys: MotionKeys, row: int) -> Float[Array, "H W 3"]:
+        """The textured body over the plate."""
+        shot = self._shot
+        with torch.no_grad():
+            body = shot.rasterizer.render(self._posed(keys, row).vertices, shot.texture, self._camera, shot.body.mesh)
+        return self._srgb(compose(body[0], self._plate))
+
+    def with_clay(self, frame: int, keys: MotionKeys, row: int) -> Float[Array, "H W 3"]:
+        """The shaded body over the blurred picture; its colour tells when in the exposure it is."""
+        shot, seen = self._shot, self.seen(frame)
+        rows = shot.motion.rows_of(frame)
+        nearest = int(np.abs(shot.motion.times_s[rows] - keys.times_s[row]).argmin())
+        colour = time_colours(len(rows))[nearest : nearest + 1]
+        vertices = self._posed(keys, row).vertices
+        clay = shade_bodies(vertices, colour, self._camera, shot.body.mesh, shot.rasterizer)[0].numpy()
+        return np.clip(_BODY_OPACITY * clay[..., :3] + (1 - _BODY_OPACITY * clay[..., 3:]) * seen, 0, 1)
+
+    def _posed(self, keys: MotionKeys, row: int) -> PosedBody:
+        dtype = self._shaped.vertices.dtype
+        rotations = quaternion_to_matrix(torch.from_numpy(keys.quaternions[row : row + 1])).to(dtype)
+        with torch.no_grad():
+            return self._shaped.pose(rotations, torch.from_numpy(keys.translations[row : row + 1]).to(dtype))
+
+    def _reblur(self, frame: int) -> Float[Array, "H W 3"]:
+        shot = self._shot
+        vertices = pose_rows(shot.motion, shot.motion.rows_of(frame), shot.body).vertices
+        with torch.no_grad():
+            mean = shot.rasterizer.render_mean(vertices, shot.texture, self._camera, shot.body.mesh)
+        return self._srgb(compose(mean, self._plate))
+
+    def _kept(self, kind: str, frame: int, make: Callable[[], Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:
+        if kind not in self._held or self._held[kind][0] != frame:
+            self._held[kind] = frame, make()
+        return self._held[kind][1]
+
+    def _resized(self, picture: Float[Tensor, "H W 3"]) -> Float[Tensor, "h w 3"]:
+        smaller = picture.shape[1] > self._size[0]
+        resized = cv2.resize(
+            picture.float().numpy(), self._size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+        )
+        return torch.from_numpy(resized)
+
+    def _srgb(self, picture: Float[Tensor, "H W 3"]) -> Float[Array, "H W 3"]:
+        inside = picture.clamp(0, 1)
+        return (linear_to_srgb(inside) if self._shot.light == "linear" else inside).numpy()

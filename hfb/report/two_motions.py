@@ -1,0 +1,119 @@
+"""Two motions in one picture: skeletons from the camera and from the side, and how far apart they are.
+
+Drawn from motions alone, so it serves one picture and a long clip alike.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hfb.body.skeleton import BONES
+from hfb.evaluate.motion_difference import MotionDifference
+from hfb.motion.sampled import SampledMotion
+from hfb.report.plot_style import FAINT_GRAY, GRAY
+from hfb.report.strip import captioned
+from hfb.shapes import Array, Float, Int
+
+_COLOURS = ("#0072B2", "#D55E00")
+_SHOWN_INSTANTS = 3
+_VIEWS = (("camera", 0), ("side", 2))
+_SIZE_INCHES, _DPI = (9.0, 7.5), 110
+_LONGEST_PX = 4000
+
+
+def draw_motions(
+    one: SampledMotion, other: SampledMotion, difference: MotionDifference, names: tuple[str, str]
+) -> Float[Array, "Y X 3"]:
+    """Both skeletons at the first, middle and last shared instant, and joint distances over time; sRGB in [0, 1].
+
+    Args:
+        difference: of these two motions, with at least one shared instant.
+        names: what the two are called.
+
+    Raises:
+        ValueError: the two share no frame.
+    """
+    if not len(difference.instants_s):
+        raise ValueError("there is nothing to draw: the two motions share no frame")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.05))
+    canvas = FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(3, _SHOWN_INSTANTS, height_ratios=(3, 3, 1.6))
+    for column, row in enumerate(_shown_rows(one, difference)):
+        place_s = float(one.times_s[row])
+        theirs = other.joints[_nearest(other, place_s)]
+        for line, (view, axis) in enumerate(_VIEWS):
+            axes = figure.add_subplot(grid[line, column])
+            for joints, colour in ((one.joints[row], _COLOURS[0]), (theirs, _COLOURS[1])):
+                _skeleton(axes, joints, axis, colour)
+            axes.set_title(f"{view}, {place_s:.3f} s", fontsize=9, color=GRAY)
+            axes.set_aspect("equal")
+            axes.set_axis_off()
+    _distances(figure.add_subplot(grid[2, :]), difference)
+    figure.legend(handles=_legend(names), loc="outside upper center", ncols=2, frameon=False, fontsize=10)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].astype(np.float32) / np.float32(255)
+
+
+def stack_pictures(pictures: list[tuple[str, Float[Array, "_h _w 3"]]]) -> Float[Array, "Y X 3"]:
+    """Captioned pictures one below the other on white paper, none longer than a screen can scroll; sRGB in [0, 1]."""
+    cells = [captioned(_bounded(picture), caption) for caption, picture in pictures]
+    width = max((cell.shape[1] for cell in cells), default=8)
+    padded = [np.pad(cell, ((0, 0), (0, width - cell.shape[1]), (0, 0)), constant_values=1) for cell in cells]
+    return np.concatenate(padded) if padded else np.ones((8, 8, 3), np.float32)
+
+
+def png_bytes(picture: Float[Array, "Y X 3"]) -> bytes:
+    """The picture as a PNG file."""
+    done, data = cv2.imencode(".png", np.round(picture[..., ::-1].clip(0, 1) * 255).astype(np.uint8))
+    if not done:
+        raise OSError("the picture could not be encoded")
+    return data.tobytes()
+
+
+def _shown_rows(one: SampledMotion, difference: MotionDifference) -> Int[Array, "_"]:
+    places = np.unique(np.linspace(0, len(difference.instants_s) - 1, _SHOWN_INSTANTS).round().astype(np.int64))
+    return np.array([_nearest(one, float(difference.instants_s[place])) for place in places])
+
+
+def _nearest(motion: SampledMotion, time_s: float) -> int:
+    return int(np.abs(motion.times_s - time_s).argmin())
+
+
+def _skeleton(axes: Any, joints: Float[Array, "24 3"], axis: int, colour: str) -> None:
+    """Bones about the pelvis, seen along the camera's axis or from the side; y points down in the picture."""
+    across = joints[:, axis] - joints[0, axis] if axis else joints[:, axis]
+    for parent, child in BONES:
+        axes.plot(across[[parent, child]], -joints[[parent, child], 1], color=colour, linewidth=1.8, alpha=0.8)
+
+
+def _distances(axes: Any, difference: MotionDifference) -> None:
+    """Mean and largest joint distance against time."""
+    spread = difference.joints_mm
+    axes.plot(difference.instants_s, spread.mean(1), color="black", linewidth=1.6, label="mean")
+    axes.plot(difference.instants_s, spread.max(1), color=GRAY, linewidth=1.0, linestyle="--", label="largest")
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("time [s]", fontsize=9)
+    axes.set_ylabel("joint distance [mm]", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.grid(axis="y", color=FAINT_GRAY, linewidth=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8)
+
+
+def _legend(names: tuple[str, str]) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], color=colour, linewidth=2, label=name) for colour, name in zip(_COLOURS, names, strict=True)]
+
+
+def _bounded(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
+    scale = _LONGEST_PX / max(picture.shape[:2])
+    if scale >= 1:
+        return picture
+    size = (max(round(picture.shape[1] * scale), 1), max(round(picture.shape[0] * scale), 1))
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)

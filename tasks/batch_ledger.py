@@ -1,0 +1,93 @@
+"""What became of every clip of a watched folder: a small file that is written whole after every change.
+
+A clip is told by its name, and by the names, sizes and times of its files and the options: where any of these changes,
+it is a new clip. Light to import.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+from pydantic import ValidationError
+
+from hfb.config import Record
+from hfb.media.atomic import write_bytes_atomic
+from tasks.handles import digest
+
+Status = Literal["done", "failed", "set aside"]
+
+
+class Entry(Record):
+    """One clip.
+
+    Attributes:
+        stamp: of its files and the options.
+        attempts: how often it failed since its files changed.
+        due: when it is tried again [s since 1970].
+    """
+
+    stamp: str
+    status: Status
+    attempts: int = 0
+    reason: str = ""
+    due: float = 0.0
+    link: str | None = None
+
+
+class Ledger:
+    """All clips of a batch, by name."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._entries: dict[str, Entry] = {}
+        try:
+            content = json.loads(path.read_bytes())
+            self._entries = {name: Entry.model_validate(entry) for name, entry in content.items()}
+        except (FileNotFoundError, ValueError, AttributeError, ValidationError):
+            pass  # none yet, or a damaged one: finished clips are found again in their folders, at once
+
+    def entry(self, name: str, stamp: str) -> Entry | None:
+        """What is known of a clip as it is now; None for a new or a changed one."""
+        found = self._entries.get(name)
+        return found if found is not None and found.stamp == stamp else None
+
+    def finished(self, name: str, stamp: str, link: str | None) -> None:
+        """Remember that a clip is done."""
+        self._keep(name, Entry(stamp=stamp, status="done", link=link))
+
+    def failed(self, name: str, stamp: str, reason: str, attempts: int, wait_s: float, hopeless: bool) -> Entry:
+        """Remember a failure: tried again after a wait that doubles each time, or set aside.
+
+        Args:
+            attempts: after how many failures it is set aside. wait_s: after the first failure.
+            hopeless: set aside at once, since only another file can mend it.
+        """
+        before = self.entry(name, stamp)
+        count = 1 + (before.attempts if before else 0)
+        aside = hopeless or count >= attempts
+        due = 0.0 if aside else time.time() + wait_s * 2 ** (count - 1)
+        entry = Entry(
+            stamp=stamp, status="set aside" if aside else "failed", attempts=count, reason=reason, due=due
+        )  # fmt: skip
+        self._keep(name, entry)
+        return entry
+
+    def again(self) -> None:
+        """Take clips that were set aside once more."""
+        self._entries = {name: entry for name, entry in self._entries.items() if entry.status != "set aside"}
+
+    def _keep(self, name: str, entry: Entry) -> None:
+        self._entries[name] = entry
+        content = {key: one.model_dump() for key, one in sorted(self._entries.items())}
+        write_bytes_atomic(self._path, json.dumps(content, indent=2).encode() + b"\n")
+
+
+def stamp_of(files: Sequence[Path], options: Mapping[str, object]) -> tuple[str, float]:
+    """What tells a clip from a changed one, and when the latest of its files was written [s since 1970]."""
+    facts = [(str(path), path.stat()) for path in files]
+    content = [[name, one.st_size, one.st_mtime_ns] for name, one in facts]
+    return digest([content, dict(options)]), max((one.st_mtime for _, one in facts), default=0.0)

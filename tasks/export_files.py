@@ -1,0 +1,58 @@
+"""The motion in the formats of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from hfb.config import ExportConfig, Record
+from hfb.export.names import NEEDS_BODY
+from tasks.handles import FileHandle
+from tasks.task import task
+from tasks.workers import compute
+
+if TYPE_CHECKING:
+    from hfb.body.model import BetasSpace
+
+
+class ExportsHandle(Record):
+    """Files for other programs and for people, each under the name that it is published by."""
+
+    files: tuple[FileHandle, ...]
+
+    def by_name(self) -> dict[str, FileHandle]:
+        return {file.path.name: file for file in self.files}
+
+
+@task("motion files")
+def export_files(
+    motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
+) -> ExportsHandle:
+    """Write the asked-for formats; see `hfb.export`.
+
+    Args:
+        texture: the person's texture as a picture. body: the user's body model; None for the embedded one.
+
+    Raises:
+        InputError: a format needs a library that is not installed.
+    """
+    return compute(_export_files, motion, texture, body, config, folder)
+
+
+def _export_files(
+    motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
+) -> ExportsHandle:
+    from hfb.export.files import Exported, write_motion_file
+    from hfb.export.motion_file import load_motion
+    from tasks.scene import load_chosen_body
+
+    moving, space = load_motion(motion.path)
+    exported = Exported(
+        moving,
+        cast("BetasSpace", space),
+        load_chosen_body(body) if set(config.formats) & set(NEEDS_BODY) else None,
+        texture.path.read_bytes() if texture else None,
+        config.amass_rate,
+    )
+    formats = dict.fromkeys(config.formats)
+    return ExportsHandle(files=tuple(FileHandle.of(write_motion_file(folder, form, exported)) for form in formats))

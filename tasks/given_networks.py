@@ -1,0 +1,62 @@
+"""A user's own networks and results: taken by content beside the configuration, used from where they lie now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hfb.config import InitConfig, MattingConfig, RunConfig
+from hfb.errors import InputError
+from hfb.initialize.readers.beside import companions
+from tasks.handles import FileHandle
+
+_OWN_MATTING = ("bgmv2", "rvm")
+
+
+def matting_file(config: RunConfig) -> Path | None:
+    """The matting network's file, where the method needs one.
+
+    Raises:
+        InputError: it needs one and none is given, or one is given that it does not need.
+    """
+    own = config.matting.method in _OWN_MATTING
+    if own != (config.matting.weights is not None):
+        raise InputError(
+            f"--matting {config.matting.method} needs the network's file: give it with --matting-weights FILE"
+            if own
+            else f"--matting {config.matting.method} takes no --matting-weights: say bgmv2 or rvm"
+        )
+    return config.matting.weights
+
+
+def init_files(config: RunConfig) -> tuple[Path, ...]:
+    """The other system's result and what belongs to it, or METRO's network; nothing for other methods.
+
+    Raises:
+        InputError: the method needs a file and none is given, or one is given that it does not need.
+    """
+    init = config.init
+    if (init.method == "metro") != (init.weights is not None):
+        raise InputError(
+            "--init metro needs the network's file: give it with --init-weights FILE"
+            if init.method == "metro"
+            else f"--init {init.method} takes no --init-weights: say metro"
+        )
+    if (init.method == "file") != (init.file is not None):
+        raise InputError(
+            "give another system's result with --init FILE"
+            if init.method == "file"
+            else f"init.file does not go with init.method {init.method}: leave one of them out"
+        )
+    if init.file is not None:
+        return (init.file, *companions(init.file))
+    return () if init.weights is None else (init.weights,)
+
+
+def with_matting_network(config: MattingConfig, file: FileHandle | None) -> MattingConfig:
+    """The options with the network's file where it lies now."""
+    return config if file is None else config.model_copy(update={"weights": file.path})
+
+
+def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:
+    """The options with METRO's file where it lies now."""
+    return config.model_copy(update={"weights": networks[0].path}) if config.method == "metro" else config

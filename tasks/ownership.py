@@ -1,0 +1,49 @@
+"""Whose run is it: what kill -9 leaves behind says RUNNING for ever, unless the next start sees that nobody runs it.
+
+A run is marked with its owner: host, process number and when that process began, since numbers are given out again.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+_BOOT = Path("/proc/sys/kernel/random/boot_id")
+_STARTED_FIELD = 19  # of what follows the name in /proc/PID/stat: the start, in ticks since the machine came up
+_STATE_FIELD = 0
+
+
+@functools.cache
+def _owner_of(process: int) -> str:
+    return f"{platform.node()}/{process}/{_beginning(process) or '-'}"
+
+
+def owner() -> str:
+    """This process, told apart from any other that ever ran on this machine."""
+    return _owner_of(os.getpid())
+
+
+def is_abandoned(mark: str) -> bool:
+    """Whether the process that a run is marked with is surely gone; other machines' processes are not known here."""
+    host, _, rest = mark.rpartition("/")[0].rpartition("/")
+    began = mark.rpartition("/")[2]
+    if host != platform.node() or not rest.isdigit() or began == "-":
+        return False
+    return _beginning(int(rest)) != began
+
+
+def _beginning(process: int) -> str | None:
+    """When a process began, in whatever words the system has for it; None where there is no such process."""
+    if _BOOT.exists():
+        try:
+            fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return None
+        if fields[_STATE_FIELD] in "ZX":  # ended, its parent has not looked yet
+            return None
+        return f"{_BOOT.read_text().strip()[:8]}.{fields[_STARTED_FIELD]}"
+    told = subprocess.run(["ps", "-o", "lstart=", "-p", str(process)], capture_output=True, text=True, check=False)
+    return "-".join(told.stdout.split()) or None

@@ -1,0 +1,182 @@
+"""The tasks of a clip as a whole: what is known about it, its background, and whom it is about."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hfb.clip import Clip, PersonChoice
+from hfb.config import CameraConfig, ExposureConfig
+from hfb.media.atomic import write_bytes_atomic
+from tasks.handles import FileHandle
+from tasks.prepare import calibration
+from tasks.task import task
+from tasks.video_handles import FootageHandle, PlateHandle, TrackHandle
+from tasks.video_inputs import VideoInputs
+from tasks.workers import compute
+
+if TYPE_CHECKING:
+    from hfb.media.footage import Footage
+    from hfb.media.timing import Timing
+
+
+@task("video")
+def look_at_clip(
+    inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
+) -> FootageHandle:
+    """Decode everything once: how many frames there are, when and how they were taken, and what is wrong with them.
+
+    Raises:
+        InputError: not one frame can be decoded, or what is told about the clip does not fit it.
+    """
+    return compute(_look_at_clip, inputs.video, inputs.clip, inputs.calibration, average, camera, exposure, folder)
+
+
+@task("background")
+def find_background(
+    footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
+) -> PlateHandle:
+    """The view without the person.
+
+    Raises:
+        InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
+            camera or size.
+    """
+    return compute(_find_background, footage, how, given, folder)
+
+
+@task("person's track")
+def find_person(
+    footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
+) -> TrackHandle:
+    """Where the chosen person is in every frame.
+
+    Raises:
+        InputError: the chosen one is not there.
+    """
+    return compute(_find_person, footage, plate, choice, track)
+
+
+def load_footage(handle: FootageHandle) -> Footage:
+    """What the pictures of a clip are read with."""
+    from hfb.media.footage import Footage
+
+    return Footage(**_numbers(json.loads(handle.path.read_bytes())["footage"]))
+
+
+def load_timing(handle: FootageHandle) -> Timing:
+    """The clock of a clip."""
+    from hfb.media.timing import Timing
+
+    return Timing(**_numbers(json.loads(handle.path.read_bytes())["timing"]))
+
+
+def _look_at_clip(
+    video: tuple[FileHandle, ...],
+    clip: Clip,
+    calibrated: FileHandle | None,
+    average: int,
+    camera: CameraConfig,
+    exposure: ExposureConfig,
+    folder: Path,
+) -> FootageHandle:
+    from hfb.datasets.real.clip_lens import clip_lens
+    from hfb.media.footage import open_footage
+    from hfb.media.timing import settle_timing
+
+    paths = [file.path for file in video]
+    footage = open_footage(
+        paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
+        stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
+    )  # fmt: skip
+    given = clip.camera.model_copy(update={"calibration": calibrated.path if calibrated else None})
+    lens = clip_lens(given, paths[0].name, footage.height, footage.width)
+    footage = footage.through(lens)
+    timing = settle_timing(footage, clip.exposure, exposure)
+    content = {"footage": _plain(footage), "timing": _plain(timing)}
+    path, size = folder / "footage.json", (footage.height, footage.width)
+    write_bytes_atomic(path, json.dumps(content).encode())
+    return FootageHandle.of(
+        path,
+        count=footage.count,
+        height=footage.height,
+        width=footage.width,
+        K=lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size),
+        exposure_s=timing.exposure_s,
+        interval_s=timing.interval_s,
+        transfer=footage.transfer,
+        light=exposure.light,
+        bits=footage.bits,
+        remarks=(*footage.remarks, timing.source),
+    )
+
+
+def _find_background(
+    footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
+) -> PlateHandle:
+    from hfb.media.pictures import write_png
+    from hfb.media.plate import find_plate
+
+    if given is not None:
+        where: Path | Literal["median", "still"] = given.path
+    else:
+        where = "still" if how == "still" else "median"
+    picture, source = find_plate(load_footage(footage), where)
+    path = folder / "plate.png"
+    write_png(path, picture, bits=footage.bits)
+    return PlateHandle.of(path, source=source)
+
+
+def _find_person(
+    footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
+) -> TrackHandle:
+    from hfb.initialize.tracks import choose_track, find_tracks, read_track
+    from hfb.media.pictures import read_picture_srgb
+
+    others = 0
+    if track is not None:
+        found = read_track(track.path, choice.id, footage.count)
+    else:
+        tracks = find_tracks(load_footage(footage).frames(), read_picture_srgb(plate.path))
+        found, others = choose_track(tracks, choice), len(tracks) - 1
+    boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
+    return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    """A frozen record of paths, numbers and rows of numbers as JSON."""
+    return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {"rows": value.tolist(), "dtype": str(value.dtype)}
+    if is_dataclass(value):
+        return {type(value).__name__: _plain(value)}
+    if isinstance(value, Path):
+        return {"path": str(value)}
+    if isinstance(value, tuple):
+        return {"tuple": [_as_json(one) for one in value]}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _numbers(content: dict[str, Any]) -> dict[str, Any]:
+    return {name: _from_json(value) for name, value in content.items()}
+
+
+def _from_json(value: Any) -> Any:
+    from hfb.media.lens import Lens
+    from hfb.media.video_index import VideoIndex
+
+    if not isinstance(value, dict):
+        return value
+    ((kind, content), *_) = value.items()
+    if kind == "rows":
+        return np.array(content, dtype=value["dtype"])
+    if kind in ("VideoIndex", "Lens"):
+        return (VideoIndex if kind == "VideoIndex" else Lens)(**_numbers(content))
+    return Path(content) if kind == "path" else tuple(_from_json(one) for one in content)

@@ -1,0 +1,152 @@
+"""The tasks of single frames: pictures out of the footage, matte, first body."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hfb.config import InitConfig, MattingConfig
+from hfb.errors import InputError
+from tasks.given_networks import with_matting_network, with_pose_network
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
+from tasks.task import task
+from tasks.video_handles import BodyFound, FootageHandle, FramesHandle, MatteHandle
+from tasks.workers import compute
+
+_Box = tuple[float, float, float, float]
+
+
+@task("frames")
+def extract_frames(footage: FootageHandle, start: int, stop: int, folder: Path) -> FramesHandle:
+    """Frames `start` to `stop` (exclusive) as pictures, so that no later step has to read the video."""
+    return compute(_extract, footage, start, stop, folder)
+
+
+@task("mattes")
+def find_matte(
+    still: ClipHandle,
+    number: int,
+    box: _Box | None,
+    config: MattingConfig,
+    network: FileHandle | None,
+    folder: Path,
+) -> MatteHandle:
+    """The matte of one frame; a frame without anybody is a gap, and no failure.
+
+    Args:
+        network: the user's own, for methods that need one.
+        box: where the person is; None where nobody is.
+    """
+    if box is None:
+        return MatteHandle(file=None, reason="nobody differs from the background")
+    return compute(_matte, still, number, box, with_matting_network(config, network), folder)
+
+
+@task("first bodies")
+def find_key_body(
+    still: ClipHandle,
+    number: int,
+    matte: FileHandle,
+    body: FileHandle | None,
+    config: InitConfig,
+    networks: tuple[FileHandle, ...],
+    folder: Path,
+) -> BodyFound:
+    """The first body of a key frame, looked for from nothing.
+
+    Args:
+        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+    """
+    return compute(_key_body, still, number, matte, body, with_pose_network(config, networks), folder)
+
+
+@task("first bodies between")
+def find_body_between(
+    still: ClipHandle,
+    number: int,
+    matte: FileHandle,
+    known: tuple[tuple[int, FirstBodyHandle], ...],
+    body: FileHandle | None,
+    folder: Path,
+) -> BodyFound:
+    """The first body of another frame, from the bodies of the key frames around it."""
+    return compute(_body_between, still, number, matte, known, body, folder)
+
+
+def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> FramesHandle:
+    from hfb.media.pictures import write_png
+    from tasks.video_clip import load_footage
+
+    pictures = load_footage(footage)
+    paths = []
+    for number, frame in enumerate(pictures.frames(start, stop), start):
+        paths.append(folder / f"frame_{number:06d}.png")
+        write_png(paths[-1], frame, bits=footage.bits)
+    if len(paths) != stop - start:
+        raise InputError(
+            f"frame {start + len(paths)} can no longer be read: the footage has changed; run the same command again"
+        )
+    return FramesHandle(files=tuple(FileHandle.of(path) for path in paths))
+
+
+def _matte(still: ClipHandle, number: int, box: _Box, config: MattingConfig, folder: Path) -> MatteHandle:
+    import numpy as np
+
+    from hfb.initialize.tracks import keep_person
+    from hfb.matting.matting import make_matting
+    from hfb.media.pictures import write_matte
+    from tasks.scene import load_picture
+
+    frame, plate = load_picture(still.frames[0], still), load_picture(still.background, still)
+    try:
+        alpha = keep_person(make_matting(config)(frame.numpy(), plate.numpy()), np.asarray(box))
+    except InputError as error:
+        return MatteHandle(file=None, reason=str(error))
+    path = folder / f"matte_{number:06d}.png"
+    write_matte(path, alpha)
+    return MatteHandle(file=FileHandle.of(path), area_px=round(float(alpha.sum()), 3))
+
+
+def _key_body(
+    still: ClipHandle, number: int, matte: FileHandle, body: FileHandle | None, config: InitConfig, folder: Path
+) -> BodyFound:
+    from hfb.initialize.clip_bodies import front_doubt
+    from hfb.initialize.initializer import make_initializer
+    from tasks.scene import load_chosen_body, load_observation
+
+    seen, model = load_observation(still, (matte,)), load_chosen_body(body)
+    try:
+        found = make_initializer(config)(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
+        doubt = front_doubt(seen, found, model)
+    except InputError as error:
+        return BodyFound(first=None, reason=str(error))
+    return BodyFound(first=saved_body(folder / f"key_body_{number:06d}.npz", found), doubt=doubt)
+
+
+def _body_between(
+    still: ClipHandle,
+    number: int,
+    matte: FileHandle,
+    known: tuple[tuple[int, FirstBodyHandle], ...],
+    body: FileHandle | None,
+    folder: Path,
+) -> BodyFound:
+    from hfb.initialize.clip_bodies import body_between
+    from hfb.initialize.first_body import load_first_body
+    from tasks.scene import load_chosen_body, load_observation
+
+    seen = load_observation(still, (matte,))
+    around = {frame: load_first_body(first.path) for frame, first in known}
+    try:
+        found = body_between(number, around, seen.mattes[0].numpy(), seen.camera, load_chosen_body(body))
+    except InputError as error:
+        return BodyFound(first=None, reason=str(error))
+    return BodyFound(first=saved_body(folder / f"first_body_{number:06d}.npz", found))
+
+
+def saved_body(path: Path, found: object) -> FirstBodyHandle:
+    """The handle of a first body that is written now."""
+    from hfb.initialize.first_body import FirstBody, save_first_body
+
+    assert isinstance(found, FirstBody)
+    save_first_body(path, found)
+    return FirstBodyHandle.of(path, source=found.source)

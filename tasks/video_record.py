@@ -1,0 +1,120 @@
+"""A clip's run in MLflow: one run, frames as steps, one point per frame and metric whatever was killed on the way.
+
+It is written while the clip is worked on, so that the frames can be watched coming in. A store that goes away half-way
+costs a sentence: the clip goes on, everything is tried once more at the end, and failing that the same command
+completes the record later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hfb.config import RunConfig
+from tasks import progress, tracking
+from tasks.handles import FileHandle, digest
+from tasks.recipe import COMMAND_TAG, RECIPE, recipe
+from tasks.record import RunHandle
+from tasks.task import code_version
+from tasks.video_inputs import VideoInputs, video_hashes
+
+_SHOWN = 120  # characters of MLflow's own account, which goes on for lines
+_AT_ONCE = 16  # points that are worth a transaction of their own
+
+
+class ClipRecord:
+    """The record of one clip."""
+
+    def __init__(self, name: str, inputs: VideoInputs, config: RunConfig) -> None:
+        self._name, self._inputs, self._config = name, inputs, config
+        self._params = {
+            **config.model_dump(mode="json"),
+            "input": video_hashes(inputs),
+            "clip": inputs.clip.model_dump(mode="json"),
+        }
+        self._key = digest(["video", self._params, code_version()])
+        self._run: tracking.Run | None = None
+        self._points: dict[str, dict[int, float]] = {}
+        self._there: dict[str, set[int]] = {}
+        self._waiting = 0
+        self._reached = True
+        self._try(self._open)
+
+    def frames(self, metric: str, values: Mapping[int, float]) -> None:
+        """Points of some frames, frame -> value; kept until the end in case the store goes away."""
+        self._points.setdefault(metric, {}).update(values)
+        self._waiting += len(values)
+        if self._reached and self._waiting >= _AT_ONCE:
+            self._try(lambda: self._log(self._points))
+
+    def finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> RunHandle | None:
+        """Everything that is still missing, and FINISHED; None where the store does not take it."""
+        self._reached = True
+        self._try(lambda: self._finish(files, result))
+        if not self._reached or self._run is None:
+            return None
+        return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run))
+
+    def stop(self, status: str) -> None:
+        """FAILED or KILLED: the clip is not finished; the same command goes on in the same run."""
+        run = self._run
+        if run is not None and self._reached:
+            self._try(lambda: tracking.end_run(run, status))
+
+    def place(self) -> RunHandle | None:
+        """Where the run can be watched."""
+        return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run)) if self._run else None
+
+    def _open(self) -> None:
+        tags = {"code": code_version(), "seed": str(self._config.seed), "preset": self._config.preset}
+        self._run = tracking.begin_run(self._name, self._key, self._params, {**tags, COMMAND_TAG: "video"})
+
+    def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
+        """Points that the run does not have: an earlier start of the same command may have logged them."""
+        run = self._run
+        if run is None or run.complete:
+            return
+        for metric in points.keys() - self._there.keys():
+            self._there[metric] = tracking.logged_steps(run, metric)
+        new = {
+            metric: {step: value for step, value in values.items() if step not in self._there[metric]}
+            for metric, values in points.items()
+        }
+        tracking.log_points(run, new)
+        for metric, values in new.items():
+            self._there[metric] |= values.keys()
+        self._waiting = 0
+
+    def _finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> None:
+        if self._run is None:
+            self._open()
+        run = self._run
+        assert run is not None
+        if run.complete:
+            return
+        self._log(self._points)
+        final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
+        self._log(final)
+        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        with tracking.store_losses():
+            tracking.log_files(run, _looked_at(files))
+            tracking.log_dict(run, result, "result.json")
+            tracking.log_dict(run, self._config.model_dump(mode="json"), "config.json")
+            tracking.log_dict(run, made_of.model_dump(mode="json"), RECIPE)
+        tracking.end_run(run, "FINISHED")
+
+    def _try(self, action: Any) -> None:
+        try:
+            action()
+        except tracking.StoreLost as lost:
+            if self._reached:
+                progress.say(
+                    f"MLflow does not take the record ({str(lost)[:_SHOWN]}): the clip goes on; once MLflow is back, "
+                    "the same command completes the record"
+                )
+            self._reached = False
+
+
+def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:
+    return [file.path for _, file in sorted(files.items())]

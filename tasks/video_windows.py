@@ -1,0 +1,213 @@
+"""The tasks of a clip's windows: the person, the fits, the join, and how well it explains every frame."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from hfb.config import FitConfig
+from hfb.media.atomic import write_bytes_atomic
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
+from tasks.task import task
+from tasks.video_handles import (
+    ClipBodiesHandle,
+    FootageHandle,
+    JoinedHandle,
+    WindowHandle,
+)
+from tasks.workers import compute
+
+
+@task("fronts and backs")
+def mend_fronts(
+    numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], doubts: tuple[float, ...], folder: Path
+) -> ClipBodiesHandle:
+    """Key bodies that agree on which way the person faces; in the order of ``numbers``."""
+    return compute(_mend_fronts, numbers, firsts, doubts, folder)
+
+
+@task("missed frames")
+def fill_bodies(
+    numbers: tuple[int, ...],
+    firsts: tuple[FirstBodyHandle, ...],
+    present: tuple[bool, ...],
+    longest_fill: int,
+    folder: Path,
+) -> ClipBodiesHandle:
+    """A body for every frame that has one or lies in a short stretch without; a longer one is a gap."""
+    return compute(_fill_bodies, numbers, firsts, present, longest_fill, folder)
+
+
+@task("windows")
+def fit_clip_window(
+    clip: ClipHandle,
+    frames: tuple[int, ...],
+    segment: int,
+    mattes: tuple[FileHandle, ...],
+    firsts: tuple[FirstBodyHandle, ...],
+    body: FileHandle | None,
+    priors: PriorsHandle,
+    person: FileHandle | None,
+    config: FitConfig,
+    seed: int,
+    folder: Path,
+) -> WindowHandle:
+    """Fit one window, with the clip's person where it is known.
+
+    Args:
+        clip, mattes, firsts: of the window's frames alone.
+    """
+    return compute(_fit_window, clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder)
+
+
+@task("person")
+def settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
+    """Shape and texture that a few windows agree on."""
+    return compute(_settle_person, windows, body, folder)
+
+
+@task("join")
+def join_clip(
+    footage: FootageHandle,
+    windows: tuple[WindowHandle, ...],
+    person: FileHandle,
+    body: FileHandle | None,
+    subframes: int,
+    longest_fill: int,
+    folder: Path,
+) -> JoinedHandle:
+    """One continuous motion out of all windows; short stretches without anybody are bridged."""
+    return compute(_join, footage, windows, person, body, subframes, longest_fill, folder)
+
+
+def _mend_fronts(
+    numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], doubts: tuple[float, ...], folder: Path
+) -> ClipBodiesHandle:
+    from hfb.initialize.clip_bodies import agree_on_front
+    from hfb.initialize.first_body import load_first_body
+    from tasks.video_frames import saved_body
+
+    found = agree_on_front(
+        {n: load_first_body(one.path) for n, one in zip(numbers, firsts, strict=True)},
+        dict(zip(numbers, doubts, strict=True)),
+    )
+    agreed = tuple(saved_body(folder / f"agreed_body_{number:06d}.npz", found[number]) for number in numbers)
+    return ClipBodiesHandle(firsts=agreed, filled=(False,) * len(agreed), usable=(True,) * len(agreed))
+
+
+def _fill_bodies(
+    numbers: tuple[int, ...],
+    firsts: tuple[FirstBodyHandle, ...],
+    present: tuple[bool, ...],
+    longest_fill: int,
+    folder: Path,
+) -> ClipBodiesHandle:
+    import numpy as np
+
+    from hfb.initialize.clip_bodies import fill_missed
+    from hfb.initialize.first_body import load_first_body
+    from tasks.video_frames import saved_body
+
+    known = dict(zip(numbers, firsts, strict=True))
+    whole = fill_missed(
+        {n: load_first_body(one.path) for n, one in known.items()}, np.array(present, bool), longest_fill
+    )
+    files: list[FirstBodyHandle | None] = []
+    for number, body in enumerate(whole.bodies):
+        if body is None:
+            files.append(None)
+        elif whole.filled[number]:
+            files.append(saved_body(folder / f"filled_body_{number:06d}.npz", body))
+        else:
+            files.append(known[number])
+    filled, usable = (tuple(bool(one) for one in marks) for marks in (whole.filled, whole.usable))
+    return ClipBodiesHandle(firsts=tuple(files), filled=filled, usable=usable)
+
+
+def _fit_window(
+    clip: ClipHandle,
+    frames: tuple[int, ...],
+    segment: int,
+    mattes: tuple[FileHandle, ...],
+    firsts: tuple[FirstBodyHandle, ...],
+    body: FileHandle | None,
+    priors: PriorsHandle,
+    person: FileHandle | None,
+    config: FitConfig,
+    seed: int,
+    folder: Path,
+) -> WindowHandle:
+    from hfb.fit.clip_person import load_person
+    from hfb.fit.windows import ClipWindow, fit_window, save_window
+    from hfb.initialize.first_body import load_first_body
+    from hfb.priors.load import load_pose_prior
+    from hfb.priors.motion_prior import load_motion_prior
+    from tasks.scene import load_chosen_body, load_observation
+
+    found = fit_window(
+        ClipWindow(frames, segment),
+        load_observation(clip, mattes),
+        [load_first_body(first.path) for first in firsts],
+        load_chosen_body(body),
+        config,
+        seed,
+        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        load_person(person.path) if person else None,
+        load_motion_prior(priors.motion.path if priors.motion else None),
+    )
+    path = folder / f"{'window' if person else 'person_window'}_{frames[0]:06d}.npz"
+    save_window(path, found)
+    return WindowHandle.of(path, frames=frames, segment=segment, loss=found.loss)
+
+
+def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
+    from hfb.fit.clip_person import save_person
+    from hfb.fit.person import agree_on_person
+    from hfb.fit.windows import load_window
+    from tasks.scene import load_chosen_body
+
+    path = folder / "person.npz"
+    save_person(path, agree_on_person([load_window(one.path) for one in windows], load_chosen_body(body)))
+    return FileHandle.of(path)
+
+
+def _join(
+    footage: FootageHandle,
+    windows: tuple[WindowHandle, ...],
+    person: FileHandle,
+    body: FileHandle | None,
+    subframes: int,
+    longest_fill: int,
+    folder: Path,
+) -> JoinedHandle:
+    import numpy as np
+
+    from hfb.export.motion_file import save_motion
+    from hfb.fit.clip_person import load_person
+    from hfb.fit.join import join_windows
+    from hfb.fit.windows import load_window
+    from tasks.scene import load_chosen_body
+    from tasks.video_clip import load_timing
+
+    model = load_chosen_body(body)
+    joined = join_windows(
+        [load_window(one.path) for one in windows], model, load_person(person.path), load_timing(footage), subframes,
+        np.array(footage.K), longest_fill,
+    )  # fmt: skip
+    save_motion(folder / "motion.npz", joined.motion, model.betas_space)
+    told = {
+        "edges": [asdict(edge) for edge in joined.edges],
+        "turned": [asdict(one) for one in joined.turned],
+        "bridged": list(joined.filled),
+    }
+    write_bytes_atomic(folder / "edges.json", json.dumps(told, indent=1).encode() + b"\n")
+    return JoinedHandle(
+        motion=FileHandle.of(folder / "motion.npz"),
+        edges=FileHandle.of(folder / "edges.json"),
+        gaps=joined.gaps,
+        bridged=joined.filled,
+        rows=len(joined.motion.times_s),
+        worst_jump_mm=max((edge.left_mm for edge in joined.edges), default=None),
+        worst_velocity_share=max((edge.left_velocity for edge in joined.edges), default=None),
+    )

@@ -1,0 +1,90 @@
+"""`hfb export`: a result's folder, a motion file or a run's id, in other programs' formats."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flows.cli import main
+from hfb.body.assets import load_default_body
+from hfb.export.motion_file import load_motion, save_motion
+from hfb.media.pictures import write_png
+from tests.export.motions import motion_of
+
+MOTION = motion_of(load_default_body(torch.float64), frames=2)
+
+
+@pytest.fixture
+def result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a result: a motion and a texture."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    folder = tmp_path / "result"
+    save_motion(folder / "motion.npz", MOTION, "hfb")
+    write_png(folder / "texture.png", np.full((4, 4, 3), 0.5))
+    return folder
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> dict:
+    return json.loads(capsys.readouterr().out.splitlines()[-1])
+
+
+def test_a_folder(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["export", str(result), "--json"]) == 0
+    out = result / "export"
+    names = {"amass.npz", "motion.glb", "motion.bvh", "joints.csv", "joints.trc"}
+    assert {path.name for path in out.iterdir()} == names
+    told = said(capsys)
+    assert told["files"] == {name: (out / name).stat().st_size for name in names}
+    assert told["out"] == str(out)
+    assert (told["betas_space"], told["sub_frames"], told["meshes"]) == ("hfb", 16, 0)
+    assert (result / "texture.png").read_bytes() in (out / "motion.glb").read_bytes()
+
+
+def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "other"
+    words = [
+        "export",
+        str(result / "motion.npz"),
+        "--out",
+        str(out),
+        "--formats",
+        "ply,trc,amass",
+        "--amass-rate",
+        "30",
+    ]
+    assert main(words) == 0
+    assert {path.name for path in out.iterdir()} == {"joints.trc", "amass.npz", "meshes"}
+    assert len(list((out / "meshes").glob("frame_000[01]_sub_0[0-7].ply"))) == 16
+    with np.load(out / "amass.npz") as amass:
+        assert float(amass["mocap_framerate"]) == 30
+    assert "meshes/" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["nowhere/motion.npz"], "there is no nowhere/motion.npz"),
+        (["{result}", "--formats", "stl"], "'stl' is no format: take some of amass"),
+        (["{result}/texture.png"], "not a motion file"),
+        (["{result}", "--body", "{result}/texture.png"], "texture.png"),
+    ],
+)
+def test_what_cannot_be_used(words: list[str], sentence: str, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = result.parent / "none"
+    assert main(["export", *(word.format(result=result) for word in words), "--out", str(out), "--json"]) == 2
+    assert sentence in said(capsys)["error"]
+    assert not out.exists()
+
+
+def test_a_surface_needs_the_body_that_was_fitted(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    motion, _ = load_motion(result / "motion.npz")
+    save_motion(result / "motion.npz", motion, "smpl")
+    assert main(["export", str(result), "--formats", "glb", "--json"]) == 2
+    assert "--body" in said(capsys)["error"]
+    assert main(["export", str(result), "--formats", "bvh,amass,trc,csv", "--json"]) == 0
+    save_motion(result / "motion.npz", replace(motion, joints=1.1 * motion.joints), "hfb")
+    assert main(["export", str(result), "--formats", "glb", "--json"]) == 2
+    assert "not the body that was fitted" in said(capsys)["error"]

@@ -1,0 +1,55 @@
+"""Made clips: the same bytes again, a truth that fits the pictures, frames without the person."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hfb.clip import read_clip
+from hfb.datasets.clip_making import make_clip
+from hfb.export.motion_file import load_motion
+from hfb.media.footage import open_footage
+from hfb.media.pictures import read_picture_srgb
+from hfb.media.plate import changed_pixels
+
+
+@pytest.mark.parametrize("video", [False, True])
+def test_a_clip_is_what_its_truth_says(tmp_path: Path, video: bool) -> None:
+    told: list[tuple[int, int]] = []
+    made = make_clip(
+        tmp_path / "clip", 6, 48, 64, seed=5, shutter=0.5, instants=8, video=video, leaves=(2, 3),
+        on_progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    assert told[-1] == (6, 6)
+    footage, plate = open_footage(made.source), read_picture_srgb(made.background)
+    assert footage.count == 6
+    truth, space = load_motion(made.truth)
+    assert space == "hfb"
+    assert sorted(set(truth.frame_index.tolist())) == [0, 1, 4, 5]
+    changed = changed_pixels(np.stack(list(footage.frames())), plate)
+    shares = changed.mean((1, 2))
+    assert shares[[2, 3]].max() < 0.01 < 0.03 < shares[[0, 1, 4, 5]].min()
+    pelvis = (truth.joints[truth.rows_of(0)[4], 0] @ truth.K.T)[:2] / truth.joints[truth.rows_of(0)[4], 0, 2]
+    assert changed[0][int(pelvis[1]), int(pelvis[0])]
+    clip = read_clip(made.clip)
+    assert clip.exposure.fps == 30
+    assert clip.exposure.exposure_s(1 / 30) == pytest.approx(truth.times_s[7] - truth.times_s[0])
+
+
+def test_the_same_bytes_again_and_another_seed(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in "abc"]
+    for folder, seed in zip(folders, (1, 1, 2), strict=True):
+        make_clip(folder, 2, 32, 48, seed=seed, instants=8)
+    contents = [
+        {path.relative_to(folder): path.read_bytes() for path in sorted(folder.rglob("*.*"))} for folder in folders
+    ]
+    assert contents[0] == contents[1]
+    assert len(contents[0]) == 5
+    assert contents[0] != contents[2]
+
+
+def test_a_long_clip_never_stands_or_jumps(tmp_path: Path) -> None:
+    made = make_clip(tmp_path, 8, 32, 48, seed=1, fps=1.0, instants=8)  # eight seconds: longer than any motion
+    truth, _ = load_motion(made.truth)
+    assert truth.times_s[-1] > 7
+    assert np.isfinite(truth.joints).all()

@@ -1,0 +1,71 @@
+"""A folder of clips: each once, the hopeless ones set aside with their reason, and a page about all."""
+
+import fcntl
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flows.batch import batch
+from tests.orchestration import mlflow_rows
+from tests.small_clips import small_clip, small_config
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two clips of one frame and a file that is none, all written long ago."""
+    made = small_clip(1)
+    for name in ("walk", "wave"):
+        shutil.copytree(made.truth.parent, tmp_path / "clips" / name)
+    (tmp_path / "clips" / "wave" / "clip.toml").write_text((made.clip).read_text() + '\n[person]\nwhich = "largest"\n')
+    (tmp_path / "clips" / "broken.mp4").write_text("no video")
+    for path in (tmp_path / "clips").rglob("*"):
+        os.utime(path, (1_700_000_000, 1_700_000_000))
+    return tmp_path / "clips"
+
+
+def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    config = small_config().model_dump(mode="json")
+    out.mkdir()
+    # Another process works on one of them: not hopeless, so it is tried again, and by then it is free.
+    (out / "walk" / "intermediate").mkdir(parents=True)
+    with (out / "walk" / "intermediate" / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        first = batch(folder, out, config, workers=1, attempts=1, wait_s=0.1)
+    assert {name: first[name] for name in ("clips", "done", "set_aside", "waiting")} == {
+        "clips": 3, "done": 1, "set_aside": 2, "waiting": 0,
+    }  # fmt: skip
+    ledger = json.loads((out / "batch.json").read_text())
+    assert "another hfb is working" in ledger["walk"]["reason"]
+    assert "broken.mp4" in ledger["broken"]["reason"]
+    stamp = (out / "wave" / "result.json").stat().st_mtime_ns
+
+    second = batch(folder, out, config, workers=1, attempts=3, wait_s=0.1, again=True)
+    assert (second["done"], second["set_aside"]) == (2, 1)
+    assert (out / "wave" / "result.json").stat().st_mtime_ns == stamp  # done once
+    assert json.loads((out / "batch.json").read_text())["broken"]["attempts"] == 1  # nothing but a new file mends it
+    assert sorted(mlflow_rows(store, "select name, status from runs")) == [("walk", "FINISHED"), ("wave", "FINISHED")]
+    page = Path(second["page"]).read_text()
+    assert "3 clips: 2 done, 1 set aside, 0 waiting" in page
+    assert page.count("data:image/jpeg;base64,") == 2
+    assert "broken.mp4" in page
+    assert not re.findall(
+        r'(?:src|href)="(?!data:|http://127\.0\.0\.1:5000/)', page
+    )
+
+
+def test_the_deployment_is_what_prefect_reads() -> None:
+    import yaml
+    from prefect.flows import load_flow_from_entrypoint
+
+    root = Path(__file__).parents[2]
+    (deployment,) = yaml.safe_load((root / "infra" / "watched_folder" / "prefect.yaml").read_text())["deployments"]
+    file, _, name = deployment["entrypoint"].partition(":")
+    flow = load_flow_from_entrypoint(f"{root / file}:{name}")
+    assert flow.name == "batch"
+    assert set(deployment["parameters"]) <= set(flow.parameters.properties)
+    assert deployment["concurrency_limit"] == {"limit": 1, "collision_strategy": "CANCEL_NEW"}

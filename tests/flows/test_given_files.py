@@ -1,0 +1,139 @@
+"""A user's own networks and other systems' results, through the whole chain."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+
+from flows.fit_image import fit_image
+from flows.options import add_config_flags, run_config
+from hfb.config import FitConfig, InitConfig, MattingConfig, RunConfig, Stage
+from hfb.errors import InputError
+from hfb.initialize.first_body import load_first_body
+from hfb.initialize.readers.pose_track import save_track
+from hfb.initialize.readers.sniff import read_tracks
+from tasks.given_result import ResultHandle
+from tests.matting.networks import DifferenceMatting, save_scripted
+from tests.orchestration import Problem, mlflow_rows
+from tests.small_clips import FRAMES, finished, run_clip, small_clip
+
+FIT = FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=3),))
+
+
+def wham_result(problem: Problem, path: Path, frames: int = 3) -> Path:
+    """The example's true middle pose as WHAM would write it, in every frame."""
+    true = load_first_body(problem.first_body)
+    one = {
+        "pose": np.tile(true.pose.numpy().reshape(1, 72), (frames, 1)), "betas": np.zeros((frames, 10)),
+        "trans": np.tile(true.translation.numpy(), (frames, 1)), "frame_ids": np.arange(frames),
+    }  # fmt: skip
+    joblib.dump({0: one}, path)
+    return path
+
+
+def config(path: Path, frame: int | None = 1, **parts: Any) -> RunConfig:
+    return RunConfig(fit=FIT, init=InitConfig(method="file", file=path, frame=frame), **parts)
+
+
+def test_a_result_and_a_matting_network_of_ones_own(problem: Problem, store: Path, tmp_path: Path) -> None:
+    path = wham_result(problem, tmp_path / "wham_output.pkl")
+    network = save_scripted(DifferenceMatting(), tmp_path / "bgm.pth")
+    given = config(path, matting=MattingConfig(method="bgmv2", weights=network))
+    out = tmp_path / "out"
+    result = fit_image([problem.frame], problem.background, out, given)
+    assert result["first_bodies"] == ["WHAM"]
+    assert {"init_file_0", "matting", "frame_0"} <= result["inputs"].keys()
+    assert json.loads((out / "result.json").read_text()) == result
+    params = dict(mlflow_rows(store, "select key, value from params"))
+    assert params["input.init_file_0"] == result["inputs"]["init_file_0"]
+
+    # another result under the same name is another start
+    before = (out / "motion.npz").read_bytes()
+    content = joblib.load(path)
+    content[0]["pose"][:, 3:] = 0
+    joblib.dump(content, path)
+    again = fit_image([problem.frame], problem.background, out, given)
+    assert again["inputs"]["init_file_0"] != result["inputs"]["init_file_0"]
+    assert (out / "motion.npz").read_bytes() != before
+
+
+def test_what_cannot_be_meant_is_said_before_anything_is_made(problem: Problem, store: Path, tmp_path: Path) -> None:
+    path = wham_result(problem, tmp_path / "wham_output.pkl")
+    with pytest.raises(InputError, match=r"has 3 frames and 1 are fitted: say with --init\.frame"):
+        fit_image([problem.frame], problem.background, tmp_path / "out", config(path, frame=None))
+    with pytest.raises(InputError, match="has nobody in frame 7"):
+        fit_image([problem.frame], problem.background, tmp_path / "out", config(path, frame=7))
+    with pytest.raises(InputError, match="does not exist"):
+        fit_image([problem.frame], problem.background, tmp_path / "out", config(tmp_path / "missing.pkl"))
+
+    class Attack:
+        def __reduce__(self) -> Any:
+            return os.system, (f"touch {tmp_path / 'attacked'}",)
+
+    joblib.dump(Attack(), path)
+    with pytest.raises(InputError, match=r"wham_output\.pkl cannot be used: its pickle asks for posix\.system"):
+        fit_image([problem.frame], problem.background, tmp_path / "out", config(path))
+    assert not (tmp_path / "attacked").exists()
+    assert not (tmp_path / "out" / "result.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("parts", "says"),
+    [
+        ({"init": InitConfig(method="metro")}, "--init-weights FILE"),
+        ({"init": InitConfig(method="matte", weights=Path("x"))}, "takes no --init-weights"),
+        ({"init": InitConfig(method="file")}, "with --init FILE"),
+        ({"init": InitConfig(file=Path("x"))}, "does not go with init.method auto"),
+        ({"matting": MattingConfig(method="bgmv2")}, "--matting-weights FILE"),
+        ({"matting": MattingConfig(weights=Path("x"))}, "takes no --matting-weights"),
+    ],
+)
+def test_halves_of_an_option(problem: Problem, parts: dict[str, Any], says: str) -> None:
+    from tasks.inputs import take_inputs
+
+    with pytest.raises(InputError, match=says):
+        take_inputs([problem.frame], problem.background, RunConfig(**parts))
+
+
+def test_a_result_with_a_row_per_picture_needs_no_number() -> None:
+    handle = ResultHandle(path=Path("x"), sha256="0", system="WHAM", frames=(4, 5, 9))
+    assert handle.numbers_of(3, None) == (4, 5, 9)
+    assert handle.numbers_of(2, 5) == (5, 6)
+
+
+def test_short_flags() -> None:
+    import argparse
+
+    def parsed(*words: str) -> RunConfig:
+        parser = argparse.ArgumentParser(allow_abbrev=False)
+        parser.add_argument("--config", type=Path)
+        add_config_flags(parser)
+        return run_config(parser.parse_args(words))
+
+    assert parsed("--init", "matte").init == InitConfig(method="matte")
+    assert parsed("--init", "out/wham_output.pkl").init == InitConfig(method="file", file=Path("out/wham_output.pkl"))
+    metro = parsed("--init", "metro", "--init-weights", "metro.pt")
+    assert metro.init == InitConfig(method="metro", weights=Path("metro.pt"))
+    matting = parsed("--matting", "bgmv2", "--matting-weights", "b.pth", "--matting.backbone-scale", "0.25").matting
+    assert matting == MattingConfig(method="bgmv2", weights=Path("b.pth"), backbone_scale=0.25)
+    assert parsed("--init.frame", "3", "--init.person", "7").init == InitConfig(frame=3, person="7")
+
+
+def test_a_result_of_a_whole_clip(store: Path, tmp_path: Path) -> None:
+    """Frame by frame where the system saw somebody; a frame in which it saw nobody is filled by its neighbours."""
+    made = small_clip()
+    (truth,) = read_tracks([made.truth], 96, 128)
+    seen = truth.rows(np.array([frame for frame in range(len(truth)) if frame != 5]))
+    save_track(tmp_path / "track.npz", seen)
+    result = run_clip(
+        made.truth.parent, tmp_path / "out", "--init", str(tmp_path / "track.npz"), truth=made.truth
+    )  # fmt: skip
+    assert result["frames"] == FRAMES
+    assert result["filled"] == [5]
+    assert result["gaps"] == []
+    assert {"init_file_0", "video"} <= result["inputs"].keys()
+    assert result["mpjpe_mm"] < 0.8 * finished()[2]["mpjpe_mm"]  # whose start knew the matte alone

@@ -1,0 +1,133 @@
+"""A whole clip on a real server and a real store: every frame once, whatever had been done before."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hfb.errors import InputError
+from hfb.export.motion_file import load_motion
+from hfb.media.pictures import read_picture_srgb
+from tests.orchestration import mlflow_rows
+from tests.small_clips import (
+    FRAMES,
+    LONGER,
+    assert_every_frame_once,
+    begun,
+    finished,
+    run_clip,
+    small_clip,
+    stamps,
+)
+
+
+def test_results_and_record() -> None:
+    out, store, result = finished()
+    assert json.loads((out / "result.json").read_text()) == result
+    assert (result["frames"], result["sub_frames"], result["gaps"], result["resumed_frames"]) == (12, 36, [], 0)
+    motion, space = load_motion(out / "motion.npz")
+    assert motion.poses.shape == (3 * FRAMES, 72)
+    assert space == "hfb"
+    assert motion.frame_index.tolist() == sorted(3 * list(range(FRAMES)))
+    assert (np.diff(motion.times_s) > 0).all()
+    assert result["worst_jump_mm"] < 2
+    assert result["worst_velocity_share"] < 0.02
+    assert 0.4 < result["matte_iou"] < 1
+    assert 10 < result["mpjpe_mm"] < 400
+    assert 0 < result["workers_busy"] < 1
+    assert read_picture_srgb(Path(result["strip"])).shape[0] > 200
+
+    assert_every_frame_once(store)
+    params = dict(mlflow_rows(store, "select key, value from params"))
+    assert params["video.key_every"] == "12"
+    assert params["input.video"] == result["inputs"]["video"]
+    tags = dict(mlflow_rows(store, "select key, value from tags"))
+    assert tags["hfb.command"] == "video"
+    artifacts = {path.name for path in (store.parent / "mlflow-artifacts").rglob("*") if path.is_file()}
+    assert {"motion.npz", "edges.json", "strip.png", "result.json", "config.json", "recipe.json"} <= artifacts
+
+
+def test_a_second_start_does_nothing_again(store: Path, tmp_path: Path) -> None:
+    first, out = finished()[0], begun(tmp_path / "out")
+    before = stamps(out, "*.*")
+    result = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
+    assert result["resumed_frames"] == FRAMES
+    assert (out / "motion.npz").read_bytes() == (first / "motion.npz").read_bytes()
+    assert stamps(out, "*.png") | stamps(out, "*.npz") == {
+        n: s for n, s in before.items() if n.endswith(("png", "npz"))
+    }
+    assert_every_frame_once(store)  # the record was not there: it is made whole
+
+
+def test_a_changed_option_redoes_what_depends_on_it(store: Path, tmp_path: Path) -> None:
+    out = begun(tmp_path / "out")
+    before = stamps(out, "*.*")
+    damaged = finished()[0] / "intermediate" / "matte_000004.png"
+    good = damaged.read_bytes()
+    damaged.write_bytes(b"damaged meanwhile")
+    try:
+        result = run_clip(small_clip().truth.parent, out, *LONGER, truth=small_clip().truth)
+    finally:
+        damaged.write_bytes(good)
+    assert result["resumed_frames"] == 0
+    changed = {name.split("_0")[0] for name, stamp in stamps(out, "*.*").items() if stamp != before.get(name)}
+    assert {"window", "motion.npz", "edges.json", "strip.png", "matte"} <= changed
+    assert not changed & {"frame", "plate.png", "key_body", "agreed_body", "first_body", "person_window", "person.npz"}
+    assert stamps(out, "matte_*")["matte_000003.png"] == before["matte_000003.png"]
+
+
+def test_the_number_of_workers_changes_no_byte(store: Path, tmp_path: Path) -> None:
+    out = begun(tmp_path / "out")
+    shutil.rmtree(out / "intermediate")
+    result = run_clip(small_clip().truth.parent, out, truth=small_clip().truth, workers=1)
+    assert result["resumed_frames"] == 0
+    assert (out / "motion.npz").read_bytes() == (finished()[0] / "motion.npz").read_bytes()
+
+
+def test_a_person_who_leaves_is_a_gap(store: Path, tmp_path: Path) -> None:
+    made = small_clip(7, leaves=(3, 5))
+    result = run_clip(made.truth.parent, tmp_path / "out", truth=made.truth)
+    assert result["gaps"] == [[3, 5]]
+    assert result["frames"] == 7
+    assert result["sub_frames"] == 3 * 4
+    motion, _ = load_motion(tmp_path / "out" / "motion.npz")
+    assert sorted(set(motion.frame_index.tolist())) == [0, 1, 2, 6]
+    seen = dict(mlflow_rows(store, "select step, value from metrics where key = 'frame/seen'"))
+    assert seen == {0: 1, 1: 1, 2: 1, 3: 0, 4: 0, 5: 0, 6: 1}
+
+
+def test_a_clip_of_one_frame(store: Path, tmp_path: Path) -> None:
+    made = small_clip(1)
+    result = run_clip(made.truth.parent, tmp_path / "out")
+    assert (result["frames"], result["sub_frames"], result["worst_jump_mm"]) == (1, 3, None)
+    assert_every_frame_once(store, [0])
+
+
+def test_unusable_clips_are_told_and_leave_nothing(store: Path, tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    video = small_clip(4, video=True)
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(video.source.read_bytes()[: video.source.stat().st_size // 3])
+    (tmp_path / "text.mp4").write_text("no video")
+    other = make_other_plate(tmp_path)
+    plate = str(video.background)
+    for source, background, says in (
+        (cut, plate, r"cut\.mp4"),
+        (tmp_path / "text.mp4", plate, r"text\.mp4"),
+        (video.source, str(other), "camera|background|plate"),
+        (video.source, str(tmp_path / "none.png"), "does not exist"),
+    ):
+        with pytest.raises(InputError, match=says):
+            run_clip(source, out, background=background)
+        assert not out.parent.exists()
+
+
+def make_other_plate(folder: Path) -> Path:
+    """The view of another camera."""
+    picture = read_picture_srgb(small_clip(4, video=True).background)
+    from hfb.media.pictures import write_png
+
+    write_png(folder / "other.png", np.ascontiguousarray(picture[::-1, ::-1]))
+    return folder / "other.png"

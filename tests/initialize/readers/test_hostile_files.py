@@ -1,0 +1,164 @@
+"""A pickle runs code where it is opened. Here none does: at every place of every file it is refused by name."""
+
+import copy
+import io
+import os
+import pickle
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+import torch
+
+from hfb.body.pickled_arrays import to_array
+from hfb.body.torch_files import load_torch
+from hfb.errors import InputError
+from hfb.initialize.readers.sniff import read_tracks
+from tests.initialize.readers import files
+from tests.initialize.readers.files import HEIGHT, PICKLED, WIDTH, Person
+
+WRITERS = [files.pymaf, files.hybrik, files.phalp, files.wham, files.tram, files.sam3d]
+
+
+class Attack:
+    """What a hostile file holds: opened by pickle, it writes a file."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return os.system, (f"touch {self.target}",)
+
+
+def places(content: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where something stands in nested dictionaries and lists, from the outside in."""
+    yield above
+    inner = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, value in inner:
+        yield from places(value, (*above, key))
+
+
+def with_attack(content: Any, place: tuple[Any, ...], attack: Attack) -> Any:
+    if not place:
+        return attack
+    changed = copy.deepcopy(content)
+    inside = changed
+    for key in place[:-1]:
+        inside = inside[key]
+    inside[place[-1]] = attack
+    return changed
+
+
+@pytest.mark.parametrize("write", WRITERS, ids=lambda write: write.__name__)
+def test_no_place_of_a_result_runs(tmp_path: Path, write: Any) -> None:
+    written = write(tmp_path, Person.some(count=files.COUNT))
+    attack = Attack(tmp_path / "attacked")
+    tried = 0
+    for place in places(written.content):
+        PICKLED[written.path.name](with_attack(written.content, place, attack), written.path)
+        with pytest.raises(InputError, match=r"asks for posix\.system"):
+            read_tracks([written.path], HEIGHT, WIDTH)
+        assert not attack.target.exists()
+        tried += 1
+    assert tried > 5
+
+
+def test_no_place_of_a_torch_file_runs(tmp_path: Path) -> None:
+    written = files.gvhmr(tmp_path, Person.some(), np.zeros((1, 3)))
+    attack = Attack(tmp_path / "attacked")
+    for place in places(written.content):
+        for zipped in (True, False):
+            changed = with_attack(written.content, place, attack)
+            torch.save(changed, written.path, _use_new_zipfile_serialization=zipped)
+            with pytest.raises(InputError, match=r"asks for posix\.system"):
+                read_tracks([written.path], HEIGHT, WIDTH)
+    assert not attack.target.exists()
+
+
+def test_the_camera_beside_a_result_does_not_run_either(tmp_path: Path) -> None:
+    written = files.tram(tmp_path, Person.some())
+    attack = Attack(tmp_path / "attacked")
+    np.save(tmp_path / "camera.npy", np.array({"img_focal": attack}, dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"camera\.npy cannot be used: its pickle asks for posix\.system"):
+        read_tracks([written.path, tmp_path / "camera.npy"], HEIGHT, WIDTH)
+    assert not attack.target.exists()
+
+
+def test_an_attack_within_a_tensors_own_file(tmp_path: Path) -> None:
+    """A tensor outside torch.save is pickled as bytes that torch would open in turn."""
+    attack = Attack(tmp_path / "attacked")
+    inner = io.BytesIO()
+    torch.save(attack, inner, _use_new_zipfile_serialization=False)
+
+    class Nested:
+        def __reduce__(self) -> Any:
+            return torch.storage._load_from_bytes, (inner.getvalue(),)
+
+    path = tmp_path / "hps_track_0.npy"
+    np.save(path, np.array({"frame": Nested()}, dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"asks for posix\.system"):
+        read_tracks([path], HEIGHT, WIDTH)
+    joblib.dump({"a": np.array([attack, 1], dtype=object)}, tmp_path / "o.pkl")
+    with pytest.raises(InputError, match=r"asks for posix\.system"):
+        read_tracks([tmp_path / "o.pkl"], HEIGHT, WIDTH)
+    assert not attack.target.exists()
+
+
+def test_a_promise_of_more_than_there_is(tmp_path: Path) -> None:
+    """Sizes are checked against the bytes that are there before anything is allocated."""
+    data = io.BytesIO()
+    joblib.dump(np.zeros(4), data)
+    lying = data.getvalue().replace(b"shape\x94K\x04\x85", b"shape\x94K\xff\x85")
+    assert lying != data.getvalue()
+    (tmp_path / "a.pkl").write_bytes(lying)
+    with pytest.raises(InputError, match="cut off"):
+        read_tracks([tmp_path / "a.pkl"], HEIGHT, WIDTH)
+    bomb = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("joints.npy", b"\0" * (1 << 20))
+    content = bytearray(bomb.read_bytes())
+    at = content.find(b"PK\x01\x02")
+    content[at + 24 : at + 28] = (0xF0000000).to_bytes(4, "little")
+    bomb.write_bytes(bytes(content))
+    with pytest.raises(InputError, match="1 GiB"):
+        read_tracks([bomb], HEIGHT, WIDTH)
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        torch.arange(24.0).reshape(2, 3, 4),
+        torch.arange(24.0).reshape(2, 3, 4).transpose(0, 2)[1:],
+        torch.arange(5).half(),
+        torch.arange(5).bfloat16(),
+        torch.arange(6).reshape(2, 3),
+        torch.tensor([True, False]),
+        torch.tensor(3.5, dtype=torch.float64),
+        torch.zeros(0, 3),
+        torch.nn.Parameter(torch.ones(2)),
+    ],
+)
+def test_tensors_without_torch(tensor: torch.Tensor, zipped: bool) -> None:
+    """What torch.save wrote, and what a bare pickle or joblib makes of the tensor, is read to the last bit."""
+    stream = io.BytesIO()
+    torch.save({"a": [tensor]}, stream, _use_new_zipfile_serialization=zipped)
+    expected = tensor.detach().float().numpy()
+    np.testing.assert_array_equal(to_array(load_torch(stream.getvalue())["a"][0]), expected)
+
+
+def test_damaged_torch_files_are_a_sentence() -> None:
+    for zipped in (True, False):
+        stream = io.BytesIO()
+        torch.save({"a": torch.arange(1000.0)}, stream, _use_new_zipfile_serialization=zipped)
+        whole = stream.getvalue()
+        for cut in (10, len(whole) // 2, len(whole) - 300):
+            with pytest.raises(InputError):
+                load_torch(whole[:cut])
+    wrong = io.BytesIO()
+    torch.save(pickle.dumps({}), wrong)
+    assert load_torch(wrong.getvalue()) == pickle.dumps({})

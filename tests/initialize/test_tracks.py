@@ -1,0 +1,116 @@
+"""Who is where: people followed from frame to frame, chosen, and taken from other systems' files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hfb.clip import PersonChoice
+from hfb.errors import InputError
+from hfb.initialize.tracks import Track, choose_track, find_tracks, keep_person, read_track
+
+HEIGHT, WIDTH = 90, 160
+PLATE = np.full((HEIGHT, WIDTH, 3), 0.4, np.float32)
+
+
+def frames(*people: list[tuple[int, int] | None]) -> list[np.ndarray]:
+    """Each person is a list of (left, height) per frame, feet at row 80; None where away."""
+    rng = np.random.default_rng(1)
+    out = []
+    for number in range(len(people[0])):
+        picture = PLATE + rng.normal(0, 0.005, PLATE.shape)
+        for person in people:
+            if (here := person[number]) is not None:
+                picture[80 - here[1] : 80, here[0] : here[0] + 14] = (0.9, 0.2, 0.3)
+        out.append(picture.astype(np.float32))
+    return out
+
+
+WALKS: list[tuple[int, int] | None] = [(10 + 4 * n, 50) for n in range(10)]
+STANDS: list[tuple[int, int] | None] = [(120, 30)] * 10
+
+
+def test_everyone_is_followed_and_the_largest_is_chosen() -> None:
+    told: list[int] = []
+    tracks = find_tracks(frames(WALKS, STANDS), PLATE, told.append)
+    assert told == list(range(1, 11))
+    assert len(tracks) == 2
+    largest = choose_track(tracks, PersonChoice())
+    assert largest.present.all()
+    assert np.allclose(largest.boxes[5], [30, 30, 44, 80], atol=3)
+    boxed = choose_track(tracks, PersonChoice(box=(110, 45, 140, 85), frame=3))
+    assert np.allclose(boxed.boxes[5], [120, 50, 134, 80], atol=3)
+    with pytest.raises(InputError, match="nobody was seen in the box of frame 3; seen there: person 1, person 2"):
+        choose_track(tracks, PersonChoice(box=(80, 1, 90, 9), frame=3))
+    with pytest.raises(InputError, match="past the clip's last frame 9"):
+        choose_track(tracks, PersonChoice(box=(80, 1, 90, 9), frame=10))
+
+
+def test_who_leaves_is_absent() -> None:
+    leaves = [*WALKS[:4], None, None, None, *WALKS[7:]]
+    tracks = find_tracks(frames(leaves), PLATE)
+    assert len(tracks) == 1
+    assert tracks[0].present.tolist() == [True] * 4 + [False] * 3 + [True] * 3
+
+
+def test_who_comes_back_elsewhere_is_taken_for_the_same_unless_a_box_says_who() -> None:
+    first, later = [(10, 50)] * 5 + [None] * 5, [None] * 6 + [(140, 22)] * 4
+    tracks = find_tracks(frames(first, later), PLATE)
+    assert len(tracks) == 2
+    assert choose_track(tracks, PersonChoice()).present.tolist() == [True] * 5 + [False] + [True] * 4
+    assert choose_track(tracks, PersonChoice(box=(0, 20, 30, 90))).present.tolist() == [True] * 5 + [False] * 5
+
+
+def test_nobody() -> None:
+    assert find_tracks(frames([None] * 3), PLATE) == ()
+    with pytest.raises(InputError, match="nobody was seen in any frame"):
+        choose_track((), PersonChoice())
+
+
+def test_a_matte_keeps_one_person() -> None:
+    matte = np.zeros((HEIGHT, WIDTH), np.float32)
+    matte[30:80, 30:44] = 1
+    matte[50:80, 120:134] = 0.8
+    kept = keep_person(matte, np.array([30.0, 30, 44, 80]))
+    assert np.array_equal(kept[:, :100], matte[:, :100])
+    assert not kept[:, 100:].any()
+    with pytest.raises(InputError, match="no person was found"):
+        keep_person(matte, np.array([70.0, 30, 90, 80]))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "frame,id,left,top,width,height\n0,3,10,20,30,40\n2,3,12,20,30,40\n2,7,50,20,30,40\n"),
+        ("b.csv", "Frame, track_id, x1, y1, x2, y2\n0,3.0,10,20,40,60\n2,3,12,20,42,60\n2,7,50,20,80,60\n"),
+        ("mot.txt", "1,3,10,20,30,40,1,-1,-1,-1\n3,3,12,20,30,40,1,-1,-1,-1\n3,7,50,20,30,40,1,-1,-1,-1\n"),
+    ],
+)
+def test_tracks_of_other_systems(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    track = read_track(tmp_path / name, 3, 4)
+    assert track.present.tolist() == [True, False, True, False]
+    assert np.allclose(track.boxes[[0, 2]], [[10, 20, 40, 60], [12, 20, 42, 60]])
+    with pytest.raises(InputError, match=r"holds 2 people; choose one with person.id: 3, 7"):
+        read_track(tmp_path / name, None, 4)
+    with pytest.raises(InputError, match="has no track 5"):
+        read_track(tmp_path / name, 5, 4)
+    with pytest.raises(InputError, match="no box in the clip's 2 frames"):
+        read_track(tmp_path / name, "7", 2)
+
+
+def test_tracks_as_arrays(tmp_path: Path) -> None:
+    box = np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])
+    np.savez(tmp_path / "t.npz", frame=[1, 2], id=["a", "a"], box=box)
+    track = read_track(tmp_path / "t.npz", None, 3)
+    assert isinstance(track, Track)
+    assert np.allclose(track.boxes[1:], box)
+
+
+@pytest.mark.parametrize("content", ["", "frame,id\n0,1\n", "frame,id,left,top,width,height\n0,1,a,b,c,d\n", "1,2\n"])
+def test_what_is_no_file_of_tracks(tmp_path: Path, content: str) -> None:
+    (tmp_path / "t.csv").write_text(content)
+    with pytest.raises(InputError, match="is no file of tracks"):
+        read_track(tmp_path / "t.csv", None, 3)
+    with pytest.raises(InputError, match="no such file"):
+        read_track(tmp_path / "missing.csv", None, 3)

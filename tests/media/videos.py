@@ -1,0 +1,49 @@
+"""Small videos for tests: numbered pictures that survive any codec, in the given container and codec."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+SIZE = (48, 64)
+
+
+def picture(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """A gradient with a bright block whose place and whose gray level tell the number; uint8 RGB."""
+    height, width = size
+    frame = np.zeros((height, width, 3), np.uint8)
+    frame[..., 0] = np.linspace(20, 90, width, dtype=np.uint8)
+    frame[..., 1] = 30 + 5 * (number % 20)
+    left = 8 * (number % (width // 8))
+    frame[8:24, left : left + 8] = 220
+    return frame
+
+
+def write_video(
+    path: Path,
+    frames: list[np.ndarray],
+    codec: str = "libx264",
+    pixels: str = "yuv420p",
+    options: dict[str, str] | None = None,
+    stamps: list[int] | None = None,
+    container_options: dict[str, str] | None = None,
+) -> Path:
+    """25 frames per second, or the given stamps in milliseconds; skips the test where the encoder is missing."""
+    try:
+        with av.open(str(path), "w", options=container_options or {}) as container:
+            stream = container.add_stream(codec, rate=25, options=options or {})
+            stream.height, stream.width = frames[0].shape[:2]
+            stream.pix_fmt = pixels
+            if stamps is not None:
+                stream.codec_context.time_base = stream.time_base = Fraction(1, 1000)
+            for number, content in enumerate(frames):
+                frame = av.VideoFrame.from_ndarray(content, format="rgb24")
+                if stamps is not None:
+                    frame.pts, frame.time_base = stamps[number], Fraction(1, 1000)
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+    except (av.FFmpegError, ValueError) as error:
+        pytest.skip(f"this build of PyAV cannot write {codec}: {error}")
+    return path

@@ -1,0 +1,146 @@
+"""Clips so small that a whole one takes seconds, and what is looked at in their results."""
+
+import argparse
+import functools
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows.options import add_config_flags, run_config
+from hfb.config import RunConfig
+from hfb.datasets.clip_making import MadeClip, make_clip
+from tests.orchestration import _session_folder, mlflow_rows, orchestrated
+
+FRAMES = 12
+SMALL_OPTIONS = (
+    "--init.method", "matte", "--matting.method", "known-background", "--fit.subframes", "3", "--fit.texture-px", "16",
+    "--fit.stages", '[{"size_px": 32, "iterations": 3}]', "--fit.settle", "0", "--fit.weights.joints", "0",
+    "--fit.matte-scales", "1", "--fit.image-scales", "1", "--video.key-every", str(FRAMES),
+    "--video.person-windows", "1", "--video.stages", '[{"size_px": 32, "iterations": 3}]', "--video.longest-fill", "1",
+)  # fmt: skip
+"""One full search of a body at either end, three iterations of every window."""
+
+LONGER = ("--video.stages", '[{"size_px": 32, "iterations": 30}]')
+"""Windows that take long enough to be interrupted."""
+
+
+def small_config(*more: str) -> RunConfig:
+    """The configuration of the small options and some others."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--config")
+    add_config_flags(parser)
+    return run_config(parser.parse_args([*SMALL_OPTIONS, *more]))
+
+
+@functools.cache
+def small_clip(frames: int = FRAMES, leaves: tuple[int, int] | None = None, video: bool = False) -> MadeClip:
+    """A clip of 96 x 128 pixels with its truth, made once; its folder is what `hfb video` takes."""
+    name = f"clip-{frames}-{leaves}-{video}".replace(" ", "")
+    return make_clip(_session_folder() / name, frames, 96, 128, seed=3, leaves=leaves, video=video)
+
+
+def run_clip(
+    source: Path, out: Path, *more: str, workers: int = 2, truth: Path | None = None, background: str | None = None
+) -> dict[str, Any]:
+    """`hfb video` of the small options in this process."""
+    from flows.video import run_video
+    from tasks.video_inputs import take_video_inputs
+
+    config = small_config(*more)
+    return run_video(take_video_inputs(source, config, None, background, truth), out, config, workers)
+
+
+@functools.cache
+def finished() -> tuple[Path, Path, dict[str, Any]]:
+    """The small clip, done once: its folder, the MLflow database and result.json."""
+    folder = _session_folder() / "finished"
+    folder.mkdir()
+    patch = pytest.MonkeyPatch()
+    try:
+        with orchestrated(folder, patch) as store:
+            made = small_clip()
+            result = run_clip(made.truth.parent, folder / "out", truth=made.truth)
+    finally:
+        patch.undo()
+    return folder / "out", store, result
+
+
+def begun(out: Path) -> Path:
+    """A folder in which everything of the small clip was done already, with its files' own times."""
+    shutil.copytree(finished()[0], out)
+    return out
+
+
+def stamps(out: Path, pattern: str) -> dict[str, int]:
+    """When intermediate files were written."""
+    found = (path for path in (out / "intermediate").glob(pattern) if not path.name.startswith("."))
+    return {path.name: path.stat().st_mtime_ns for path in found}
+
+
+def started(out: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
+    """`hfb video` of the small clip in a process of its own; what it says goes to ``out`` with .shown."""
+    made = small_clip()
+    words = ["video", str(made.truth.parent), "--truth", str(made.truth), "--out", str(out), "--workers", "2", "--json"]
+    with shown(out).open("a") as messages:
+        return subprocess.Popen(
+            [sys.executable, "-m", "flows.cli", *words, *SMALL_OPTIONS, *more], stdout=subprocess.PIPE,
+            stderr=messages, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), **environment},
+            # tests that run in the background of a shell would hand down that Ctrl-C is ignored
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        )  # fmt: skip
+
+
+def shown(out: Path) -> Path:
+    """The messages of `started`."""
+    return out.with_suffix(".shown")
+
+
+def until(condition: Callable[[], bool], process: subprocess.Popen[str], out: Path, seconds: float = 240) -> None:
+    """Wait for something that a process does; its messages are the error where it ends before."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, shown(out).read_text()
+        assert time.monotonic() < deadline, shown(out).read_text()
+        time.sleep(0.01)
+
+
+def new_windows(out: Path, before: dict[str, int]) -> int:
+    """How many windows were fitted since."""
+    return sum(stamp != before.get(name) for name, stamp in stamps(out, "window_*.npz").items())
+
+
+def children(process: int) -> list[int]:
+    """The processes that a process started, and theirs."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+            if parent == process:
+                found += [int(entry.name), *children(int(entry.name))]
+    return found
+
+
+def computing(process: int) -> list[int]:
+    """The worker processes of a command."""
+    return [one for one in children(process) if b"spawn_main" in (Path("/proc") / str(one) / "cmdline").read_bytes()]
+
+
+def assert_every_frame_once(store: Path, frames: Sequence[int] = range(FRAMES)) -> None:
+    """One finished run, and one point per frame and metric."""
+    assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+    for metric in ("frame/seen", "fit/loss", "eval/matte_iou", "eval/psnr_db"):
+        steps = [
+            step for (step,) in mlflow_rows(store, f"select step from metrics where key = '{metric}' order by step")
+        ]
+        assert steps == list(frames), metric
