@@ -14,6 +14,8 @@ _SETTINGS = {
     # the temporary server may take long to start the first time, on a slow or busy machine
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
+    # a lost server would cost a page per unsent event on the terminal; what is lost is said in a sentence
+    "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
     "MLFLOW_LOGGING_LEVEL": "WARNING",
     # torch alone on a core: faster beside other work, and sums come out the same on every machine
     "OMP_NUM_THREADS": "1",

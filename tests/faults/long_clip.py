@@ -32,6 +32,7 @@ _MADE_ONCE = ("frame_*", "matte_*", "key_body_*", "first_body_*", "window_*", "p
 def main() -> None:
     """See the module."""
     given = _arguments()
+    given.folder.mkdir(parents=True, exist_ok=True)
     place = given.folder.resolve()
     os.environ |= {
         "OMP_NUM_THREADS": "1", "MLFLOW_TRACKING_URI": f"sqlite:///{place}/mlflow.db",
@@ -51,6 +52,8 @@ def main() -> None:
     if not (quiet / "result.json").exists():
         told["undisturbed"] = _watched(command, quiet)
     if given.kills:
+        # a store of its own: the same problem's finished record would be found again, and nothing be written
+        os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{place}/mlflow-killed-{given.seed}.db"
         told["killed"] = _killed(command, given.folder / f"killed-{given.frames}-{given.seed}", given, quiet)
     print(json.dumps(told, indent=2))
 
@@ -138,7 +141,7 @@ def _killed(command: list[str], out: Path, given: argparse.Namespace, quiet: Pat
     same = {name: (out / name).read_bytes() == (quiet / name).read_bytes() for name in _COMPARED}
     return {
         "same_bytes": same, "made_twice": twice, "resumed_frames": result["resumed_frames"],
-        "mlflow": _mlflow(given.folder / "mlflow.db", result["mlflow_run_id"], given.frames),
+        "mlflow": _mlflow(given.folder / f"mlflow-killed-{given.seed}.db", result["mlflow_run_id"], given.frames),
         "flow_runs": _flow_runs(given.folder / "prefect" / "prefect.db"),
     }  # fmt: skip
 

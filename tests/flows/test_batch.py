@@ -53,9 +53,7 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
     assert "3 clips: 2 done, 1 set aside, 0 waiting" in page
     assert page.count("data:image/jpeg;base64,") == 2
     assert "broken.mp4" in page
-    assert not re.findall(
-        r'(?:src|href)="(?!data:|http://127\.0\.0\.1:5000/)', page
-    )
+    assert not re.findall(r'(?:src|href)="(?!data:|http://127\.0\.0\.1:5000/)', page)
 
 
 def test_the_deployment_is_what_prefect_reads() -> None:
