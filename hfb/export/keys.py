@@ -130,7 +130,8 @@ def turned(quaternions: Float[Array, "F 24 4"], by: Float[Array, "4"]) -> Float[
 
 def _knots(motion: SampledMotion) -> _Knots:
     times, frames = motion.times_s, motion.frame_index
-    if len(times) < 2 or np.any(np.diff(times) < 0) or np.any(np.diff(frames) < 0):
+    rounding = 1e-9 * max(1.0, float(np.abs(times).max(initial=0.0)))
+    if len(times) < 2 or np.any(np.diff(times) < -rounding) or np.any(np.diff(frames) < 0):
         raise InputError("the motion's instants are not in order: it is damaged; make it again with `hfb fit`")
     quaternions = axis_angle_to_quaternion(torch.from_numpy(motion.poses).unflatten(1, (24, 3))).numpy()
     values = np.concatenate(

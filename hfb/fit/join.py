@@ -86,7 +86,10 @@ def join_windows(
         unknown = np.full((len(bridged), *radius.shape[1:]), np.nan)
         radius = np.concatenate([radius, unknown])[order.numpy()].reshape(-1, 24)
     frames = frames[order.numpy()]
-    times_s = (timing.openings_s[frames][:, None] + clock.numpy() * timing.exposure_s).reshape(-1)
+    # Stamps that vary a little may lie closer than a shutter that is always open: an exposure ends when the next begins.
+    until_next = np.diff(timing.openings_s, append=np.inf)
+    lasted = np.minimum(timing.exposure_s, until_next)[frames]
+    times_s = (timing.openings_s[frames][:, None] + clock.numpy() * lasted[:, None]).reshape(-1)
     motion = SampledMotion(
         poses=quaternion_to_axis_angle(quaternions).flatten(1).numpy(), trans=path.numpy(),
         betas=person.betas.double().numpy(), joints=shaped.joints_of(quaternion_to_matrix(quaternions), path).numpy(),

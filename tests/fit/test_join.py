@@ -143,3 +143,11 @@ def test_a_clip_of_one_frame() -> None:
     assert len(result.motion.poses) == 8
     with pytest.raises(ValueError, match="none"):
         joined([], clock)
+
+
+def test_instants_stay_in_order_where_stamps_vary_under_a_shutter_that_is_always_open() -> None:
+    openings = np.arange(9) * INTERVAL_S + np.array([0, 1, 0, -1, 1, 0, 0, 1, 0]) * 4e-4
+    times_s = joined(window_fits(clock := timing(9, 1.0, openings)), clock).motion.times_s
+    assert np.all(np.diff(times_s) > -1e-12)
+    assert np.allclose(times_s.reshape(9, 8)[:, 0], openings)
+    assert times_s[-1] == pytest.approx(openings[-1] + INTERVAL_S)

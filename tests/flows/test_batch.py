@@ -48,7 +48,8 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
     assert (second["done"], second["set_aside"]) == (2, 1)
     assert (out / "wave" / "result.json").stat().st_mtime_ns == stamp  # done once
     assert json.loads((out / "batch.json").read_text())["broken"]["attempts"] == 1  # nothing but a new file mends it
-    assert sorted(mlflow_rows(store, "select name, status from runs")) == [("walk", "FINISHED"), ("wave", "FINISHED")]
+    runs = [("broken", "FAILED"), ("walk", "FINISHED"), ("wave", "FINISHED")]
+    assert sorted(mlflow_rows(store, "select name, status from runs")) == runs
     page = Path(second["page"]).read_text()
     assert "3 clips: 2 done, 1 set aside, 0 waiting" in page
     assert page.count("data:image/jpeg;base64,") == 2
