@@ -14,8 +14,9 @@ _SETTINGS = {
     # the temporary server may take long to start the first time, on a slow or busy machine
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "180",
     "PREFECT_SERVER_LOGGING_LEVEL": "ERROR",
-    # a lost server would cost a page per unsent event on the terminal; what is lost is said in a sentence
+    # a lost server would cost a page per unsent event on the terminal, and minutes of waiting: Prefect tries five times
     "PREFECT_LOGGING_INTERNAL_LEVEL": "CRITICAL",
+    "PREFECT_CLIENT_MAX_RETRIES": "3",
     "MLFLOW_LOGGING_LEVEL": "WARNING",
     # torch alone on a core: faster beside other work, and sums come out the same on every machine
     "OMP_NUM_THREADS": "1",

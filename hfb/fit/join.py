@@ -86,7 +86,7 @@ def join_windows(
         unknown = np.full((len(bridged), *radius.shape[1:]), np.nan)
         radius = np.concatenate([radius, unknown])[order.numpy()].reshape(-1, 24)
     frames = frames[order.numpy()]
-    # Stamps that vary a little may lie closer than a shutter that is always open: an exposure ends when the next begins.
+    # Stamps that vary may lie closer than a shutter that is always open: an exposure ends when the next begins.
     until_next = np.diff(timing.openings_s, append=np.inf)
     lasted = np.minimum(timing.exposure_s, until_next)[frames]
     times_s = (timing.openings_s[frames][:, None] + clock.numpy() * lasted[:, None]).reshape(-1)

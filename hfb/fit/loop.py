@@ -83,52 +83,89 @@ def fit(
     if len(first_bodies) != observation.mattes.shape[0]:
         raise ValueError(f"{len(first_bodies)} first bodies for {observation.mattes.shape[0]} frames")
     started = time.perf_counter()
-    motion_prior = motion_prior or load_motion_prior(None)
-    rasterizer = make_rasterizer(config.silhouette, config.rasterizer, config.threads)
     variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed), person)
-    window = observation.cropped(*observation.region())
-    texels = _texels(body, config) if config.weights.texture > 0 else None
-    first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(variables.betas))
-    looks = config.settle > 0 or config.weights.joints + config.weights.path > 0
-    evidence = look_for_joints(observation, first_bodies, body) if looks else None
-    history: dict[str, list[float]] = {}
-    stages = [stage for stage in config.stages if stage.iterations > 0]
-    total = sum(stage.iterations for stage in stages)
-    best_iteration, done = 0, 0
-    everywhere = Objective(
-        window, body, rasterizer, pose_prior, config.weights, config.subframes, first, texels,
-        matte_scales=config.matte_scales, image_scales=config.image_scales, evidence=evidence,
-        motion_prior=motion_prior,
-    )  # fmt: skip
+    everywhere = _objective(
+        observation, first_bodies, body, config, pose_prior, motion_prior or load_motion_prior(None)
+    )
     with one_torch_thread():
         if config.settle > 0:
             settle(variables, everywhere, config)
-        best = variables.copy()
-        for stage in stages:
-            seen = window.resized(stage.size_px)
-            visible = _visible(variables, seen, body, config) if texels else None
-            objective = replace(everywhere, observation=seen, visible=visible)
-            best_loss = math.inf  # losses of different picture sizes do not compare
-            for loss, terms, iterate in _iterations(objective, variables, config, stage):
-                for name, value in {"total": loss, **terms}.items():
-                    history.setdefault(name, []).append(value)
-                if loss < best_loss:
-                    best, best_loss, best_iteration = iterate(), loss, done
-                done += 1
-                if on_progress:
-                    on_progress(done, total, loss)
-            _restore(variables, best)
-        best = best.in_metres(body)
-        result = _result(best, observation, body, config, history, best_iteration)
-        if config.directions.search and stages:
-            coarse = replace(objective, observation=window.resized(config.directions.size_px))
-            result = _directed(result, best, first_bodies, coarse, objective, config)
-        elif person is not None and stages:  # a window of a clip: its neighbours tell the directions
-            coarse = replace(objective, observation=window.resized(config.directions.size_px))
-            features = joint_features(result.motion, None, best, first_bodies, coarse)
-            motion = replace(result.motion, joint_radius_mm=shipped_confidence().radius_mm(features))
-            result = replace(result, motion=motion, joint_features=features)
+        descent = _descend(variables, everywhere, config, on_progress)
+        best = descent.best.in_metres(body)
+        result = _result(best, observation, body, config, descent.history, descent.best_iteration)
+        if descent.history and (config.directions.search or person is not None):
+            coarse = replace(descent.objective, observation=everywhere.observation.resized(config.directions.size_px))
+            if config.directions.search:
+                result = _directed(result, best, first_bodies, coarse, descent.objective, config)
+            else:  # a window of a clip: its neighbours tell the directions
+                result = _with_radius(result, joint_features(result.motion, None, best, first_bodies, coarse))
     return replace(result, seconds=time.perf_counter() - started)
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """Where the stages led: the best iterate of the last one, and what it was measured by."""
+
+    best: Variables
+    best_iteration: int
+    history: dict[str, list[float]]
+    objective: Objective
+
+
+def _objective(
+    observation: Observation,
+    first_bodies: Sequence[FirstBody],
+    body: Body,
+    config: FitConfig,
+    pose_prior: PosePrior,
+    motion_prior: MotionPrior,
+) -> Objective:
+    """Eq. (11) in the window around the mattes at its full size."""
+    first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(observation.mattes))
+    looks = config.settle > 0 or config.weights.joints + config.weights.path > 0
+    return Objective(
+        observation.cropped(*observation.region()),
+        body,
+        make_rasterizer(config.silhouette, config.rasterizer, config.threads),
+        pose_prior,
+        config.weights,
+        config.subframes,
+        first,
+        _texels(body, config) if config.weights.texture > 0 else None,
+        matte_scales=config.matte_scales,
+        image_scales=config.image_scales,
+        evidence=look_for_joints(observation, first_bodies, body) if looks else None,
+        motion_prior=motion_prior,
+    )
+
+
+def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_progress: Progress | None) -> _Descent:
+    """Every stage in turn, each from the best iterate of the one before; changes the variables in place."""
+    stages = [stage for stage in config.stages if stage.iterations > 0]
+    total = sum(stage.iterations for stage in stages)
+    history: dict[str, list[float]] = {}
+    best, best_iteration, done, objective = variables.copy(), 0, 0, everywhere
+    for stage in stages:
+        seen = everywhere.observation.resized(stage.size_px)
+        visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
+        objective = replace(everywhere, observation=seen, visible=visible)
+        best_loss = math.inf  # losses of different picture sizes do not compare
+        for loss, terms, iterate in _iterations(objective, variables, config, stage):
+            for name, value in {"total": loss, **terms}.items():
+                history.setdefault(name, []).append(value)
+            if loss < best_loss:
+                best, best_loss, best_iteration = iterate(), loss, done
+            done += 1
+            if on_progress:
+                on_progress(done, total, loss)
+        _restore(variables, best)
+    return _Descent(best, best_iteration, history, objective)
+
+
+def _with_radius(result: FitResult, features: dict[str, Float[Array, "R 24"]]) -> FitResult:
+    """How far off each joint may be."""
+    motion = replace(result.motion, joint_radius_mm=shipped_confidence().radius_mm(features))
+    return replace(result, motion=motion, joint_features=features)
 
 
 def _directed(
@@ -147,10 +184,8 @@ def _directed(
         joints=alternatives.joints[chosen],
     )  # fmt: skip
     features = joint_features(motion, alternatives, replace(best, trajectory=trajectory), first_bodies, coarse)
-    motion = replace(motion, joint_radius_mm=shipped_confidence().radius_mm(features))
-    return replace(
-        result, motion=motion, trajectory=trajectory, alternatives=alternatives, joint_features=features
-    )  # fmt: skip
+    directed = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
+    return _with_radius(directed, features)
 
 
 def _iterations(
