@@ -52,12 +52,14 @@ class ServerWatch:
 
     def look(self) -> None:
         """Raises ServerLost where the server has gone; asks every few seconds at most."""
-        if time.monotonic() - self._asked < _ASK_EVERY_S:
-            return
-        for patience_s in _PATIENCE_S:
-            if does_not_answer(str(PREFECT_API_URL.value()), patience_s) is None:
-                self._asked = time.monotonic()
-                return
+        if time.monotonic() - self._asked >= _ASK_EVERY_S:
+            ask_server()
+            self._asked = time.monotonic()
+
+
+def ask_server() -> None:
+    """Raises ServerLost where Prefect's server has gone."""
+    if all(does_not_answer(str(PREFECT_API_URL.value()), patience_s) for patience_s in _PATIENCE_S):
         raise _server_lost()
 
 

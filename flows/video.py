@@ -14,7 +14,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, score, see
 from flows.reaper import mark_owner
-from flows.trouble import told_plainly
+from flows.trouble import ask_server, told_plainly
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
 from tasks.export_files import export_files
@@ -82,6 +82,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         result = _result(scene, bodies, fitted, joined, scores, out)
         result["seconds"] = round(time.perf_counter() - began, 3)
         result["workers_busy"] = busy_share()
+        ask_server()  # a run that cannot end must not be recorded as finished
         place = record.finish(files, result)
         if place is not None:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}

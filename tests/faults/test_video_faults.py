@@ -150,8 +150,7 @@ def test_prefects_server_goes_away(out: Path, store: Path, tmp_path: Path) -> No
     assert victim.returncode == 1, shown(out).read_text()
     assert "no longer answers" in json.loads(told.splitlines()[-1])["error"]
     assert not computing(victim.pid)
-    # a quick machine may be through before the loss is noticed
-    assert mlflow_rows(store, "select status from runs") in ([("FAILED",)], [("FINISHED",)])
+    assert mlflow_rows(store, "select status from runs") == [("FAILED",)]
     result = finish(out)
     assert result["resumed_frames"] >= 2
     assert_every_frame_once(store)
