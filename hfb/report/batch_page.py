@@ -18,7 +18,7 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76re
 h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 th, td { text-align: left; padding: .25rem 1.2rem .25rem 0; border-bottom: 1px solid #ddd; vertical-align: top }
-td { overflow-wrap: anywhere } img { max-width: 100%; border: 1px solid #ddd }
+td:last-child { overflow-wrap: anywhere; min-width: 14rem } img { max-width: 100%; border: 1px solid #ddd }
 .done { color: #00734f } .waiting { color: #8a6d00 } .aside { color: #b3261e }
 """
 _CLASSES = {"done": "done", "set aside": "aside"}

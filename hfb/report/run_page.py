@@ -10,7 +10,7 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76re
 h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin-top: 2rem }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 th, td { text-align: left; padding: .25rem .9rem .25rem 0; border-bottom: 1px solid #ddd; vertical-align: top }
-td { overflow-wrap: anywhere } td.name { color: #555 }
+td { overflow-wrap: anywhere } td.name { color: #555; overflow-wrap: normal }
 th.one { color: #0072B2 } th.other { color: #D55E00 }
 .picture { overflow-x: auto; border: 1px solid #ddd } .none { color: #777 }
 """
