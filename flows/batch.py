@@ -12,8 +12,8 @@ from typing import Any
 
 from prefect import flow
 
+from flows.people import run_clip
 from flows.reaper import end_abandoned_flow_runs, mark_owner
-from flows.video import run_video
 from flows.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError, Unavailable
@@ -41,7 +41,7 @@ def batch(
     watch_s: float | None = None,
     again: bool = False,
 ) -> dict[str, Any]:
-    """Every clip of a folder through `flows.video.run_video`, into ``out/NAME``; ``out/summary.html`` tells of all.
+    """Every clip of a folder through `flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
 
     Args:
         config: options as plain content, or the file that holds them.
@@ -110,7 +110,7 @@ class _Rounds:
         hopeless = False
         try:
             inputs = take_video_inputs(place.source, self._config, clip=place.clip)
-            result = run_video(inputs, self._out / place.name, self._config, self._workers)
+            result = run_clip(inputs, self._out / place.name, self._config, self._workers)
         except (Busy, Unavailable) as error:
             reason = str(error)
         except InputError as error:
@@ -153,7 +153,15 @@ class _Rounds:
             done = self._out / place.name
             finished = status == "done" and (done / "result.json").exists()
             figures = json.loads((done / "result.json").read_bytes()) if finished else {}
-            strip = done / "strip.png" if finished and (done / "strip.png").exists() else None
             reason, link = (entry.reason, entry.link) if entry else ("", None)
-            clips.append(BatchClip(place.name, status, reason, figures, strip, link))
+            clips.append(BatchClip(place.name, status, reason, figures, _strip_in(done) if finished else None, link))
+            for one in figures.get("people", ()):
+                state = "no motion" if one["error"] else "done"
+                name = f"{place.name}: {one['name']}"
+                shown = _strip_in(Path(one["out"]))
+                clips.append(BatchClip(name, state, one["error"] or "", one, shown, person=True))
         write_bytes_atomic(self._out / _PAGE, batch_page(f"Clips of {self._folder.resolve().name}", clips).encode())
+
+
+def _strip_in(folder: Path) -> Path | None:
+    return folder / "strip.png" if (folder / "strip.png").exists() else None

@@ -20,6 +20,7 @@ from tasks.films import films_of
 from tasks.given_result import find_given_body, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from tasks.many import Outcome, run_all
+from tasks.result_report import ReportParts, page_film, write_report
 from tasks.task import Step
 from tasks.video_clip import find_background, find_person, look_at_clip
 from tasks.video_frames import extract_frames, find_body_between, find_key_body, find_matte
@@ -86,12 +87,13 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     plate = find_background(footage, inputs.plate, inputs.background, folder)
     progress.say(f"hfb: {plate.source}")
     track = find_person(footage, plate, inputs.clip.person, inputs.track)
-    if track.others:
+    alone = track.others == 0
+    if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
     chunks = [(footage, at, min(at + _CHUNK, footage.count), folder) for at in range(0, footage.count, _CHUNK)]
     frames = tuple(file for chunk in _all(extract_frames, chunks, "frames") for file in chunk.files)
     calls = [
-        (footage.still(frame, plate), number, track.boxes[number], config.matting, inputs.matting, folder)
+        (footage.still(frame, plate), number, track.boxes[number], alone, config.matting, inputs.matting, folder)
         for number, frame in enumerate(frames)
     ]
     found = _all(find_matte, calls, "mattes")
@@ -227,6 +229,14 @@ def film(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> ExportsHandle:
     config, plate = scene.config, FileHandle(path=scene.plate.path, sha256=scene.plate.sha256)
     clip = scene.footage.clip(scene.frames, plate)
     return films_of(clip, joined.motion, fitted.person, scene.inputs.body, config, scene.folder)
+
+
+def report(scene: Scene, fitted: Fitted, parts: ReportParts, result: dict[str, Any]) -> FileHandle:
+    """The result's page, with a film."""
+    plate = FileHandle(path=scene.plate.path, sha256=scene.plate.sha256)
+    clip = scene.footage.clip(scene.frames, plate)
+    small = page_film(clip, parts.motion, fitted.person, scene.inputs.body, scene.config.fit, scene.folder)
+    return write_report(parts.model_copy(update={"film": small}), result, scene.folder)
 
 
 def _window_call(

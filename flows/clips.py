@@ -13,9 +13,11 @@ from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
 
 VIDEO_KEYS = (
-    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "mlflow_run_id",
+    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
     "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
+    "people",
 )  # fmt: skip
+_PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
 
 
 def add_video_flags(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +30,7 @@ def add_video_flags(parser: argparse.ArgumentParser) -> None:
         "moves [what clip.toml says, a background.png or plate.png beside the clip, median]",
     )  # fmt: skip
     add("--clip", type=Path, metavar="clip.toml", help="camera, exposure, time range, person [the folder's own]")
+    add("--everyone", action="store_true", help="each person who is seen, one after the other, into DIR/person-1 ...")
     add("--truth", type=Path, metavar="FILE", help="a motion file of what really happened: adds errors against it")
     _add_shared_flags(parser)
 
@@ -56,12 +59,12 @@ def video(given: argparse.Namespace) -> None:
 
     config = run_config(given)
     out = given.out or Path("runs") / given.source.resolve().stem
-    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth)
+    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone)
 
     def load() -> Chain:
-        from flows.video import run_video
+        from flows.people import run_clip
 
-        return when_ready(lambda: run_video(inputs, out, config, given.workers))
+        return when_ready(lambda: run_clip(inputs, out, config, given.workers))
 
     result = through_prefect(given, out, load)
     result["total_seconds"] = round(time.perf_counter() - given.began, 3)
@@ -107,6 +110,8 @@ def synth_clip(given: argparse.Namespace) -> None:
 
 def video_text(result: Mapping[str, Any]) -> str:
     """The short table that ends a clip."""
+    if result.get("people"):
+        return _people_text(result)
     gaps = ", ".join(f"{first} to {last}" for first, last in result["gaps"]) or "none"
     rows = [
         ("frames", f"{result['frames']} ({result['resumed_frames']} from an earlier start)"),
@@ -119,8 +124,17 @@ def video_text(result: Mapping[str, Any]) -> str:
         ("seconds", f"{result['seconds']:.1f}   ({result['seconds'] / result['frames']:.2f} per frame)"),
     ]
     lines = ["", *(f"{name:<24}{value}" for name, value in rows if value != "-"), ""]
-    lines += [f"strip    {result['strip']}", f"result   {result['out']}"]
+    lines += [f"{name:<9}{result[key]}" for name, key in _PLACES if result.get(key)]
     return "\n".join(lines + ([f"MLflow   {result['mlflow_link']}"] if result.get("mlflow_link") else []))
+
+
+def _people_text(result: Mapping[str, Any]) -> str:
+    """A line per person."""
+    lines = [""]
+    for one in result["people"]:
+        told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
+        lines.append(f"{one['name']:<16}seen in {one['seen']} frames; {told}; {one['out']}")
+    return "\n".join([*lines, "", f"result   {result['out']}"])
 
 
 def batch_text(result: Mapping[str, Any]) -> str:

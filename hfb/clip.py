@@ -92,9 +92,12 @@ class ClipExposure(Record):
 
 
 class PersonChoice(Record):
-    """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system."""
+    """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system.
 
-    which: Literal["largest"] = "largest"
+    Everyone: each of them in turn, as if each had been chosen.
+    """
+
+    which: Literal["largest", "everyone"] = "largest"
     box: tuple[float, float, float, float] | None = None
     frame: Annotated[int, Field(ge=0)] = 0
     track: Path | None = None
@@ -106,6 +109,8 @@ class PersonChoice(Record):
             raise ValueError("give a box or a track, not both")
         if self.id is not None and self.track is None:
             raise ValueError("id is a person's in a file of tracks: give track too")
+        if self.which == "everyone" and (self.box is not None or self.id is not None):
+            raise ValueError("everyone excludes a box and an id: give one of them")
         if self.box is not None and not (self.box[0] < self.box[2] and self.box[1] < self.box[3]):
             raise ValueError("box must be [left, top, right, bottom] with left < right and top < bottom")
         return self

@@ -15,7 +15,7 @@ from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import FileHandle
 from tasks.prepare import calibration
 from tasks.task import task
-from tasks.video_handles import FootageHandle, PlateHandle, TrackHandle
+from tasks.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
 from tasks.video_inputs import VideoInputs
 from tasks.workers import compute
 
@@ -59,6 +59,16 @@ def find_person(
         InputError: the chosen one is not there.
     """
     return compute(_find_person, footage, plate, choice, track)
+
+
+@task("everyone's tracks")
+def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
+    """Who is there, each with the choice that takes that one.
+
+    Raises:
+        InputError: nobody is.
+    """
+    return compute(_find_everyone, footage, plate, track)
 
 
 def load_footage(handle: FootageHandle) -> Footage:
@@ -134,17 +144,34 @@ def _find_background(
 def _find_person(
     footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
 ) -> TrackHandle:
-    from hfb.initialize.tracks import choose_track, find_tracks, read_track
+    from hfb.initialize.tracks import choose_track, find_tracks, read_track, read_track_names
     from hfb.media.pictures import read_picture_srgb
 
-    others = 0
     if track is not None:
         found = read_track(track.path, choice.id, footage.count)
+        others = len(read_track_names(track.path, footage.count)) - 1
     else:
         tracks = find_tracks(load_footage(footage).frames(), read_picture_srgb(plate.path))
         found, others = choose_track(tracks, choice), len(tracks) - 1
     boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
     return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
+
+
+def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
+    from hfb.initialize.tracks import choose_everyone, find_tracks, read_track, read_track_names
+    from hfb.media.pictures import read_picture_srgb
+
+    if track is not None:
+        named = PersonChoice(track=Path(track.path.name))
+        chosen = [
+            (read_track(track.path, name, footage.count), named.model_copy(update={"id": name}))
+            for name in read_track_names(track.path, footage.count)
+        ]
+    else:
+        seen = find_tracks(load_footage(footage).frames(), read_picture_srgb(plate.path))
+        chosen = list(choose_everyone(seen))
+    people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
+    return PeopleHandle(people=tuple(people))
 
 
 def _plain(record: Any) -> dict[str, Any]:

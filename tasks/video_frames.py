@@ -26,6 +26,7 @@ def find_matte(
     still: ClipHandle,
     number: int,
     box: _Box | None,
+    alone: bool,
     config: MattingConfig,
     network: FileHandle | None,
     folder: Path,
@@ -35,10 +36,11 @@ def find_matte(
     Args:
         network: the user's own, for methods that need one.
         box: where the person is; None where nobody is.
+        alone: nobody else is seen in the clip.
     """
     if box is None:
         return MatteHandle(file=None, reason="nobody differs from the background")
-    return compute(_matte, still, number, box, with_matting_network(config, network), folder)
+    return compute(_matte, still, number, box, alone, with_matting_network(config, network), folder)
 
 
 @task("first bodies")
@@ -88,17 +90,23 @@ def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> Fra
     return FramesHandle(files=tuple(FileHandle.of(path) for path in paths))
 
 
-def _matte(still: ClipHandle, number: int, box: _Box, config: MattingConfig, folder: Path) -> MatteHandle:
+def _matte(
+    still: ClipHandle, number: int, box: _Box, alone: bool, config: MattingConfig, folder: Path
+) -> MatteHandle:  # fmt: skip
     import numpy as np
 
-    from hfb.initialize.tracks import keep_person
+    from hfb.initialize.tracks import keep_person, surroundings
     from hfb.matting.matting import make_matting
     from hfb.media.pictures import write_matte
     from tasks.scene import load_picture
 
-    frame, plate = load_picture(still.frames[0], still), load_picture(still.background, still)
+    frame, plate = (load_picture(one, still).numpy() for one in (still.frames[0], still.background))
+    # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
+    near = np.s_[:, :] if alone else surroundings(np.asarray(box), *frame.shape[:2])
+    alpha = np.zeros(frame.shape[:2], np.float32)
     try:
-        alpha = keep_person(make_matting(config)(frame.numpy(), plate.numpy()), np.asarray(box))
+        alpha[near] = make_matting(config)(frame[near], plate[near])
+        alpha = keep_person(alpha, np.asarray(box))
     except InputError as error:
         return MatteHandle(file=None, reason=str(error))
     path = folder / f"matte_{number:06d}.png"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from hfb.clip import PersonChoice
 from hfb.config import Record
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
 
@@ -67,6 +68,20 @@ class TrackHandle(Record):
     name: str
     boxes: tuple[tuple[float, float, float, float] | None, ...]
     others: int = 0
+
+
+class PersonSeen(Record):
+    """One of several people: how to choose that one, and in how many frames they are seen."""
+
+    name: str
+    choice: PersonChoice
+    frames: int
+
+
+class PeopleHandle(Record):
+    """Everyone in a clip, in the order of appearance."""
+
+    people: tuple[PersonSeen, ...]
 
 
 class MatteHandle(Record):

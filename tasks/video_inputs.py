@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from hfb.clip import Clip, read_clip
+from hfb.clip import Clip, PersonChoice, read_clip
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
 from hfb.export.names import check_formats
@@ -42,13 +42,19 @@ class VideoInputs(Record):
 
 
 def take_video_inputs(
-    source: Path, config: RunConfig, clip: Path | None = None, background: str | None = None, truth: Path | None = None
+    source: Path,
+    config: RunConfig,
+    clip: Path | None = None,
+    background: str | None = None,
+    truth: Path | None = None,
+    everyone: bool = False,
 ) -> VideoInputs:
     """Everything the user names, hashed.
 
     Args:
         source: see `tasks.clip_places.resolve_source`.
         background: a file, ``"median"`` or ``"still"``; wins over clip.toml, which wins over a plate beside the clip.
+        everyone: whatever clip.toml says of the person, all who are seen (or are in its file of tracks).
 
     Raises:
         InputError: a file is missing or cannot be read, clip.toml is wrong, or it is not clear which video is meant.
@@ -58,6 +64,8 @@ def take_video_inputs(
     known = read_clip(clip_path) if clip_path else Clip()
     how, plate = _plate(background or known.background, files)
     person, camera = known.person, known.camera
+    if everyone:
+        person = PersonChoice(which="everyone", track=person.track)
     # What the files hold counts, not where they lie.
     told = known.model_copy(
         update={

@@ -1,11 +1,13 @@
 """Boxes of people out of other systems' files, row by row."""
 
 import csv
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from hfb.errors import InputError
 from hfb.shapes import Array, Float
 
 _COLUMNS = {
@@ -19,11 +21,31 @@ _COLUMNS = {
     "height": ("height", "h", "bb_height"),
 }
 
+_BYTE_LIMIT = 64 << 20
+
 TrackRow = tuple[int, str, Float[Array, "4"]]
 """Frame from 0, whose, and left, top, right, bottom [px]."""
 
 
-def rows_of_npz(path: Path) -> list[TrackRow]:
+def read_rows(path: Path) -> list[TrackRow]:
+    """All rows of a .npz, or of any other file as a table of text.
+
+    Raises:
+        InputError: missing, damaged or far too large.
+    """
+    try:
+        if path.stat().st_size > _BYTE_LIMIT:
+            raise InputError(f"{path}: is too large for a file of tracks.")
+        return _rows_of_npz(path) if path.suffix.lower() == ".npz" else _rows_of_csv(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; check person.track.") from None
+    except (OSError, ValueError, KeyError, IndexError, EOFError, csv.Error, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: is no file of tracks ({error}); give columns frame, id, left, top, width, height."
+        ) from None
+
+
+def _rows_of_npz(path: Path) -> list[TrackRow]:
     """Members ``frame`` (N), ``id`` (N) and ``box`` (N, 4). Raises what numpy raises, and ValueError or KeyError."""
     with np.load(path, allow_pickle=False) as file:
         numbers, names, boxes = file["frame"], file["id"], np.asarray(file["box"], np.float64)
@@ -32,7 +54,7 @@ def rows_of_npz(path: Path) -> list[TrackRow]:
     return [(int(frame), str(name), box) for frame, name, box in zip(numbers, names, boxes, strict=True)]
 
 
-def rows_of_csv(path: Path) -> list[TrackRow]:
+def _rows_of_csv(path: Path) -> list[TrackRow]:
     """Columns by their names, or MOTChallenge's without a head. Raises csv.Error, ValueError or IndexError."""
     with path.open(newline="", encoding="utf-8-sig") as file:
         lines = [line for line in csv.reader(file) if line]

@@ -3,8 +3,6 @@
 Cheap on purpose: a small picture per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
 """
 
-import csv
-import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ import numpy as np
 
 from hfb.clip import PersonChoice
 from hfb.errors import InputError
-from hfb.initialize.track_rows import rows_of_csv, rows_of_npz
+from hfb.initialize.track_rows import read_rows
 from hfb.matting.matting import nobody_found
 from hfb.media.plate import changed_pixels
 from hfb.shapes import Array, Bool, Float
@@ -27,8 +25,9 @@ _LEAST_OF_LARGEST = 0.15
 _FARTHEST, _LONGEST_ABSENCE = 0.4, 30
 """How far somebody who was lost goes per frame, in their own height, and for how many frames they are looked for."""
 _SHORTEST = 2
-_MARGIN = 0.12
-_BYTE_LIMIT = 64 << 20
+_LEAST_SEEN = 4
+"""Frames, of everyone: less is a shade or somebody at the picture's edge, and no motion."""
+_MARGIN, _AROUND = 0.12, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +102,31 @@ def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     return tracks[int(np.argmax(shared))]
 
 
+def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice], ...]:
+    """Each person who is seen for a while, and the choice by which `choose_track` takes that one again.
+
+    Raises:
+        InputError: nobody was seen for long enough.
+    """
+    frames = len(tracks[0].boxes) if tracks else 0
+    found = []
+    for index, track in enumerate(tracks):
+        if track.present.sum() < min(_LEAST_SEEN, frames):
+            continue
+        others = [other for number, other in enumerate(tracks) if number != index]
+        hidden = [
+            max((_overlap(other.boxes[at], box) for other in others), default=0.0) for at, box in enumerate(track.boxes)
+        ]
+        clearest = int(np.argmin(np.where(track.present, hidden, np.inf)))
+        left, top, right, bottom = (float(side) for side in track.boxes[clearest])
+        found.append((track, PersonChoice(box=(left, top, right, bottom), frame=clearest)))
+    if not found:
+        raise InputError(
+            f"nobody was seen in {_LEAST_SEEN} frames or more: check that the plate shows the empty scene."
+        )
+    return tuple(found)
+
+
 def _with_returns(by_size: Sequence[Track]) -> Track:
     """The first track, and of the others those that never show while it, or one taken before, does."""
     boxes, areas = by_size[0].boxes.copy(), by_size[0].areas.copy()
@@ -141,6 +165,14 @@ def keep_person(matte: Float[Array, "H W"], box: Float[Array, "4"]) -> Float[Arr
     return np.where(near & ~(others & ~kept[labels]), matte, 0).astype(np.float32)
 
 
+def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice, slice]:
+    """Rows and columns of the box and enough of the background around it for a matte."""
+    extra = _AROUND * max(box[2] - box[0], box[3] - box[1])
+    top, bottom = max(0, int(box[1] - extra)), min(height, int(np.ceil(box[3] + extra)))
+    left, right = max(0, int(box[0] - extra)), min(width, int(np.ceil(box[2] + extra)))
+    return slice(top, bottom), slice(left, right)
+
+
 def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
     """One person's boxes out of another system's file.
 
@@ -154,16 +186,7 @@ def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
     Raises:
         InputError: missing, damaged, no such track, or none of its frames lies within the clip.
     """
-    try:
-        if path.stat().st_size > _BYTE_LIMIT:
-            raise InputError(f"{path}: is too large for a file of tracks.")
-        rows = rows_of_npz(path) if path.suffix.lower() == ".npz" else rows_of_csv(path)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check person.track.") from None
-    except (OSError, ValueError, KeyError, IndexError, EOFError, csv.Error, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path}: is no file of tracks ({error}); give columns frame, id, left, top, width, height."
-        ) from None
+    rows = read_rows(path)
     known = sorted({name for _, name, _ in rows})
     if track_id is None and len(known) != 1:
         raise InputError(f"{path}: holds {len(known)} people; choose one with person.id: {', '.join(known[:12])}.")
@@ -177,6 +200,18 @@ def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
     if not np.isfinite(boxes).any():
         raise InputError(f"{path}: track {wanted} has no box in the clip's {frames} frames.")
     return Track(f"track {wanted}", boxes, (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]))
+
+
+def read_track_names(path: Path, frames: int) -> tuple[str, ...]:
+    """Whose boxes in the clip's frames another system's file holds, in order.
+
+    Raises:
+        InputError: missing, damaged, or nobody's.
+    """
+    here = {name for frame, name, box in read_rows(path) if 0 <= frame < frames and np.isfinite(box).all()}
+    if not here:
+        raise InputError(f"{path}: has no box in the clip's {frames} frames.")
+    return tuple(sorted(here, key=lambda name: (len(name), name)))
 
 
 def _people(changed: Bool[Array, "h w"], scale: float) -> list[tuple[float, ...]]:

@@ -38,6 +38,7 @@ class BatchClip:
         figures: the content of its result.json, as far as there is one.
         strip: its picture.
         link: its page in MLflow.
+        person: one of several people in the clip of the row above, not counted.
     """
 
     name: str
@@ -46,18 +47,20 @@ class BatchClip:
     figures: dict
     strip: Path | None = None
     link: str | None = None
+    person: bool = False
 
 
 def batch_page(title: str, clips: Sequence[BatchClip]) -> str:
     """The page."""
-    done = sum(clip.status == "done" for clip in clips)
-    aside = sum(clip.status == "set aside" for clip in clips)
+    whole = [clip for clip in clips if not clip.person]
+    done = sum(clip.status == "done" for clip in whole)
+    aside = sum(clip.status == "set aside" for clip in whole)
     head = "".join(f"<th>{escape(name)}</th>" for name in ("clip", "state", *(label for label, _, _ in _FIGURES), ""))
     parts = [
         "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">',
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
         f"<h1>{escape(title)}</h1>",
-        f"<p>{len(clips)} clips: {done} done, {aside} set aside, {len(clips) - done - aside} waiting.</p>",
+        f"<p>{len(whole)} clips: {done} done, {aside} set aside, {len(whole) - done - aside} waiting.</p>",
         f"<table><tr>{head}</tr>", *(_row(clip) for clip in clips), "</table>",
         *(_picture(clip) for clip in clips if clip.strip is not None), "</body></html>",
     ]  # fmt: skip

@@ -7,7 +7,16 @@ import pytest
 
 from hfb.clip import PersonChoice
 from hfb.errors import InputError
-from hfb.initialize.tracks import Track, choose_track, find_tracks, keep_person, read_track
+from hfb.initialize.tracks import (
+    Track,
+    choose_everyone,
+    choose_track,
+    find_tracks,
+    keep_person,
+    read_track,
+    read_track_names,
+    surroundings,
+)
 
 HEIGHT, WIDTH = 90, 160
 PLATE = np.full((HEIGHT, WIDTH, 3), 0.4, np.float32)
@@ -114,3 +123,30 @@ def test_what_is_no_file_of_tracks(tmp_path: Path, content: str) -> None:
         read_track(tmp_path / "t.csv", None, 3)
     with pytest.raises(InputError, match="no such file"):
         read_track(tmp_path / "missing.csv", None, 3)
+
+
+def test_everyone_can_be_chosen_again() -> None:
+    nan = np.full(4, np.nan)
+    one = np.array([[0, 0, 10, 30]] * 6, float)
+    other = np.array([[5, 0, 15, 30], [5, 0, 15, 30], *[[50 + step, 0, 60 + step, 30] for step in range(3)], nan])
+    ghost = np.array([nan, nan, nan, [90, 0, 99, 9], nan, nan])
+    tracks = [Track(name, boxes, boxes[:, 2]) for name, boxes in (("a", one), ("b", other), ("c", ghost))]
+    chosen = choose_everyone(tracks)
+    assert [track.name for track, _ in chosen] == ["a", "b"]  # c is seen once
+    assert [choose_track(tracks, choice).name for _, choice in chosen] == ["a", "b"]
+    assert chosen[1][1].frame == 2  # where nobody stands in front
+    with pytest.raises(InputError, match="nobody"):
+        choose_everyone(tracks[2:])
+
+
+def test_names_in_a_file_of_tracks(tmp_path: Path) -> None:
+    path = tmp_path / "tracks.csv"
+    path.write_text("frame,id,left,top,right,bottom\n0,10,0,0,5,9\n1,9,0,0,5,9\n7,8,0,0,5,9\n")
+    assert read_track_names(path, 3) == ("9", "10")
+    with pytest.raises(InputError, match="no box"):
+        read_track_names(path, 0)
+
+
+def test_surroundings_stay_in_the_picture() -> None:
+    rows, columns = surroundings(np.array([2.0, 10.0, 22.0, 50.0]), 55, 100)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 55, 0, 34)
