@@ -56,6 +56,9 @@ class MattingConfig(Record):
     )
     refine_pixels: int | None = Field(None, ge=16, description="bgmv2: how many pixels sampling refines, 80000")
     refine_threshold: float | None = Field(None, ge=0, le=1, description="bgmv2: error above which are refined")
+    tile_px: int | None = Field(
+        None, ge=256, description="bgmv2, rvm: look at tiles of this size; at most 4096 px at once when not given"
+    )
 
 
 class InitConfig(Record):
@@ -67,6 +70,9 @@ class InitConfig(Record):
         "of yours; file: another system's result",
     )
     weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file")
+    mesh_sampling: Path | None = Field(
+        None, description="metro: its mesh_downsampling.npz, for a network that gives a coarse mesh alone"
+    )
     file: Path | None = Field(
         None,
         description="file: a result of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, hfb, "
@@ -196,6 +202,7 @@ class ExportConfig(Record):
     films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
         (), description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none"
     )
+    report: bool = Field(True, description="report.html: the result on one page that opens anywhere")
 
 
 class RunConfig(Record):

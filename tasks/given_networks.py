@@ -41,6 +41,8 @@ def init_files(config: RunConfig) -> tuple[Path, ...]:
             if init.method == "metro"
             else f"--init {init.method} takes no --init-weights: say metro"
         )
+    if init.mesh_sampling is not None and init.method != "metro":
+        raise InputError(f"--init {init.method} takes no --init.mesh-sampling: say metro")
     if (init.method == "file") != (init.file is not None):
         raise InputError(
             "give another system's result with --init FILE"
@@ -49,7 +51,7 @@ def init_files(config: RunConfig) -> tuple[Path, ...]:
         )
     if init.file is not None:
         return (init.file, *companions(init.file))
-    return () if init.weights is None else (init.weights,)
+    return tuple(file for file in (init.weights, init.mesh_sampling) if file is not None)
 
 
 def with_matting_network(config: MattingConfig, file: FileHandle | None) -> MattingConfig:
@@ -58,5 +60,8 @@ def with_matting_network(config: MattingConfig, file: FileHandle | None) -> Matt
 
 
 def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:
-    """The options with METRO's file where it lies now."""
-    return config.model_copy(update={"weights": networks[0].path}) if config.method == "metro" else config
+    """The options with METRO's files where they lie now."""
+    if config.method != "metro":
+        return config
+    sampling = networks[1].path if config.mesh_sampling is not None else None
+    return config.model_copy(update={"weights": networks[0].path, "mesh_sampling": sampling})

@@ -14,6 +14,7 @@ from hfb.initialize.network_body import MetroBody
 from hfb.initialize.person_landmarks import find_landmarks
 from hfb.initialize.registration import register
 from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.initialize.swept_search import carried_along, search_swept
 from hfb.photometry import linear_to_srgb
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
@@ -27,7 +28,10 @@ _COMPARE_PX = 128
 _CONFIDENT_AGREEMENT = 0.35  # stick figure against matte; invented people stay below
 _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is tried as well
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
+_CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
 _REFINEMENT = (Stage(64, 40, 0.02, shape=False), Stage(_COMPARE_PX, 30, 0.015))
+_ABOUT_AS_GOOD = 0.05  # a smear hardly shows a pose: the one found at rest is nearer to the truth
+_STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
 
@@ -54,14 +58,14 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
     if config.method == "metro":
         if config.weights is None:
             raise InputError("--init metro needs the network's file: give it with --init-weights FILE")
-        return MetroBody(config.weights, drawing)
+        return MetroBody(config.weights, drawing, config.mesh_sampling)
     if config.method == "mediapipe":
         return LandmarkInitializer(drawing)
     return AutoInitializer(drawing)
 
 
 class MatteInitializer:
-    """Render and compare with generic poses: no network, no colour (see matte_search.py)."""
+    """Render and compare with generic poses: no network, no colour (see matte_search.py, swept_search.py)."""
 
     def __init__(self, rasterizer: Rasterizer) -> None:
         self._rasterizer = rasterizer
@@ -70,7 +74,7 @@ class MatteInitializer:
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
     ) -> FirstBody:
         """See `Initializer`."""
-        return search_by_matte(_checked(matte), camera, body, self._rasterizer)[0]
+        return _searched(_checked(matte), camera, body, self._rasterizer)[0]
 
 
 class LandmarkInitializer:
@@ -119,14 +123,33 @@ class AutoInitializer:
         alpha = _checked(matte)
         found = self._by_landmarks.landmarks(frame_linear, alpha) if self._by_landmarks else None
         if self._by_landmarks is None or found is None or found[1] < _CONFIDENT_AGREEMENT:
-            return search_by_matte(alpha, camera, body, self._rasterizer)[0]
+            return _searched(alpha, camera, body, self._rasterizer)[0]
         first = self._by_landmarks.body(found[0], alpha, camera, body)
         shared = overlap(first, matte_level(alpha, camera, _COMPARE_PX), body, self._rasterizer)
         if shared < _WORTH_ANOTHER_LOOK:
-            other, other_shared = search_by_matte(alpha, camera, body, self._rasterizer)
+            scene = (alpha, camera, body, self._rasterizer)
+            other, other_shared, path = _searched(*scene)
+            if path is not None:  # they may share more along that path, too
+                moving = carried_along(first, path, *scene, _STAY_BY_LANDMARKS)
+                if moving.shared > shared + _CLEARLY_MOVING:
+                    first, shared = moving.first, moving.shared
             if other_shared > shared + _CLEARLY_BETTER:
                 return other
         return first
+
+
+def _searched(
+    matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
+) -> tuple[FirstBody, float, Float[Tensor, "3"] | None]:
+    """By the matte alone, carried along a path where none at rest covers half of it; what it shares; the path."""
+    first, shared = search_by_matte(matte, camera, body, rasterizer)
+    if shared < _WORTH_ANOTHER_LOOK:
+        moving = search_swept(matte, camera, body, rasterizer)
+        if moving.shared > shared + _CLEARLY_MOVING:
+            other = carried_along(first, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)
+            best = other if other.shared > moving.shared - _ABOUT_AS_GOOD else moving
+            return best.first, best.shared, best.travel_m
+    return first, shared, None
 
 
 def _checked(matte: Matte) -> Float[Array, "H W"]:

@@ -24,8 +24,7 @@ CHANNELS = 7
 ROUNDS = 3
 
 _MARGIN = 0.12
-_WIDTHS = (24, 32, 48, 80, 128)
-_MAP, _TOKEN = 64, 128
+_MAP = 64
 _LOOKS = (
     (0.0, 0.0),
     (0.08, 0.0),
@@ -39,6 +38,19 @@ _LOOKS = (
 )
 """Where the map is read around a joint's present place, in the window's units."""
 _PARENT = tuple(max(parent, 0) for parent in PARENTS)
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Channels of the network: of its five kinds of layers from fine to coarse, and of a joint's own vector."""
+
+    layers: tuple[int, int, int, int, int]
+    token: int
+
+
+SMALL = Widths((24, 32, 48, 80, 128), 128)
+WIDE = Widths((24, 32, 96, 160, 256), 256)
+SHIPPED = SMALL
 
 
 @dataclass(frozen=True)
@@ -127,9 +139,10 @@ class JointClaim:
 class JointNetwork(nn.Module):
     """Looks at the picture once, then reads that map around every joint's present place and moves it, three times."""
 
-    def __init__(self) -> None:
+    def __init__(self, widths: Widths = SHIPPED) -> None:
         super().__init__()
-        a, b, c, d, e = _WIDTHS
+        a, b, c, d, e = widths.layers
+        token = widths.token
         self.fine = nn.Sequential(_layer(CHANNELS, a, 2), _layer(a, b), _layer(b, c, 2), _layer(c, c), _layer(c, c))
         self.middle = nn.Sequential(_layer(c, d, 2), _layer(d, d), _layer(d, d))
         self.coarse = nn.Sequential(_layer(d, e, 2), _layer(e, e), _layer(e, e))
@@ -137,13 +150,13 @@ class JointNetwork(nn.Module):
         self.across = nn.Conv2d(d, _MAP, 1)
         self.side = nn.Conv2d(c, _MAP, 1)
         self.mixed_middle, self.mixed_fine = _layer(_MAP, _MAP), _layer(_MAP, _MAP)
-        self.whole = nn.Linear(e, _TOKEN)
-        self.name = nn.Parameter(torch.randn(JOINT_COUNT + 1, _TOKEN) * 0.02)
-        self.read = nn.Linear(len(_LOOKS) * _MAP + 12, _TOKEN)
-        self.exchange = nn.ModuleList(_Exchange() for _ in range(2))
-        self.move = nn.Linear(_TOKEN, 3)
-        self.say = nn.Linear(_TOKEN, 6)
-        self.turn = nn.Linear(_TOKEN, 1)
+        self.whole = nn.Linear(e, token)
+        self.name = nn.Parameter(torch.randn(JOINT_COUNT + 1, token) * 0.02)
+        self.read = nn.Linear(len(_LOOKS) * _MAP + 12, token)
+        self.exchange = nn.ModuleList(_Exchange(token) for _ in range(2))
+        self.move = nn.Linear(token, 3)
+        self.say = nn.Linear(token, 6)
+        self.turn = nn.Linear(token, 1)
         for layer in (self.move, self.say, self.turn):
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, std=1e-3)
@@ -178,12 +191,12 @@ class JointNetwork(nn.Module):
 class _Exchange(nn.Module):
     """One layer in which the joints hear each other: a skeleton has always the same neighbours (an MLP-Mixer, 2021)."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int) -> None:
         super().__init__()
         count = JOINT_COUNT + 1
-        self.before, self.after = nn.LayerNorm(_TOKEN), nn.LayerNorm(_TOKEN)
+        self.before, self.after = nn.LayerNorm(width), nn.LayerNorm(width)
         self.listen = nn.Sequential(nn.Linear(count, 4 * count), nn.GELU(), nn.Linear(4 * count, count))
-        self.think = nn.Sequential(nn.Linear(_TOKEN, 2 * _TOKEN), nn.GELU(), nn.Linear(2 * _TOKEN, _TOKEN))
+        self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
 
     def forward(self, tokens: Float[Tensor, "N K C"]) -> Float[Tensor, "N K C"]:
         tokens = tokens + self.listen(self.before(tokens).transpose(1, 2)).transpose(1, 2)

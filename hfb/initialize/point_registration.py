@@ -112,7 +112,7 @@ def register_vertices(
         raise InputError("a mesh to be registered has vertices that are not finite")
     count = len(vertices)
     some = np.arange(0, len(body.template), max(1, len(body.template) // _ENOUGH_VERTICES))
-    vertices, body = vertices[:, some], _only_vertices(body, torch.from_numpy(some))
+    vertices, body = vertices[:, some], only_vertices(body, torch.from_numpy(some))
     if betas is None:
         chosen = np.unique(np.linspace(0, count - 1, min(count, _SHAPE_INSTANTS)).round().astype(int))
         first = _laid(vertices[chosen], body, None, iterations)
@@ -128,7 +128,7 @@ def register_vertices(
     )
 
 
-def _only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
+def only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
     """The body with some of its vertices, which are enough to tell the pose; not to be drawn."""
     directions = body.pose_directions
     return replace(

@@ -1,6 +1,6 @@
 """A user's own matting network: BackgroundMattingV2, the paper's, or Robust Video Matting; TorchScript or ONNX."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,6 +19,8 @@ from hfb.shapes import Array, Float
 _MULTIPLE_PX = 4
 _LONGEST_PX = 4096
 """Larger frames are matted at this size: a matte is compared at 256 px at most, and memory stays bounded."""
+_TILES_SHARE = 0.125
+"""How much of a tile its neighbour sees too."""
 _COARSE_PX = 480
 """Longer side of BackgroundMattingV2's first pass: 1/4 of an HD frame, as its authors recommend."""
 _COARSE_SCALES = (0.125, 0.5)
@@ -26,6 +28,9 @@ _REFINED_PIXELS = 80_000
 _RVM_PX = 512
 _RVM_LOOKS = 4
 """How often a recurrent network sees the same frame: frames are computed beside each other, none waits for another."""
+
+_Pictures = tuple[Float[Array, "H W 3"], ...]
+"""The frame, and the plate where the network sees one."""
 
 
 def external_matting(config: MattingConfig) -> Matting:
@@ -47,10 +52,11 @@ def external_matting(config: MattingConfig) -> Matting:
 def _loaded(config: MattingConfig, changed: int) -> Matting:
     assert config.weights is not None
     if config.method == "rvm":
-        return RobustVideoMatting(config.weights)
+        return RobustVideoMatting(config.weights, config.tile_px)
     return BackgroundMattingV2(
-        config.weights, config.backbone_scale, config.refine_mode, config.refine_pixels, config.refine_threshold
-    )
+        config.weights, config.backbone_scale, config.refine_mode, config.refine_pixels, config.refine_threshold,
+        config.tile_px,
+    )  # fmt: skip
 
 
 class BackgroundMattingV2:
@@ -66,14 +72,18 @@ class BackgroundMattingV2:
         refine_mode: str | None = None,
         refine_pixels: int | None = None,
         refine_threshold: float | None = None,
+        tile_px: int | None = None,
     ) -> None:
         """Options are those of the released networks; None chooses by the frame's size, or leaves the file's own.
+
+        Args:
+            tile_px: larger frames are seen in tiles of this size.
 
         Raises:
             InputError: the file cannot be used.
         """
         self._path = path
-        self._scale, self._pixels = backbone_scale, refine_pixels
+        self._scale, self._pixels, self._tile_px = backbone_scale, refine_pixels, tile_px
         own = {"refine_mode": refine_mode, "refine_threshold": refine_threshold}
         self._settings = {name: value for name, value in own.items() if value is not None}
         self._networks: dict[tuple[float, int], Network] = {}
@@ -85,7 +95,7 @@ class BackgroundMattingV2:
         """See `Matting`."""
         frame, plate = (_srgb(picture) for picture in (frame_linear, plate_linear))
         check_sizes(frame, plate)
-        return _at_size(frame, lambda small: self.look(small, _like(plate, small)))
+        return _at_size((frame, plate), self._tile_px, lambda part: self.look(*part))
 
     def look(self, frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
         """The network's own alpha at the picture's size; sides are padded to multiples of four."""
@@ -114,16 +124,17 @@ class BackgroundMattingV2:
 class RobustVideoMatting:
     """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not looked at."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tile_px: int | None = None) -> None:
         """Raises InputError where the file cannot be used."""
         self._network = load_network(path)
+        self._tile_px = tile_px
         self._onnx = path.suffix.lower() == ".onnx"
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""
         frame = _srgb(frame_linear)
         check_sizes(frame, _srgb(plate_linear))
-        return _at_size(frame, self.look)
+        return _at_size((frame,), self._tile_px, lambda part: self.look(*part))
 
     def look(self, frame_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
         """The network's alpha once its memory knows the frame."""
@@ -165,12 +176,14 @@ def _srgb(picture: Picture | Plate) -> Float[Array, "H W 3"]:
 
 
 def _at_size(
-    frame: Float[Array, "H W 3"], look: Callable[[Float[Array, "h w 3"]], Float[Array, "h w"]]
+    pictures: _Pictures, tile_px: int | None, look: Callable[[_Pictures], Float[Array, "h w"]]
 ) -> Float[Array, "H W"]:
-    """A matte at the frame's size, of a network that sees it at a size that fits into memory."""
-    height, width = frame.shape[:2]
-    small = shrink(frame, _LONGEST_PX)
-    alpha = look(small)
+    """A matte at the frame's size, of a network that sees it in tiles, or at a size that fits into memory."""
+    height, width = pictures[0].shape[:2]
+    if tile_px is not None and max(height, width) > tile_px:
+        alpha = _in_tiles(pictures, tile_px, look)
+    else:
+        alpha = look(tuple(shrink(picture, _LONGEST_PX) for picture in pictures))
     if alpha.shape != (height, width):
         alpha = cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
     alpha = np.clip(alpha, 0, 1).astype(np.float32)
@@ -179,8 +192,28 @@ def _at_size(
     return alpha
 
 
-def _like(plate: Float[Array, "H W 3"], small: Float[Array, "h w 3"]) -> Float[Array, "h w 3"]:
-    return shrink(plate, max(small.shape[:2]))
+def _in_tiles(
+    pictures: _Pictures, tile_px: int, look: Callable[[_Pictures], Float[Array, "h w"]]
+) -> Float[Array, "H W"]:
+    """Tiles that overlap and fade into each other; memory is a tile's."""
+    height, width = pictures[0].shape[:2]
+    total, weight = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    for top, bottom, down in _tiles(height, tile_px):
+        for left, right, across in _tiles(width, tile_px):
+            share = down[:, None] * across[None]
+            alpha = look(tuple(picture[top:bottom, left:right] for picture in pictures))
+            total[top:bottom, left:right] += share * alpha
+            weight[top:bottom, left:right] += share
+    return total / weight
+
+
+def _tiles(length: int, tile_px: int) -> Iterator[tuple[int, int, Float[Array, "n"]]]:
+    """First and last pixel (exclusive) of each tile along a side, and its weights, which fall to its ends."""
+    size = min(length, tile_px)
+    count = 1 if size == length else 1 + int(np.ceil((length - size) / (size * (1 - _TILES_SHARE))))
+    for first in np.linspace(0, length - size, count).round().astype(int):
+        at = np.arange(size, dtype=np.float32) + 0.5
+        yield int(first), int(first) + size, np.minimum(1, np.minimum(at, size - at) / (_TILES_SHARE * size))
 
 
 def _padded(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:

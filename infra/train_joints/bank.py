@@ -50,7 +50,7 @@ def main() -> None:
         sample = studio.draw(np.random.default_rng([options.seed, options.first + number]))
         pictures[number], truth[number], starts[number] = sample.picture, sample.truth, sample.starts
         unit_m[number] = sample.unit_m
-        if number % 200 == 199 or number == 49:
+        if number % 1000 == 999 or number == 49:
             print(f"{number + 1} pictures in {time.monotonic() - began:.0f} s", flush=True)
             np.savez(options.out / "joints.npz", truth=truth, starts=starts, unit_m=unit_m, done=number + 1)
     pictures.flush()

@@ -16,8 +16,8 @@ from hfb.initialize.joint_network import JointNetwork
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",
     "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), subjects "
-    f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip; upper and lower bodies of different clips "
-    "mixed in 3 of 10 pictures; a quarter of the motions generated",
+    f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip; limbs lent between clips (upper "
+    "bodies alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
     "backgrounds": "Poly Haven HDRI views, Buddies of Budgie backgrounds, scikit-image textures (all CC0); "
     "generated rooms",
     "mattes": "the shipped matting network's",

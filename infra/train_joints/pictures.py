@@ -21,14 +21,17 @@ from hfb.initialize.joint_network import Window, picture_channels
 from hfb.matting.matting import clean
 from hfb.matting.network import NetworkMatting
 from hfb.photometry import linear_to_srgb, srgb_to_linear
+from hfb.priors.anatomy import AnatomicalPrior
 from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 STARTS = 2
 _FRAME_PX = 144
 _INSTANTS = 11
-_MIXED, _CLOTHED, _FROM_BEHIND = 0.3, 0.25, 0.15
-_UPPER = (9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23)
+_MIXED, _BENT, _CLOTHED, _FROM_BEHIND = 0.6, 0.5, 0.25, 0.15
+_PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
+"""Head, left arm, right arm, both legs, waist: parts that one motion may lend another."""
+_BEND_RAD = 0.2
 _SHORTEST_S, _LONGEST_S = 0.02, 0.5
 _SCENES = 240
 
@@ -87,9 +90,12 @@ class Studio:
             return None
         poses, places = piece
         if rng.random() < _MIXED:
-            other = _piece(self.recorded[rng.integers(len(self.recorded))], seconds, rng)
-            if other is not None:
-                poses[:, _UPPER] = other[0][:, _UPPER]
+            for part in _PARTS:
+                other = _piece(self.recorded[rng.integers(len(self.recorded))], seconds, rng)
+                if other is not None and rng.random() < 0.5:
+                    poses[:, part] = other[0][:, part]
+        if rng.random() < _BENT:
+            poses = _bent(poses, rng)
         return (poses[:, MIRROR] * (1, -1, -1), places * (-1, 1, 1)) if rng.random() < 0.5 else (poses, places)
 
     def _try(self, rng: np.random.Generator) -> Sample | None:
@@ -157,6 +163,17 @@ class Studio:
             start[:, :2] += (truth[1] - start)[:, :2].mean(0) + rng.normal(0, wander, 2) * (1, 0.5)
             found.append(start)
         return np.stack(found).astype(np.float32)
+
+
+def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The same motion of somebody who holds every joint a little otherwise, where anatomy lets him."""
+    turns = torch.from_numpy(rng.normal(0, _BEND_RAD, (1, 24, 3)) * (np.arange(24) > 0)[None, :, None]).float()
+    rotations = axis_angle_to_matrix(torch.from_numpy(poses).float()) @ axis_angle_to_matrix(turns)
+    bent = matrix_to_axis_angle(rotations).double().numpy()
+    before, after = (
+        AnatomicalPrior().limit_penalty(torch.from_numpy(one[:, 1:]).float()).max() for one in (poses, bent)
+    )
+    return bent if after <= max(float(before), 2.0) else poses
 
 
 def _piece(clip: MotionClip, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:

@@ -1,4 +1,4 @@
-"""Train the joint network: `python train.py --bank b1 b2 --dev dev --out run --minutes 60`."""
+"""Train the joint network: `python train.py --bank b1 b2 --dev dev --out run --iterations 6000`."""
 
 import argparse
 import copy
@@ -12,11 +12,12 @@ import torch
 from measure import as_large, measure
 
 from hfb.body.skeleton import MIRROR
-from hfb.initialize.joint_network import JointClaim, JointNetwork
+from hfb.initialize.joint_network import SMALL, WIDE, JointClaim, JointNetwork
 
 _ROUND_SHARES = (0.25, 0.5, 1.0)
-_CHECKPOINT_S = 120
+_CHECKPOINT_S = 240
 _AVERAGE = 0.998
+_LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
 
 class Bank:
@@ -51,7 +52,7 @@ def augmented(
     count = len(chosen)
     pictures = torch.from_numpy(bank.batch(chosen)).float() / 127.5 - 1
     truth = torch.from_numpy(bank.truth[chosen])
-    starts = bank.starts[chosen, rng.integers(bank.starts.shape[1], size=count)]
+    starts = _confused(bank, chosen, rng)
     # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
     share = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
     starts = as_large(torch.from_numpy(starts), truth[:, 1], torch.from_numpy(rng.normal(0, 0.04, count)).float())
@@ -75,6 +76,27 @@ def augmented(
     return pictures.contiguous(memory_format=torch.channels_last), starts, truth
 
 
+def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Starts (N, 24, 3): mostly as drawn; some as an outline alone would have them, or of somebody else.
+
+    An outline is the same for a person and for the one reflected in depth with the sides exchanged.
+    """
+    starts = bank.starts[chosen, rng.integers(bank.starts.shape[1], size=len(chosen))].copy()
+    kinds = rng.choice(5, size=len(chosen), p=(0.92, 0.03, 0.02, 0.02, 0.01))
+    for row in np.flatnonzero(kinds == 1):
+        starts[row] = starts[row][list(MIRROR)] * (1, 1, -1)
+    for row in np.flatnonzero((kinds == 2) | (kinds == 3)):
+        limbs = _LEGS if kinds[row] == 2 else _ARMS
+        order = list(range(24))
+        for one, other in limbs:
+            order[one], order[other] = other, one
+        starts[row] = starts[row][order]
+    for row in np.flatnonzero(kinds == 4):
+        other = bank.starts[rng.integers(len(bank)), 0]
+        starts[row] = other - other[:1] + starts[row][:1]
+    return starts.astype(np.float32)
+
+
 def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
     """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign."""
     middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
@@ -94,33 +116,33 @@ def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
 
 
 def main() -> None:
-    """AdamW, a cosine over the given minutes, averaged weights; a checkpoint and figures every two minutes."""
+    """AdamW, a cosine over the iterations, averaged weights; a checkpoint and figures every two minutes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bank", type=Path, nargs="+", required=True)
     parser.add_argument("--dev", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--minutes", type=float, default=60)
+    parser.add_argument("--iterations", type=int, default=6000)
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--small", action="store_true", help="half the channels, for widen.py")
     parser.add_argument("--go-on", type=Path, help="begin with these weights (average.pt of another run)")
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
-    network = JointNetwork()
+    network = JointNetwork(SMALL if options.small else WIDE)
     if options.go_on is not None:
         network.load_state_dict(torch.load(options.go_on, weights_only=True), strict=False)
     network = network.to(memory_format=torch.channels_last)
     average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.02)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.05)
     bank, dev = Bank(options.bank), Bank([options.dev])
     options.out.mkdir(parents=True, exist_ok=True)
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
-    while (spent := time.monotonic() - began) < 60 * options.minutes:
-        if iteration % 300 == 299:
-            bank = Bank(options.bank)
-        progress = spent / 60 / options.minutes
+    while iteration < options.iterations:
+        spent = time.monotonic() - began
+        progress = iteration / options.iterations
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
         for group in optimizer.param_groups:
             group["lr"] = rate
@@ -150,7 +172,7 @@ def main() -> None:
     torch.save(average.state_dict(), options.out / "average.pt")
     facts = {
         "iterations": iteration,
-        "minutes": options.minutes,
+        "minutes": round((time.monotonic() - began) / 60, 1),
         "batch": options.batch,
         "rate": options.rate,
         "seed": options.seed,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.sparse
 import torch
 from torch import Tensor, nn
 
@@ -14,9 +15,11 @@ from hfb.config import InitConfig
 from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import Initializer, make_initializer
+from hfb.initialize.network_body import read_samplings, registered
 from hfb.initialize.person_crop import person_square
 from hfb.initialize.rays import seen_along
 from hfb.initialize.silhouette_fit import silhouette
+from hfb.networks import Outputs
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
 from hfb.rotations import axis_angle_to_matrix
@@ -83,6 +86,37 @@ def test_the_person_of_the_network(tmp_path: Path, body: object, within_mm: floa
     assert float((joints[0][0] - joints[1][0]).norm()) < 0.15
     pixels = (CAMERA.project(joints[0]) - CAMERA.project(joints[1])).norm(dim=-1)
     assert float(pixels.mean()) < 3
+
+
+@pytest.mark.parametrize("count", [1723, 431])
+def test_a_coarse_mesh_alone(tmp_path: Path, count: int) -> None:
+    """METRO's coarser meshes keep some of the vertices; its own file, as scipy pickled it, says which."""
+    true = someone()
+    posed = BODY.shape(true.betas).pose(axis_angle_to_matrix(true.pose)[None], true.translation[None])
+    first = np.sort(np.random.default_rng(3).choice(len(BODY.template), 1723, replace=False))
+    second = np.arange(431) * 4
+    steps = np.empty(2, object)
+    for number, (kept, before) in enumerate(((first, len(BODY.template)), (second, 1723))):
+        steps[number] = scipy.sparse.csr_matrix((np.ones(len(kept)), (range(len(kept)), kept)), (len(kept), before))
+    np.savez(tmp_path / "mesh_downsampling.npz", D=steps)
+    samplings = read_samplings(tmp_path / "mesh_downsampling.npz")
+    kept = {1723: first, 431: first[second]}[count]
+    mesh = (posed.vertices[0] - posed.joints[0, 0]).numpy()[kept]
+    outputs = Outputs(tmp_path, ("", ""), (np.ones((1, 3), np.float32), mesh[None].astype(np.float32)))
+    found = registered(outputs, SMPL, samplings)
+    joints = BODY.shape(found.betas).joints_of(axis_angle_to_matrix(found.pose)[None], found.translation[None])[0]
+    off = (joints - joints[0] - (posed.joints[0] - posed.joints[0, 0])).norm(dim=-1)
+    assert float(off.mean()) < 0.012
+    with pytest.raises(InputError, match="mesh-sampling"):
+        registered(outputs, SMPL)
+
+
+def test_a_file_of_samplings_that_is_none(tmp_path: Path) -> None:
+    np.savez(tmp_path / "other.npz", A=np.eye(3))
+    np.savez(tmp_path / "mean.npz", D=np.array([scipy.sparse.csr_matrix(np.full((2, 4), 0.25)), None], object))
+    for name in ("other.npz", "mean.npz"):
+        with pytest.raises(InputError, match="mesh_downsampling"):
+            read_samplings(tmp_path / name)
 
 
 def test_a_network_that_is_no_metro(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from hfb.config import MattingConfig
 from hfb.errors import InputError
@@ -42,6 +43,26 @@ def test_the_networks_own_alpha(tmp_path: Path, size: tuple[int, int]) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-5)
     tensors = matting(torch.from_numpy(frame), torch.from_numpy(plate))
     np.testing.assert_array_equal(tensors, found)
+
+
+@pytest.mark.parametrize("size", [(300, 700), (512, 257)])
+def test_tiles_of_a_large_frame_fade_into_each_other(tmp_path: Path, size: tuple[int, int]) -> None:
+    """The network looks at one pixel at a time: in tiles it must say the same, and never see more than a tile."""
+
+    class Measuring(DifferenceMatting):
+        def forward(self, src: Tensor, bgr: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+            full = ((src - bgr).abs().amax(1, keepdim=True) * self.gain).clamp(0.0, 1.0)
+            if src.size(2) > 256 or src.size(3) > 256:
+                full = full * 0 + 0.5
+            return full, src, full, full, full, full
+
+    path = save_scripted(Measuring(), tmp_path / "bgm.pth")
+    frame, plate = scene(*size)
+    found = make_matting(MattingConfig(method="bgmv2", weights=path, tile_px=256))(frame, plate)
+    expected = np.clip(4 * np.abs(linear_to_srgb(frame) - linear_to_srgb(plate)).max(-1), 0, 1)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    whole = make_matting(MattingConfig(method="bgmv2", weights=path))(frame, plate)
+    assert (whole == 0.5).all()
 
 
 def test_options_reach_the_network(tmp_path: Path) -> None:
