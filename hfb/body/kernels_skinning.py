@@ -235,3 +235,18 @@ def skin_gradient(transforms, rest, offsets, starts, joints, weights, given, of_
                 for r in range(3):
                     for s in range(n):
                         of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * n + s]
+
+
+@loop_entry
+def blend_gradient(given, directions, of_feature):
+    """Add to `of_feature` (S, n), the features of S poses, what the offsets' gradient (S, V, 3) asks of them.
+
+    directions: (V, 3, n). What the camera does not see asks for nothing and is passed over, half of the work: the
+    directions are read from memory, they are too many for the processor's cache.
+    """
+    for v in range(directions.shape[0]):
+        for s in range(given.shape[0]):
+            a, b, c = given[s, v, 0], given[s, v, 1], given[s, v, 2]
+            if a != 0.0 or b != 0.0 or c != 0.0:
+                for k in range(of_feature.shape[1]):
+                    of_feature[s, k] += a * directions[v, 0, k] + b * directions[v, 1, k] + c * directions[v, 2, k]

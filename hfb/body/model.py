@@ -74,6 +74,12 @@ class Body:
         """The skinning weights as lists, see `hfb.body.skinning.sparse_weights`."""
         return skinning.sparse_weights(self.skinning_weights)
 
+    @cached_property
+    def pose_directions_by_vertex(self) -> Float[Tensor, "V 3 207"]:
+        """The pose blend shapes as the way back reads them."""
+        assert self.pose_directions is not None
+        return self.pose_directions.T.contiguous().unflatten(0, (-1, 3))
+
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
         return Body(
@@ -157,4 +163,6 @@ class ShapedBody:
             return None
         identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
         feature = (rotations[:, 1:] - identity).flatten(1)
+        if feature.device.type == "cpu":
+            return operators.blend(feature, self.body.pose_directions, self.body.pose_directions_by_vertex)
         return (feature @ self.body.pose_directions).unflatten(1, (-1, 3))

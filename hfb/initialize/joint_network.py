@@ -50,7 +50,7 @@ class Widths:
 
 SMALL = Widths((24, 32, 48, 80, 128), 128)
 WIDE = Widths((24, 32, 96, 160, 256), 256)
-SHIPPED = SMALL
+SHIPPED = WIDE
 
 
 @dataclass(frozen=True)

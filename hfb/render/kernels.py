@@ -16,7 +16,7 @@ from hfb.compilation import JIT, LOOP, entry, loop_entry
 from hfb.render.kernels_outline import collect, count_pieces, pull_outline, weigh_pieces, wind_outline
 from hfb.render.kernels_overlap import chain_pieces, resolve
 from hfb.render.kernels_screen import find_front, find_outline, mask_for, project, see_faces, to_metres
-from hfb.render.kernels_surface import shade, shade_gradient
+from hfb.render.kernels_shading import FOUND, GATHERED, PLACES, shade, shade_gradient
 from hfb.render.kernels_vector import add_scaled
 
 
@@ -82,7 +82,7 @@ def _outline(front, edge_vertices, edge_faces):
 def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     """Silhouette of one body: its trace."""
     box = np.empty(4, np.int64)
-    projected, front = np.empty((vertices.shape[0], 3), np.float64), np.zeros(faces.shape[0], np.bool_)
+    projected, front = np.empty((vertices.shape[0], 4), np.float64), np.zeros(faces.shape[0], np.bool_)
     project(vertices, lens, 0.0, projected, box)
     if box[0] < box[2]:
         find_front(projected, faces, front)
@@ -95,7 +95,7 @@ def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
 @entry
 def draw_body(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
     """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
-    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 3), np.float64)
+    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 4), np.float64)
     project(vertices, lens, 0.0, projected, box)
     mask = mask_for(faces, edge_faces)
     seen, front = see_faces(projected, faces, box, mask)
@@ -103,7 +103,9 @@ def draw_body(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
     width = np.int64(lens[5])
     pixels, codes, coverage, owner, edge, shares = _trace(outline, projected, box, width, seen, mask)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
-    shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, colours)
+    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
+    places = np.empty(PLACES, np.int32)
+    shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, near, table, places, colours)
     return projected, outline, pixels, coverage, owner, edge, shares, codes, colours
 
 
@@ -166,10 +168,12 @@ def draw_body_gradient(
     An empty `gradient` or `texture_gradient` leaves that one out.
     """
     projected, outline, pixels, coverage, owner, edge, shares = trace
-    on_screen, of_coverage = np.zeros((gradient.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
+    on_screen, of_coverage = np.zeros((gradient.shape[0], 4), np.float64), np.empty(pixels.shape[0], np.float64)
+    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
+    places = np.empty(PLACES, np.int32)
     shade_gradient(
         np.int64(lens[5]), faces, uv, texture, projected, outline, pixels, coverage, codes,
-        picture_gradient, scale, of_coverage, on_screen, texture_gradient,
+        picture_gradient, scale, near, table, places, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:
         pull_outline(outline, projected, owner, edge, shares, of_coverage, on_screen)

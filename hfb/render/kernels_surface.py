@@ -1,4 +1,4 @@
-"""Compiled parts: the texture's colour at each pixel, and the way back.
+"""Compiled parts: the point of the body that a pixel shows, the texture's colour there, and the way back.
 
 The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body
 but the pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the
@@ -10,9 +10,8 @@ body's colour, and the colour is continuous as the outline passes the centre.
 import numpy as np
 from numba import njit
 
-from hfb.compilation import INLINE, LOOP
+from hfb.compilation import INLINE
 from hfb.render.kernels_outline import closest_parameter
-from hfb.render.kernels_screen import NOTHING
 from hfb.render.kernels_vector import add_to_texels, dots, mix_texels
 
 
@@ -71,33 +70,20 @@ def texel_cell(coordinate, size):
     return texel, position - texel, inside
 
 
-@njit(**LOOP)
-def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, colours):
-    """Fill `colours` (n, 4): coverage times the texture (bilinear, clamped at its border), whose 4th channel is 1."""
+@njit(**INLINE)
+def edge_colour(px, py, projected, faces, uv, start, end, f, texture, alpha, colours, at):
+    """Write alpha times the texture's colour at the point of an outline edge (of front face f) closest to (px, py) to
+    number `at` of the colours on."""
     size = texture.shape[0]
     step = min(size - 1, 1)
-    row = 0
-    for m in range(pixels.shape[0]):
-        while pixels[m] >= (row + 1) * width:
-            row += 1
-        code = codes[m]
-        px, py = pixels[m] - row * width + 0.5, row + 0.5
-        alpha = min(coverage[m], 1.0)
-        if code >= 0:
-            u, v = uv_of_face(px, py, projected, faces, uv, np.uint32(code))
-        elif code != NOTHING:
-            k = np.uint32(~code)
-            u, v = uv_of_edge(px, py, projected, faces, uv, outline[k, 0], outline[k, 1], outline[k, 2])
-        else:
-            colours[m, 0], colours[m, 1], colours[m, 2], colours[m, 3] = 0.0, 0.0, 0.0, alpha
-            continue
-        c, fc, _ = texel_cell(u, size)
-        r, fr, _ = texel_cell(v, size)
-        kind, t00 = texture.dtype.type, 4 * (r * size + c)
-        w00, w01 = kind((1.0 - fr) * (1.0 - fc) * alpha), kind((1.0 - fr) * fc * alpha)
-        w10, w11 = kind(fr * (1.0 - fc) * alpha), kind(fr * fc * alpha)
-        t01, t10 = t00 + 4 * step, t00 + 4 * step * size
-        mix_texels(texture, t00, t01, t10, t10 + 4 * step, w00, w01, w10, w11, colours, 4 * m)
+    u, v = uv_of_edge(px, py, projected, faces, uv, start, end, f)
+    c, fc, _ = texel_cell(u, size)
+    r, fr, _ = texel_cell(v, size)
+    kind, t00 = texture.dtype.type, 4 * (r * size + c)
+    w00, w01 = kind((1.0 - fr) * (1.0 - fc) * alpha), kind((1.0 - fr) * fc * alpha)
+    w10, w11 = kind(fr * (1.0 - fc) * alpha), kind(fr * fc * alpha)
+    t01, t10 = t00 + 4 * step, t00 + 4 * step * size
+    mix_texels(texture, t00, t01, t10, t10 + 4 * step, w00, w01, w10, w11, colours, at)
 
 
 @njit(**INLINE)
@@ -124,42 +110,6 @@ def sample_gradient(u, v, texture, alpha, picture_gradient, at, texture_gradient
     slope_u = alpha * size * ((1.0 - fr) * (g01 - g00) + fr * (g11 - g10)) if c_inside else 0.0
     slope_v = alpha * size * (below - above) if r_inside else 0.0
     return above + fr * (below - above), slope_u, slope_v
-
-
-@njit(**INLINE)
-def face_gradient(px, py, projected, faces, uv, f, texture, alpha, picture_gradient, at, texture_gradient, gradient):
-    """Way back of one pixel that shows face f: returns the pull on alpha, adds those on the corners.
-
-    A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of
-    its 1/z by e shifts u by b (u_corner - u) e / (sum b / z).
-    """
-    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-    b0, b1, b2, b1_x, b1_y, b2_x, b2_y = face_point(px, py, projected, i, j, k)
-    z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
-    u0, v0, u1, v1, u2, v2 = uv[f, 0, 0], uv[f, 0, 1], uv[f, 1, 0], uv[f, 1, 1], uv[f, 2, 0], uv[f, 2, 1]
-    w0, w1, w2 = b0 * z0, b1 * z1, b2 * z2
-    scale = 1.0 / (w0 + w1 + w2)
-    u, v = (w0 * u0 + w1 * u1 + w2 * u2) * scale, (w0 * v0 + w1 * v1 + w2 * v2) * scale
-    of_alpha, slope_u, slope_v = sample_gradient(u, v, texture, alpha, picture_gradient, at, texture_gradient)
-    if gradient.shape[0] == 0:
-        return of_alpha
-    slope_u, slope_v = slope_u * scale, slope_v * scale
-    d0 = slope_u * (u0 - u) + slope_v * (v0 - v)
-    d1 = slope_u * (u1 - u) + slope_v * (v1 - v)
-    d2 = slope_u * (u2 - u) + slope_v * (v2 - v)
-    at_0, at_1, at_2 = d0 * z0, d1 * z1, d2 * z2
-    slope_x = (at_1 - at_0) * b1_x + (at_2 - at_0) * b2_x
-    slope_y = (at_1 - at_0) * b1_y + (at_2 - at_0) * b2_y
-    gradient[i, 0] -= b0 * slope_x
-    gradient[i, 1] -= b0 * slope_y
-    gradient[i, 2] += b0 * d0
-    gradient[j, 0] -= b1 * slope_x
-    gradient[j, 1] -= b1 * slope_y
-    gradient[j, 2] += b1 * d1
-    gradient[k, 0] -= b2 * slope_x
-    gradient[k, 1] -= b2 * slope_y
-    gradient[k, 2] += b2 * d2
-    return of_alpha
 
 
 @njit(**INLINE)
@@ -192,32 +142,3 @@ def edge_gradient(
         gradient[end, 0] += pull * (rx - 2.0 * t * dx)
         gradient[end, 1] += pull * (ry - 2.0 * t * dy)
     return of_alpha
-
-
-@njit(**LOOP)
-def shade_gradient(
-    width, faces, uv, texture, projected, outline, pixels, coverage, codes,
-    picture_gradient, scale, of_coverage, on_screen, texture_gradient,
-):  # fmt: skip
-    """Way back of `shade`: fills the coverage's gradient, adds to the corners' and to the texture's."""
-    row = 0
-    for m in range(pixels.shape[0]):
-        pixel = pixels[m]
-        while pixel >= (row + 1) * width:
-            row += 1
-        px, py = pixel - row * width + 0.5, row + 0.5
-        code, alpha, at = codes[m], scale * min(coverage[m], 1.0), 4 * np.int64(pixel)
-        if code >= 0:
-            of_alpha = face_gradient(
-                px, py, projected, faces, uv, np.uint32(code), texture, alpha, picture_gradient, at, texture_gradient,
-                on_screen,
-            )  # fmt: skip
-        elif code != NOTHING:
-            k = np.uint32(~code)
-            of_alpha = edge_gradient(
-                px, py, projected, faces, uv, outline[k, 0], outline[k, 1], outline[k, 2],
-                texture, alpha, picture_gradient, at, texture_gradient, on_screen,
-            )  # fmt: skip
-        else:
-            of_alpha = np.float64(picture_gradient[pixel, 3])
-        of_coverage[m] = scale * of_alpha

@@ -32,7 +32,7 @@ def paint_charts(uv, owner):
 def mark_seen(vertices, lens, faces, uv, seen):
     """Set `seen` (A, A) where the body's visible points take their colour from."""
     size = seen.shape[0]
-    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 3), np.float64)
+    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 4), np.float64)
     project(vertices, lens, 0.0, projected, box)
     mask = mask_for(faces, faces)
     nearest, _ = see_faces(projected, faces, box, mask)

@@ -11,6 +11,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 _LANES = range(4)
+BATCH = 64  # columns of the tables of `kernels_shading`
 
 
 def _address(context, builder, array_type, array, position):
@@ -39,6 +40,13 @@ def _shuffle(builder, left, right, order):
 def _fma(builder, a, b, c):
     """a b + c, rounded once where the processor can."""
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+
+def _convert(context, builder, value, target):
+    """A vector of real numbers in another type."""
+    wide = context.get_abi_sizeof(value.type.element) > context.get_abi_sizeof(target)
+    kind = ir.VectorType(target, value.type.count)
+    return value if value.type == kind else (builder.fptrunc if wide else builder.fpext)(value, kind)
 
 
 def _positions(context, builder, signature, arguments, wanted):
@@ -115,6 +123,65 @@ def add_scaled(typingctx, picture, pixel, colours, at, scale):
         held = builder.load(pointer)
         held.align = align
         builder.store(_fma(builder, _splat(builder, arguments[4], four), given, held), pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def add_corner(typingctx, gradient, at, weight, x, y, z):
+    """Add weight times (x, y, z, 0) to four numbers of `gradient`."""
+    signature = types.void(gradient, at, weight, x, y, z)
+
+    def codegen(context, builder, signature, arguments):
+        (to,) = _positions(context, builder, signature, arguments, (1,))
+        pointer, four, align = _address(context, builder, signature.args[0], arguments[0], to)
+        held = builder.load(pointer)
+        held.align = align
+        asked = ir.Constant(four, [0.0, 0.0, 0.0, 0.0])
+        for lane, number in enumerate(arguments[3:6]):
+            asked = builder.insert_element(asked, number, ir.Constant(ir.IntType(32), lane))
+        builder.store(_fma(builder, _splat(builder, arguments[2], four), asked, held), pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alpha):
+    """Write 12 numbers of a face to number `to` of the table on: its second and third corner as seen from the first
+    (x, y, 1/z, 0), and (pixel_x, pixel_y, 0, alpha) as seen from there.
+
+    projected: (V, 4), the last one 0; i, j, k: positions of the three corners in it.
+    """
+    signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha)
+
+    def codegen(context, builder, signature, arguments):
+        at, *corners = _positions(context, builder, signature, arguments, (1, 3, 4, 5))
+        first, second, third = (_load(context, builder, signature.args[2], arguments[2], corner) for corner in corners)
+        seen = ir.Constant(first.type, [0.0, 0.0, 0.0, 0.0])
+        for lane, number in ((0, arguments[6]), (1, arguments[7]), (3, arguments[8])):
+            seen = builder.insert_element(seen, number, ir.Constant(ir.IntType(32), lane))
+        for number, vector in enumerate((second, third, seen)):
+            position = builder.add(at, ir.Constant(at.type, 4 * number * BATCH))
+            pointer, four, align = _address(context, builder, signature.args[0], arguments[0], position)
+            value = _convert(context, builder, builder.fsub(vector, first), four.element)
+            builder.store(value, pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def gather_four(typingctx, table, to, source, at):
+    """Copy four numbers of `source`."""
+    signature = types.void(table, to, source, at)
+
+    def codegen(context, builder, signature, arguments):
+        here, there = _positions(context, builder, signature, arguments, (1, 3))
+        value = _load(context, builder, signature.args[2], arguments[2], there)
+        pointer, four, align = _address(context, builder, signature.args[0], arguments[0], here)
+        builder.store(_convert(context, builder, value, four.element), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen

@@ -93,7 +93,7 @@ def _(
     kept = [vertices.new_empty(texture.shape[0], texture.shape[1], 4)]
     for _ in range(len(vertices)):
         edges, pixels, pieces = (context.new_dynamic_size() for _ in range(3))
-        kept += [real(vertices.shape[1], 3), whole(edges, 3), whole(pixels), real(pixels)]
+        kept += [real(vertices.shape[1], 4), whole(edges, 3), whole(pixels), real(pixels)]
         kept += [
             whole(pieces),
             whole(pieces),
