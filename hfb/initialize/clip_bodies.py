@@ -15,7 +15,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_evidence import look_for_joints
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine, refine_swept, swept_overlap
 from hfb.observation import Observation
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
@@ -32,6 +32,7 @@ from hfb.shapes import Array, Bool, Float, Tensor
 _LAY_ON = (Stage(64, 25, 0.02, shape=False),)
 _STAY = Stay(pose=0.02, root=0.1, place=0.5)
 _COMPARE_PX = 64
+_STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body at rest; what a path must gain over it
 _TORSO = (1, 2, 16, 17)
 """Hips and shoulders: where the front is. Arms and legs move, and a search confuses them, whatever the front."""
 _DOUBT_M = 0.2
@@ -171,7 +172,16 @@ def body_between(
     start = between(frame, known)
     closer = refine(start, matte, camera, body, drawing, list(_LAY_ON), _STAY)
     level = matte_level(matte, camera, _COMPARE_PX)
-    return max((closer, start), key=lambda one: overlap(one, level, body, drawing))
+    best = max((closer, start), key=lambda one: overlap(one, level, body, drawing))
+    shared = overlap(best, level, body, drawing)
+    before = max((k for k in known if k < frame), default=None)
+    after = min((k for k in known if k > frame), default=None)
+    if shared >= _STILL_ENOUGH or before is None or after is None:
+        return best
+    # Somebody who crosses their own width in a frame: laid on along the way from neighbour to neighbour.
+    path = (known[after].translation - known[before].translation) / (after - before)
+    moving, path = refine_swept(start, path, matte, camera, body, drawing, list(_LAY_ON), _STAY)
+    return moving if swept_overlap(moving, path, level, body, drawing) > shared + _CLEARLY_MOVING else best
 
 
 def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longest_fill: int) -> ClipBodies:

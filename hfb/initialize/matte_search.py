@@ -59,7 +59,7 @@ def search_by_matte(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float]:
     """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; 2-4 s on one core."""
-    templates = _templates(body)
+    templates = bank_templates(body)
     starts = _best_starts(matte, camera, body, templates)
     scene = (matte, camera, body, rasterizer)
     rough = [refine(start, *scene, [_ROUGH], _STAY) for start in starts]
@@ -81,7 +81,7 @@ def _best_starts(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, templates: Templates
 ) -> list[FirstBody]:
     """Compare the matte, turned by each roll, with every template; the best ones that differ from each other."""
-    moments = _moments(matte)
+    moments = matte_moments(matte)
     scores = np.stack([
         _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
         for roll in _ROLLS_DEG
@@ -90,14 +90,16 @@ def _best_starts(
     chosen: list[tuple[int, int]] = []
     for flat in np.argsort(-scores, axis=None, kind="stable"):
         roll, index = np.unravel_index(int(flat), scores.shape)
-        if all(_apart(templates.groups[index], templates.groups[other]) for _, other in chosen):
+        if all(differ(templates.groups[index], templates.groups[other]) for _, other in chosen):
             chosen.append((int(roll), int(index)))
         if len(chosen) == _CANDIDATES:
             break
-    return [_place(templates, index, radians(_ROLLS_DEG[roll]), moments, camera, body) for roll, index in chosen]
+    return [
+        body_from_template(templates, index, radians(_ROLLS_DEG[roll]), moments, camera, body) for roll, index in chosen
+    ]
 
 
-def _apart(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
+def differ(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
     """Another pose, or the same from a clearly different side."""
     turn = abs((one[1] - other[1] + pi) % (2 * pi) - pi)
     return bool(one[0] != other[0] or turn > radians(75))
@@ -110,7 +112,8 @@ def _soft_ious(picture: Float[Array, "s s"], pictures: Float[Array, "N s s"]) ->
     return (total - difference) / np.maximum(total + difference, 1e-9)
 
 
-def _moments(picture: Float[Array, "H W"]) -> Moments:
+def matte_moments(picture: Float[Array, "H W"]) -> Moments:
+    """Of a silhouette or a matte."""
     columns, rows = picture.sum(0, dtype=np.float64), picture.sum(1, dtype=np.float64)
     total = max(float(columns.sum()), 1e-9)
     along_x, along_y = np.arange(len(columns)) + 0.5, np.arange(len(rows)) + 0.5
@@ -136,7 +139,7 @@ def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.
 
 
 @lru_cache(maxsize=2)
-def _templates(body: Body) -> Templates:
+def bank_templates(body: Body) -> Templates:
     """Draw the bank once per body and process; what is a mirror image of something drawn is flipped instead."""
     dtype = body.template.dtype
     names, bank = bank_rotations(dtype)
@@ -180,13 +183,13 @@ def _draw(
         vertices = shaped.pose(rotations[None], -shaped.joints[:1]).vertices[0]  # the pelvis at the origin
         for R_root in roots:
             seen = rasterizer.silhouette_mean((vertices @ R_root.T + ahead)[None], camera, body.mesh).numpy()
-            moments = _moments(seen)
+            moments = matte_moments(seen)
             pelvis = ((camera.cx - moments.x) / moments.spread, (camera.cy - moments.y) / moments.spread)
             results.append((_normalised(seen, moments), moments.spread / camera.fx, pelvis))
     return results
 
 
-def _place(
+def body_from_template(
     templates: Templates, index: int, roll: float, moments: Moments, camera: PinholeCamera, body: Body
 ) -> FirstBody:
     """The template's body where the matte is: as far away as its size says, turned towards its view ray."""

@@ -1,7 +1,8 @@
 """Render and compare: move one static body until its silhouette covers the matte.
 
 The matte of a blurred frame is the mean of many silhouettes; a static body can't equal it, but the one that
-shares most with it lies in the middle of the motion.
+shares most with it lies in the middle of the motion. Where a person crosses more than their own width, it covers the
+densest part instead, and is too far away: there the body is carried along a straight line, and the mean compared.
 """
 
 from collections.abc import Sequence
@@ -23,6 +24,8 @@ from hfb.shapes import Array, Float, Tensor
 
 _MARGIN = 0.2
 _LEAST_DEPTH_M = 0.4
+SWEPT_INSTANTS = 5
+"""Of a straight path; where a person crosses several widths, the mean is lumpy, which a matte at 64 px hardly shows."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,16 @@ def overlap(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) 
     return 1 - float(matting_loss(silhouette(first, level.camera, body, rasterizer), level.matte))
 
 
+def swept_overlap(
+    first: FirstBody, travel_m: Float[Tensor, "3"], level: Level, body: Body, rasterizer: Rasterizer
+) -> float:
+    """Soft IoU of the matte and the mean silhouette of the body carried from -travel / 2 to +travel / 2."""
+    with torch.no_grad():
+        posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
+        seen = rasterizer.silhouette_mean(_carried(posed.vertices, travel_m), level.camera, body.mesh)
+    return 1 - float(matting_loss(seen, level.matte))
+
+
 def refine(
     first: FirstBody,
     matte: Float[Array, "H W"],
@@ -96,13 +109,48 @@ def refine(
     """
     for stage in stages:
         level = matte_level(matte, camera, stage.size_px)
-        first = _refine_at(first, level, body, rasterizer, stage, stay)
+        first, _ = _refine_at(first, None, level, body, rasterizer, stage, stay)
     return first
 
 
+def refine_swept(
+    first: FirstBody,
+    travel_m: Float[Tensor, "3"],
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stages: Sequence[Stage],
+    stay: Stay,
+) -> tuple[FirstBody, Float[Tensor, "3"]]:
+    """As `refine`, with the straight path of the whole body during the exposure besides: the middle, and the path.
+
+    Args:
+        travel_m: the path to start from, from its first to its last instant in camera coordinates.
+    """
+    for stage in stages:
+        level = matte_level(matte, camera, stage.size_px)
+        first, moved = _refine_at(first, travel_m, level, body, rasterizer, stage, stay)
+        assert moved is not None
+        travel_m = moved
+    return first, travel_m
+
+
+def _carried(vertices: Float[Tensor, "1 V 3"], travel_m: Float[Tensor, "3"]) -> Float[Tensor, "S V 3"]:
+    """The posed body at evenly spaced instants of its path."""
+    instants = torch.linspace(-0.5, 0.5, SWEPT_INSTANTS, dtype=vertices.dtype)
+    return vertices + (instants[:, None] * travel_m.to(vertices))[:, None]
+
+
 def _refine_at(
-    first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer, stage: Stage, stay: Stay
-) -> FirstBody:
+    first: FirstBody,
+    travel_m: Float[Tensor, "3"] | None,
+    level: Level,
+    body: Body,
+    rasterizer: Rasterizer,
+    stage: Stage,
+    stay: Stay,
+) -> tuple[FirstBody, Float[Tensor, "3"] | None]:
     dtype = body.template.dtype
     prior = AnatomicalPrior()
     start_pose, start_place = first.pose.to(dtype), first.translation.to(dtype)
@@ -114,19 +162,23 @@ def _refine_at(
     view = start_view.clone().requires_grad_()
     betas = first.betas.to(dtype).clone().requires_grad_(stage.shape)
     groups = [([joints, root], stage.learning_rate), ([view], 0.4 * stage.learning_rate)]
+    travel = None if travel_m is None else travel_m.to(dtype).clone().requires_grad_()
+    if travel is not None:
+        groups.append(([travel], stage.learning_rate))
     if stage.shape:
         groups.append(([betas], stage.learning_rate))
     optimiser = torch.optim.Adam([{"params": free, "lr": rate} for free, rate in groups], betas=(0.8, 0.95))
     shaped = body.shape(betas)
-    best, best_value = first, float("inf")
+    best, best_travel, best_value = first, travel_m, float("inf")
     for iteration in range(stage.iterations + 1):
         optimiser.zero_grad()
         place = _from_view(view, betas, body)
         rotations = torch.cat([(axis_angle_to_matrix(root) @ R_start)[None], axis_angle_to_matrix(joints)])
         if stage.shape:
             shaped = body.shape(betas)
-        posed = shaped.pose(rotations[None], place[None])
-        seen = rasterizer.silhouette_mean(posed.vertices, level.camera, body.mesh)
+        vertices = shaped.pose(rotations[None], place[None]).vertices
+        shown = vertices if travel is None else _carried(vertices, travel)
+        seen = rasterizer.silhouette_mean(shown, level.camera, body.mesh)
         loss = (
             matting_loss(seen, level.matte)
             + stay.prior * prior(joints[None])[0]
@@ -139,10 +191,11 @@ def _refine_at(
             best_value = float(loss.detach())
             pose = torch.cat([matrix_to_axis_angle(rotations[:1]), joints]).detach().clone()
             best = replace(first, pose=pose, translation=place.detach().clone(), betas=betas.detach().clone())
+            best_travel = None if travel is None else travel.detach().clone()
         if iteration < stage.iterations:
             loss.backward()
             optimiser.step()
-    return best
+    return best, best_travel
 
 
 def _to_view(translation: Float[Tensor, "3"], first: FirstBody, body: Body) -> Float[Tensor, "3"]:

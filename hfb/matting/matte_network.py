@@ -34,13 +34,8 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
         the lights, in which a shadow is the same in all channels (3); alpha by texture and its precision (2).
     """
     frame, plate = (linear_to_srgb(picture).astype(np.float32) for picture in (frame_linear, plate_linear))
-    difference = frame - plate
-    quiet = np.quantile(np.abs(difference).mean(-1), _QUIET_SHARE) / _QUIET_LEVEL
-    sigma = np.float32(np.clip(quiet, _LEAST_NOISE, _MOST_NOISE))
-    brighter = np.maximum(frame, plate)
-    noise = sigma * np.where(brighter <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((brighter + 0.055) / 1.055) ** 1.4)
-    alpha, precision = texture_evidence(frame_linear, plate_linear, noise.astype(np.float32))
-    scaled = difference / sigma
+    alpha, precision = texture_evidence(frame_linear, plate_linear, quiet_noise(frame, plate))
+    scaled = (frame - plate) / _quiet_sigma(frame, plate)
     ratio = np.log((frame_linear + _DARK) / (plate_linear + _DARK))
     picture = np.concatenate(
         [
@@ -56,16 +51,34 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
     return np.ascontiguousarray(picture.transpose(2, 0, 1), np.float32)
 
 
+def quiet_noise(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
+    """Standard deviation of frame - plate in linear light, by the pixels that differ least."""
+    level = np.maximum(frame_srgb, plate_srgb)
+    slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
+    return np.asarray(_quiet_sigma(frame_srgb, plate_srgb) * slope, np.float32)
+
+
+def _quiet_sigma(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> np.float32:
+    quiet = np.quantile(np.abs(frame_srgb - plate_srgb).mean(-1), _QUIET_SHARE) / _QUIET_LEVEL
+    return np.float32(np.clip(quiet, _LEAST_NOISE, _MOST_NOISE))
+
+
 class MatteNetwork(nn.Module):
     """Four halvings, a wide look around at the smallest size, four doublings with the finer pictures beside them.
 
     The second output is the logarithm of the expected error (a Laplace scale) of the first.
 
     Args:
+        channels: of what it sees.
         normalise: made behind every convolution while it is trained, then folded into it; nothing by default.
     """
 
-    def __init__(self, widths: Sequence[int] = WIDTHS, normalise: Callable[[int], nn.Module] | None = None) -> None:
+    def __init__(
+        self,
+        widths: Sequence[int] = WIDTHS,
+        normalise: Callable[[int], nn.Module] | None = None,
+        channels: int = CHANNELS,
+    ) -> None:
         super().__init__()
 
         def layer(before: int, after: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
@@ -74,7 +87,7 @@ class MatteNetwork(nn.Module):
             return nn.Sequential(convolution, norm, nn.ReLU(inplace=True))
 
         steps = list(pairwise(widths))
-        self.entry = layer(CHANNELS, widths[0])
+        self.entry = layer(channels, widths[0])
         self.down = nn.ModuleList(nn.Sequential(layer(a, b, stride=2), layer(b, b)) for a, b in steps)
         self.around = nn.ModuleList(layer(widths[-1], widths[-1], dilation=2) for _ in range(2))
         self.up = nn.ModuleList(layer(a + b, a) for a, b in reversed(steps))

@@ -7,6 +7,7 @@ import numpy as np
 
 from hfb.config import MattingConfig
 from hfb.errors import InputError
+from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import Evidence, gather_evidence, main_change, solve_matte
 from hfb.shapes import Array, Bool, Float, Tensor
@@ -16,6 +17,7 @@ Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the us
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
+_SEEN = 8.0  # in hundredths of alpha: what surely belongs to somebody
 LEAST_SHARE = 2e-4
 """Of the picture's area; less is no person."""
 MOST_SHARE = 0.75
@@ -51,6 +53,7 @@ class KnownBackground:
         """Find the person at a small size, solve around them at up to 640 px, put the matte into the whole frame."""
         frame, plate = (np.clip(np.asarray(picture, np.float32), 0, None) for picture in (frame_linear, plate_linear))
         check_sizes(frame, plate)
+        plate = aligned_plate(frame, plate)
         small_frame, small_plate = shrink(frame, _DETECTION_PX), shrink(plate, _DETECTION_PX)
         gain = exposure_gain(small_frame, small_plate)
         found = gather_evidence(small_frame, np.clip(small_plate * gain, 0, 1))
@@ -108,17 +111,18 @@ def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: flo
 
 
 def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Drop specks and haze that hang apart from the body; pull 0.02..0.98 to 0..1."""
-    alpha = np.clip((alpha - 0.02) / 0.96, 0, 1).astype(np.float32)
-    keep = main_change(100 * alpha, threshold=12.0)
+    """Drop specks and haze that hang apart from the body, and what is below 0.02."""
+    keep = main_change(100 * alpha, threshold=_SEEN)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(keep.astype(np.uint8))
     if count > 2:
         largest = 1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax())
         clear = np.unique(labels[keep & (alpha > 0.6)])  # a shoe cut off by dark trousers, not a patch of shade
         keep = np.isin(labels, [*clear, largest])
-    reach = 2 * max(1, round(0.008 * max(alpha.shape))) + 1
+    # As far again as the faint end of a ramp over a tenth of the picture reaches below what counts as seen.
+    reach = 2 * max(1, round(0.02 * max(alpha.shape))) + 1
     near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
-    return alpha * cv2.blur(near.astype(np.float32), (3, 3))
+    alpha = np.clip(alpha, 0, 1) * cv2.blur(near.astype(np.float32), (3, 3))
+    return np.where(alpha < 0.02, 0, alpha).astype(np.float32)
 
 
 def shrink(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:

@@ -9,8 +9,9 @@ import torch
 from safetensors.torch import load_file
 
 from hfb.determinism import one_torch_thread
+from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
-from hfb.matting.matte_network import MatteNetwork, features
+from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
 from hfb.matting.matting import (
     LEAST_SHARE,
     MOST_SHARE,
@@ -24,27 +25,34 @@ from hfb.matting.matting import (
     scaled_box,
     shrink,
 )
+from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float
 
 _WHOLE_PX = 256
-_CROP_PX = 288
+_CROPS_PX = (288, 192)  # the smaller one sees long smears better, the larger one edges
 _LEAST_PX = 32
 _MARGIN = 0.2
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
 class NetworkMatting:
-    """A small network trained on blurred people (infra/train_matting): a tenth of a second, the same on every run."""
+    """Two small networks trained on blurred people (infra/train_matting): half a second, the same on every run.
 
-    def __init__(self, network: MatteNetwork | None = None) -> None:
+    The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
+    sees them, too.
+    """
+
+    def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:
         """The shipped weights, or other ones."""
         self._network = shipped_network() if network is None else network.eval()
+        self._second = shipped_second() if second is None else second.eval()
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """Look at the whole frame at 256 px, then at the person's box, put that matte into the whole frame."""
+        """Look at the whole frame at 256 px, then twice at the person's box, put that matte into the whole frame."""
         frame, plate = (np.clip(np.asarray(picture, np.float32), 0, None) for picture in (frame_linear, plate_linear))
         check_sizes(frame, plate)
+        plate = aligned_plate(frame, plate)
         small_frame, small_plate = shrink(frame, _WHOLE_PX), shrink(plate, _WHOLE_PX)
         gain = exposure_gain(small_frame, small_plate)
         _check_scene(small_frame, small_plate * gain)
@@ -56,7 +64,9 @@ class NetworkMatting:
         top, left, bottom, right = scaled_box(matte_region(first, _MARGIN), scale, height, width)
         inner = (slice(top, bottom), slice(left, right))
         gain = _gain_without(first, small_frame, small_plate)
-        alpha = clean(self.look(shrink(frame[inner], _CROP_PX), shrink(plate[inner], _CROP_PX) * gain))
+        looks = [self.look_twice(shrink(frame[inner], px), shrink(plate[inner], px) * gain) for px in _CROPS_PX]
+        size = looks[0].shape[::-1]
+        alpha = clean(np.mean([cv2.resize(look, size, interpolation=cv2.INTER_LINEAR) for look in looks], axis=0))
         matte = np.zeros((height, width), np.float32)
         matte[inner] = cv2.resize(alpha, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
         if matte.sum() < LEAST_SHARE * matte.size:
@@ -64,26 +74,52 @@ class NetworkMatting:
         return matte
 
     def look(self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-        """The network's alpha at the pictures' own size, the mean of the picture and its mirror image.
+        """The first network's alpha at the pictures' own size, the mean of the picture and its mirror image.
 
         The plate already has the frame's exposure.
         """
-        seen = features(np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1))
-        height, width = seen.shape[1:]
-        wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
-        picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]
-        with one_torch_thread(), torch.inference_mode():
-            both = torch.cat([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
-            there, mirrored = torch.sigmoid(self._network(both)[:, 0])
-            alpha = ((there + mirrored.flip(-1)) / 2).numpy()
-        return np.ascontiguousarray(alpha[:height, :width], np.float32)
+        frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1)
+        return _answer(self._network, features(frame, plate))[0]
+
+    def look_twice(
+        self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
+    ) -> Float[Array, "H W"]:
+        """The second network's alpha, which knows the colours that the first one's tells."""
+        frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1)
+        seen = features(frame, plate)
+        alpha, doubt = _answer(self._network, seen)
+        told = colour_evidence(frame, plate, alpha, doubt)
+        return _answer(self._second, np.concatenate([seen, told]))[0]
+
+
+def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    """Alpha and the logarithm of its expected error, means of the picture and its mirror image."""
+    height, width = seen.shape[1:]
+    wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
+    picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]
+    with one_torch_thread(), torch.inference_mode():
+        both = torch.cat([picture, picture.flip(-1)]).contiguous(memory_format=torch.channels_last)
+        output = network(both)
+        output = torch.stack([torch.sigmoid(output[:, 0]), output[:, 1]])
+        alpha, doubt = ((output[:, 0] + output[:, 1].flip(-1)) / 2).numpy()
+    return alpha[:height, :width].copy(), doubt[:height, :width].copy()
 
 
 @lru_cache(maxsize=1)
 def shipped_network() -> MatteNetwork:
-    """The network with the weights of data/matting.safetensors; data/matting.json tells how they were made."""
-    network = MatteNetwork()
-    with resources.as_file(resources.files("hfb.matting") / "data" / "matting.safetensors") as path:
+    """The first network; data/matting.json tells how it was made."""
+    return _shipped("matting", CHANNELS)
+
+
+@lru_cache(maxsize=1)
+def shipped_second() -> MatteNetwork:
+    """The second network; data/second_look.json tells how it was made."""
+    return _shipped("second_look", CHANNELS + EVIDENCE_CHANNELS)
+
+
+def _shipped(name: str, channels: int) -> MatteNetwork:
+    network = MatteNetwork(channels=channels)
+    with resources.as_file(resources.files("hfb.matting") / "data" / f"{name}.safetensors") as path:
         network.load_state_dict({name: weights.float() for name, weights in load_file(path).items()})
     network.requires_grad_(False)
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]

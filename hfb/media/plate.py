@@ -17,7 +17,7 @@ OnProgress = Callable[[int, int], None]
 _MOST_FRAMES, _FEWEST_FRAMES = 41, 3
 _MEMORY_BYTES, _BAND = 256 << 20, 32
 _LOOK_PX, _LOOKS = 160, 15
-_STILL_SHARE, _SHORTEST_STILL = 5e-4, 5
+_STILL_SHARE, _SHORTEST_STILL, _MOST_SPANS = 5e-4, 5, 5
 _LEAST_CHANGE = 0.06
 _MOST_CHANGED = 0.6
 _LEAST_EDGES_KEPT = 0.5
@@ -31,8 +31,8 @@ def find_plate(
     """The background as the footage stores pictures, in [0, 1], and one sentence on where it is from.
 
     Args:
-        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: the mean
-            of the longest stretch in which nothing moves.
+        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that
+            of the longest stretch in which nothing moves and nobody stands.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
@@ -47,11 +47,24 @@ def find_plate(
         plate = _median(footage, chosen, on_progress)
         told = f"background: the median of {len(chosen)} frames"
     else:
-        first, last = _longest_still(footage, on_progress)
-        plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)
-        told = f"background: frames {first} to {last}, in which nothing moves"
+        return _best_still(footage, on_progress)
     check_plate(plate, footage)
     return plate, told
+
+
+def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float[Array, "H W 3"], str]:
+    """The longest stretch without movement whose picture is the empty scene: somebody may wait in the longest."""
+    refused: InputError | None = None
+    for first, last in _still_spans(footage, on_progress)[:_MOST_SPANS]:
+        plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)
+        try:
+            check_plate(plate, footage)
+        except InputError as error:
+            refused = refused or error
+        else:
+            return plate, f"background: frames {first} to {last}, in which nothing moves"
+    assert refused is not None
+    raise refused
 
 
 def check_plate(plate: Float[Array, "h w 3"], footage: Footage) -> None:
@@ -182,23 +195,25 @@ def _median(footage: Footage, chosen: Array, on_progress: OnProgress | None) -> 
     return plate
 
 
-def _longest_still(footage: Footage, on_progress: OnProgress | None) -> tuple[int, int]:
-    """(first, last) of the longest stretch in which no frame differs from the stretch's first one."""
-    best, first, reference = (0, -1), 0, None
+def _still_spans(footage: Footage, on_progress: OnProgress | None) -> list[tuple[int, int]]:
+    """(first, last) of every stretch in which no frame differs from the stretch's first one, the longest first."""
+    spans: list[tuple[int, int]] = []
+    first, reference = 0, None
     for number, frame in enumerate(footage.frames()):
         small = cv2.GaussianBlur(_small(frame), (0, 0), 1.0)
         if reference is None or _moved(small, reference):
+            spans.append((first, number - 1))
             first, reference = number, small
-        if number - first > best[1] - best[0]:
-            best = first, number
         if on_progress:
             on_progress(number + 1, footage.count)
-    if best[1] + 1 - best[0] < _SHORTEST_STILL:
+    spans.append((first, footage.count - 1))
+    spans = [(first, last) for first, last in spans if last + 1 - first >= _SHORTEST_STILL]
+    if not spans:
         raise InputError(
             f"{footage.source.name}: something moves all the time, so no still span can be the background; give a "
             "plate (--background PLATE) or --background median."
         )
-    return best
+    return sorted(spans, key=lambda span: (span[0] - span[1], span[0]))
 
 
 def _moved(small: Float[Array, "h w 3"], reference: Float[Array, "h w 3"]) -> bool:

@@ -13,6 +13,7 @@ from hfb.shapes import Array, Float
 
 _QUALITY = {"crf": "12"}  # constant rate factor: visually the same, some 1 bit per pixel
 _TO_LOOK_AT = {"crf": "17", "preset": "veryfast"}
+_SMALL = {"crf": "25", "preset": "veryfast"}
 _BT709, _SRGB, _LIMITED = 1, 13, 1  # ITU-T H.273: matrix and primaries, transfer characteristics, range
 _TICK = Fraction(1, 1_000_000)
 
@@ -24,17 +25,19 @@ class VideoWriter:
     that a browser shows it while it loads.
     """
 
-    def __init__(self, path: Path, fps: float | None, comment: str = "", to_look_at: bool = False) -> None:
+    def __init__(
+        self, path: Path, fps: float | None, comment: str = "", to_look_at: bool = False, small: bool = False
+    ) -> None:
         """
         Args:
             fps: pictures per second; None where every picture says when it is to be shown.
             comment: kept in the file.
-            to_look_at: a third of the work, for what nobody measures.
+            to_look_at: a third of the work, for what nobody measures. small: the same, and a third of the bytes.
         """
         self._path = path
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
         self._comment = comment
-        self._options = _TO_LOOK_AT if to_look_at else _QUALITY
+        self._options = _SMALL if small else _TO_LOOK_AT if to_look_at else _QUALITY
         self._temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.part{path.suffix}")
         self._container: av.container.OutputContainer | None = None
         self._stream: av.VideoStream | None = None

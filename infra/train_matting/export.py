@@ -1,4 +1,7 @@
-"""Ship what was trained: `python export.py --run FOLDER --metrics FILE --out hfb/matting/data`."""
+"""Ship what was trained: `python export.py --run FOLDER --metrics FILE --out hfb/matting/data`.
+
+The second network (train.py --second) with `--name second_look`.
+"""
 
 import argparse
 import hashlib
@@ -9,7 +12,7 @@ import torch
 from bank import HELD_OUT_SUBJECTS
 from safetensors.torch import save
 
-from hfb.matting.matte_network import CHANNELS, WIDTHS
+from hfb.matting.matte_network import WIDTHS
 
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",
@@ -24,25 +27,26 @@ def main() -> None:
     """Write half-precision weights and, beside them, what made them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--run", type=Path, nargs="+", required=True, help="of train.py; the last one's weights")
-    parser.add_argument("--metrics", type=Path, required=True, help="what measure.py --out wrote")
+    parser.add_argument("--metrics", type=Path, required=True, help="what measure.py or compare.py wrote with --out")
+    parser.add_argument("--name", choices=["matting", "second_look"], default="matting")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     state = torch.load(options.run[-1] / "folded.pt", weights_only=True)
     content = save({name: weights.half().contiguous() for name, weights in sorted(state.items())})
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "matting.safetensors").write_bytes(content)
+    (options.out / f"{options.name}.safetensors").write_bytes(content)
     trained = [json.loads((run / "training.json").read_text()) for run in options.run]
     about = {
-        "weights": "matting.safetensors",
+        "weights": f"{options.name}.safetensors",
         "sha256": hashlib.sha256(content).hexdigest(),
         "parameters": sum(weights.numel() for weights in state.values()),
-        "channels": CHANNELS,
+        "channels": state["entry.0.weight"].shape[1],
         "widths": WIDTHS,
         "data": _DATA,
         "training": [_stage(facts) for facts in trained],
         "held_out": json.loads(options.metrics.read_text()),
     }
-    (options.out / "matting.json").write_text(json.dumps(about, indent=1) + "\n")
+    (options.out / f"{options.name}.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
 def _stage(facts: dict) -> dict:

@@ -89,7 +89,7 @@ def main() -> None:
         projected, projection_s = apply(KnownBackground(), scenes)
         if options.projection:
             np.save(options.projection, projected)
-    learned, network_s = apply(NetworkMatting(_network(options.weights)), scenes)
+    learned, network_s = apply(NetworkMatting(network_of(options.weights)), scenes)
     rows = {}
     for group, keeps in _groups(drawn).items():
         for method, mattes in (("projection", projected), ("network", learned)):
@@ -102,7 +102,7 @@ def main() -> None:
         options.out.write_text(json.dumps(rows, indent=1))
 
 
-def _network(weights: Path | None) -> MatteNetwork | None:
+def network_of(weights: Path | None) -> MatteNetwork | None:
     if weights is None:
         return None
     network = MatteNetwork()

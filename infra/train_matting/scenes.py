@@ -37,6 +37,9 @@ class Difficulty:
     cut_share: float = 0.25
     residual_gain: float = 0.015
     hard_share: float = 0.35  # of garments take a colour of the plate
+    slide_share: float = 0.0  # of figures move as a whole besides
+    longest_slide: float = 0.35  # relative to the picture's side
+    picture_share: float = 0.0  # of figures wear a cut of a background, flat
 
 
 def draw_scene(
@@ -49,15 +52,16 @@ def draw_scene(
     """
     size = rules.size_px
     plate = _draw_plate(plates, size, rng)
+    worn = _draw_plate(plates, size, rng) if rng.random() < rules.picture_share else None
     if rng.random() < 0.06:
-        colour, alpha = _place(figures, plate, rules, rng)
+        colour, alpha = _place(figures, plate, None, rules, rng)
         plate = colour + (1 - alpha[..., None]) * plate  # somebody who is in both pictures
     if rng.random() < rules.empty_share:
         colour, alpha = np.zeros_like(plate), np.zeros((size, size), np.float32)
         shade = np.ones_like(plate)
     else:
-        colour, alpha = _place(figures, plate, rules, rng)
-        shade = _shadows(alpha, rng) if rng.random() < rules.shadow_share else np.ones_like(plate)
+        colour, alpha = _place(figures, plate, worn, rules, rng)
+        shade = cast_shadows(alpha, rng) if rng.random() < rules.shadow_share else np.ones_like(plate)
     lit = plate * shade
     if rng.random() < rules.reflection_share:
         lit = _reflected(lit, colour, alpha, rng)
@@ -74,7 +78,7 @@ def draw_scene(
     frame = frame * gain.astype(np.float32)
     noise, compressed = np.exp(rng.uniform(np.log(0.002), np.log(0.02))), rng.random() < 0.4
     plate_noise = noise * (1 if rng.random() < 0.3 else 0.3)
-    frame, plate = _camera(frame, noise, compressed, rng), _camera(plate, plate_noise, compressed, rng)
+    frame, plate = take_picture(frame, noise, compressed, rng), take_picture(plate, plate_noise, compressed, rng)
     return Scene(frame, plate, np.clip(alpha, 0, 1).astype(np.float32))
 
 
@@ -93,9 +97,13 @@ def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Genera
 
 
 def _place(
-    figures: np.ndarray, plate: np.ndarray, rules: Difficulty, rng: np.random.Generator
+    figures: np.ndarray, plate: np.ndarray, picture: np.ndarray | None, rules: Difficulty, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Premultiplied colour and coverage of a figure somewhere in the picture, perhaps cut by its border."""
+    """Premultiplied colour and coverage of a figure somewhere in the picture, perhaps cut by its border.
+
+    Args:
+        picture: what the figure wears in place of its own colours.
+    """
     size = rules.size_px
     channels = figures[rng.integers(len(figures))]
     while not channels[0].any():  # a bank that is still being rendered
@@ -116,16 +124,45 @@ def _place(
     if bottom > top and end > left:
         placed[top:bottom, left:end] = layers[top - down : bottom - down, left - right : end - right]
     alpha = placed[..., 0]
-    if worn:
+    if picture is not None:
+        colour = picture * alpha[..., None]
+    elif worn:
         colour = placed[..., 1:] ** 2
     else:
-        colours = _colours(plate[max(0, top) : bottom, max(0, left) : end], rules, rng)
+        colours = draw_colours(plate[max(0, top) : bottom, max(0, left) : end], rules, rng)
         colour = (placed[..., 1:].reshape(-1, len(GARMENTS)) @ colours).reshape(size, size, 3)
     colour = colour * np.exp(rng.normal(0, 0.3) + rng.normal(0, 0.06, 3)).astype(np.float32)
-    return np.minimum(colour, alpha[..., None] * 1.0).astype(np.float32), alpha
+    if rng.random() < rules.slide_share:
+        path = draw_path(size * np.exp(rng.uniform(np.log(0.015), np.log(rules.longest_slide))), rng)
+        colour, alpha = (cv2.filter2D(one, -1, path, borderType=cv2.BORDER_CONSTANT) for one in (colour, alpha))
+    return np.clip(colour, 0, alpha[..., None]).astype(np.float32), np.clip(alpha, 0, 1)
 
 
-def _colours(behind: np.ndarray, rules: Difficulty, rng: np.random.Generator) -> np.ndarray:
+def draw_path(length_px: float, rng: np.random.Generator) -> np.ndarray:
+    """A kernel that moves a picture along an arc, faster or slower towards its end."""
+    steps = max(32, int(8 * length_px))
+    time = (np.arange(steps) + 0.5) / steps
+    along = time + rng.uniform(-0.4, 0.4) * (time**2 - time)
+    angle = rng.uniform(0, 2 * np.pi) + rng.normal(0, 0.3) * (along - 0.5)
+    points = np.stack([np.cos(angle), np.sin(angle)], -1) * length_px / steps
+    return path_kernel(np.cumsum(points, 0))
+
+
+def path_kernel(points_px: np.ndarray) -> np.ndarray:
+    """Instants (N, 2) at which a thing is somewhere, as a kernel around their mean that adds up to 1."""
+    points = points_px - points_px.mean(0)
+    half = int(np.ceil(np.abs(points).max())) + 1
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
+    columns, rows = half + points.T
+    left, top = np.floor(columns).astype(int), np.floor(rows).astype(int)
+    right, low = columns - left, rows - top
+    for down, share_down in ((0, 1 - low), (1, low)):
+        for across, share_across in ((0, 1 - right), (1, right)):
+            np.add.at(kernel, (top + down, left + across), share_down * share_across)
+    return kernel / kernel.sum()
+
+
+def draw_colours(behind: np.ndarray, rules: Difficulty, rng: np.random.Generator) -> np.ndarray:
     """(GARMENTS, 3) linear: from the plate behind the figure, dark, bright, skin, or anything."""
     count = len(GARMENTS)
     colours = srgb_to_linear(rng.uniform(0.02, 0.98, (count, 3)))
@@ -149,7 +186,7 @@ def _colours(behind: np.ndarray, rules: Difficulty, rng: np.random.Generator) ->
     return np.clip(colours, 0.001, 1).astype(np.float32)
 
 
-def _shadows(alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def cast_shadows(alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """What share of its light every pixel of the plate keeps: cast shadows, shade at the feet, light kept from afar."""
     size = len(alpha)
     keeps = np.ones((size, size), np.float32)
@@ -206,7 +243,7 @@ def _flutter(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return cv2.remap(picture, columns + field[..., 0], rows + field[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REFLECT)
 
 
-def _camera(linear: np.ndarray, noise: float, compressed: bool, rng: np.random.Generator) -> np.ndarray:
+def take_picture(linear: np.ndarray, noise: float, compressed: bool, rng: np.random.Generator) -> np.ndarray:
     """Shot and read noise, 8 bits, sometimes JPEG, seen as linear light again."""
     light = np.clip(linear, 0, 1)
     grain = rng.standard_normal(linear.shape, np.float32)

@@ -9,51 +9,68 @@ import json
 import math
 import time
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from plates import PATTERNS, ROOMS, make_patterns, make_rooms, read_photos
-from scenes import Difficulty, draw_scene
+from scenes import Difficulty, Scene, draw_scene
 from torch import nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.utils.data import DataLoader, IterableDataset
 
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
+from hfb.matting.network import shipped_network
+from hfb.matting.second_look import COLOUR_STARTS, EVIDENCE_CHANNELS, colour_evidence
 
 _REMEMBERED = 480
+_CLOSE = Difficulty(
+    scale=(0.45, 1.1), empty_share=0.02, cut_share=0.15, hard_share=0.25, slide_share=0.45, picture_share=0.15
+)
+"""The second network sees the box around the person."""
 _EVERY_S = 120
 
 
 class Scenes(IterableDataset):
     """New scenes, one after another, for ever."""
 
-    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int) -> None:
-        self.banks, self.photos, self.size_px, self.seed = banks, photos, size_px, seed
+    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int, second: bool) -> None:
+        self.banks, self.photos, self.size_px, self.seed, self.second = banks, photos, size_px, seed, second
 
     def __iter__(self):
-        """(features and alpha) as (CHANNELS + 1, size, size) float16."""
+        """(features and alpha) as (channels + 1, size, size) float16."""
         cv2.setNumThreads(1)
         torch.set_num_threads(1)
         figures = [np.load(path, mmap_mode="r") for path in self.banks]
         real = read_photos(self.photos, held_out=False)
         plates = [real, real, make_rooms(ROOMS, self.seed), make_patterns(PATTERNS, self.seed)]
-        rules = Difficulty(self.size_px)
+        rules = _CLOSE if self.second else Difficulty()
+        rules = replace(rules, size_px=self.size_px)
         for number in range(1 << 30):
             rng = np.random.default_rng([self.seed, number])
             scene = draw_scene(figures[rng.integers(len(figures))], plates, rules, rng)
             seen = features(scene.frame, scene.plate)
+            if self.second:
+                seen = np.concatenate([seen, _second_look(scene, seen)])
             yield torch.from_numpy(np.concatenate([seen, scene.alpha[None]]).astype(np.float16))
 
 
-def matte_loss(output: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+def _second_look(scene: Scene, seen: np.ndarray) -> np.ndarray:
+    """What the shipped first network makes known about a scene."""
+    with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
+        logit, doubt = shipped_network()(torch.from_numpy(seen)[None])[0].float().numpy()
+    return colour_evidence(scene.frame, scene.plate, 1 / (1 + np.exp(-logit)), doubt)
+
+
+def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) -> torch.Tensor:
     """Error, weighted in the blurred band; overlap; edges; and how well the network knows its own error."""
     matte, spread = torch.sigmoid(output[:, :1]), output[:, 1:].clamp(-6, 1)
     error = (matte - alpha).abs()
     band = ((alpha > 0.02) & (alpha < 0.98)).float()
-    plain = (error * (1 + 2 * band + alpha)).mean()
+    plain = (error * (1 + band_weight * band + alpha)).mean()
     together = torch.minimum(matte, alpha).sum((1, 2, 3)) + 10
     overlap = 1 - together / (torch.maximum(matte, alpha).sum((1, 2, 3)) + 10)
     edges = sum(
@@ -68,14 +85,27 @@ def matte_loss(output: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
 def augment(batch: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     """Flip, and reorder the colour channels of everything that has them."""
     order = torch.randperm(3, generator=generator)
-    channels = torch.cat([order + start for start in (0, 3, 6, 9)] + [torch.arange(12, CHANNELS + 1)])
+    channels = torch.arange(batch.shape[1])
+    starts = [0, 3, 6, 9]
+    if batch.shape[1] > CHANNELS + 1:
+        starts += [CHANNELS + start for start in COLOUR_STARTS]
+    for start in starts:
+        channels[start : start + 3] = order + start
     batch = batch[:, channels]
     return batch.flip(-1) if torch.rand((), generator=generator) < 0.5 else batch
 
 
+def widened(state: dict[str, torch.Tensor], channels: int) -> dict[str, torch.Tensor]:
+    """The same network for more channels, of which it does not make use yet."""
+    entry = state["entry.0.weight"]
+    wide = entry.new_zeros(len(entry), channels, *entry.shape[2:])
+    wide[:, : entry.shape[1]] = entry
+    return state | {"entry.0.weight": wide}
+
+
 def fold(network: MatteNetwork, widths: tuple[int, ...]) -> MatteNetwork:
     """The same function without normalisation layers."""
-    plain = MatteNetwork(widths).eval()
+    plain = MatteNetwork(widths, channels=network.entry[0].in_channels).eval()
     modules = dict(network.eval().named_modules())
     for name, module in plain.named_modules():
         if isinstance(module, nn.Conv2d):
@@ -101,20 +131,23 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--start", type=Path, help="training state to go on from")
+    parser.add_argument("--second", action="store_true", help="the network that sees the shipped first one's matte")
+    parser.add_argument("--band-weight", type=float, default=2.0, help="of the blurred band in the loss")
     parser.add_argument("--half", action="store_true", help="multiply in bfloat16")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
-    network = MatteNetwork(WIDTHS, nn.BatchNorm2d).to(memory_format=torch.channels_last)
-    average = MatteNetwork(WIDTHS, nn.BatchNorm2d)
+    channels = CHANNELS + EVIDENCE_CHANNELS * options.second
+    network = MatteNetwork(WIDTHS, nn.BatchNorm2d, channels).to(memory_format=torch.channels_last)
+    average = MatteNetwork(WIDTHS, nn.BatchNorm2d, channels)
     if options.start:
-        network.load_state_dict(torch.load(options.start, weights_only=True))
+        network.load_state_dict(widened(torch.load(options.start, weights_only=True), channels))
     average.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), options.rate, weight_decay=0.01)
     loader = DataLoader(
-        Scenes(options.bank, options.photos, options.size, options.seed), batch_size=options.fresh, num_workers=1,
-        prefetch_factor=16,
+        Scenes(options.bank, options.photos, options.size, options.seed, options.second), batch_size=options.fresh,
+        num_workers=1, prefetch_factor=16,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(options.seed)
     remembered: deque[torch.Tensor] = deque(maxlen=_REMEMBERED)
@@ -143,8 +176,8 @@ def main() -> None:
             group["lr"] = options.rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1, progress))))
         network.train()
         with torch.autocast("cpu", torch.bfloat16, enabled=options.half):
-            output = network(batch[:, :CHANNELS])
-        loss = matte_loss(output.float(), batch[:, CHANNELS:])
+            output = network(batch[:, :channels])
+        loss = matte_loss(output.float(), batch[:, channels:], options.band_weight)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)

@@ -17,6 +17,7 @@ from hfb.errors import InputError
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.matting import KnownBackground, Matting, make_matting, matte_region, shrink
 from hfb.matting.network import NetworkMatting
+from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import average_frames, read_frames
 from hfb.photometry import srgb_to_linear
@@ -143,6 +144,37 @@ def test_shipped_files_belong_together() -> None:
     assert all(value.dtype == torch.float16 and value.isfinite().all() for value in weights.values())
     assert set(weights) == set(MatteNetwork().state_dict())
     assert about["held_out"]["network all"]["iou"] > about["held_out"]["projection all"]["iou"]
+
+
+def test_the_second_network_belongs_to_its_files() -> None:
+    folder = resources.files("hfb.matting") / "data"
+    content = (folder / "second_look.safetensors").read_bytes()
+    about = json.loads((folder / "second_look.json").read_text())
+    assert len(content) <= 1.5e6
+    assert about["sha256"] == hashlib.sha256(content).hexdigest()
+    assert about["channels"] == CHANNELS + EVIDENCE_CHANNELS
+    assert about["parameters"] == sum(value.numel() for value in load(content).values())
+
+
+def test_the_second_look_is_nearer_than_the_first() -> None:
+    first, second = [], []
+    for kind, seed in (("clouds", 21), ("stripes", 22), ("flat", 23)):
+        scene = composite(generated_plate(kind), 24, seed)
+        band = (scene.alpha > 0.05) & (scene.alpha < 0.95)
+        for look, told in ((matting.look, first), (matting.look_twice, second)):  # type: ignore[attr-defined]
+            told.append(np.abs(look(scene.frame, scene.plate) - scene.alpha)[band].mean())
+    assert np.mean(second) < np.mean(first)
+
+
+def test_the_true_colours_give_the_true_share() -> None:
+    """A flat red figure before gray: with the right matte at hand, every way to the colour says alpha."""
+    alpha = np.clip(np.linspace(-0.5, 1.5, 64), 0, 1)[None].repeat(48, 0).astype(np.float32)
+    plate = np.full((48, 64, 3), 0.3, np.float32)
+    frame = alpha[..., None] * np.array([0.7, 0.1, 0.1], np.float32) + (1 - alpha[..., None]) * plate
+    told = colour_evidence(frame, plate, alpha, np.full_like(alpha, -3))
+    assert told.shape == (EVIDENCE_CHANNELS, 48, 64)
+    for channel in (6, 9, 12):  # by the near, the far and the unmixed colour
+        assert np.abs(told[channel] + 0.5 - alpha).mean() < 0.05
 
 
 def test_features_say_the_same_of_a_darker_scene() -> None:

@@ -58,6 +58,15 @@ def test_the_longest_still_span(tmp_path: Path) -> None:
         find_plate(footage(tmp_path / "walk", WALK), "still")
 
 
+def test_a_still_span_in_which_somebody_waits_is_passed_over(tmp_path: Path) -> None:
+    places = [*[40] * 12, *WALK[:14], *[None] * 7, *WALK[14:]]
+    plate, told = find_plate(footage(tmp_path / "both", places), "still")
+    assert np.abs(plate - scene()).max() < 0.03
+    assert "frames 26 to 32" in told
+    with pytest.raises(InputError, match="still holds the person"):
+        find_plate(footage(tmp_path / "waits", [*[40] * 12, *WALK]), "still")
+
+
 def test_a_plate_from_a_file(tmp_path: Path) -> None:
     walk = footage(tmp_path / "frames", WALK)
     write_png(tmp_path / "plate.png", scene())

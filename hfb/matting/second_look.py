@@ -1,0 +1,58 @@
+"""What a first matte makes known: the body's colours, and the share of the way from plate to them at every pixel.
+
+alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
+far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,
+F = B + (I - B) / alpha. None is right everywhere; the second network has learned which to believe.
+"""
+
+import numpy as np
+
+from hfb.matting.diffusion import spread_colours
+from hfb.matting.known_background import dot
+from hfb.matting.matte_network import quiet_noise
+from hfb.photometry import linear_to_srgb
+from hfb.shapes import Array, Float
+
+EVIDENCE_CHANNELS = 17
+COLOUR_STARTS = (0, 3)
+"""Where in the evidence three channels are a colour's."""
+
+_NEAR_PX, _FAR_PX, _UNMIXED_PX = 4, 32, 6
+_OPAQUE_POWER, _UNMIXED_POWER = 6, 2
+_LEAST_SHARE = 0.15  # a pixel that is less the body's tells nothing of its colour
+
+
+def colour_evidence(
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    alpha: Float[Array, "H W"],
+    doubt: Float[Array, "H W"],
+) -> Float[Array, "C H W"]:
+    """What the second network sees besides `matte_network.features`.
+
+    Args:
+        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        alpha: the first matte. doubt: the logarithm of its expected error.
+
+    Returns:
+        near and unmixed body colours in sRGB (6); for each of the near, far and unmixed colour: alpha by it, how far it
+        is from the plate, and what it leaves unexplained (9); the first matte and its doubt (2).
+    """
+    noise = quiet_noise(linear_to_srgb(frame_linear), linear_to_srgb(plate_linear))
+    apart = frame_linear - plate_linear
+    opaque = (alpha**_OPAQUE_POWER + 1e-6).astype(np.float32)
+    unmixed = np.clip(plate_linear + apart / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
+    partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** _UNMIXED_POWER + 1e-6).astype(np.float32)
+    near = spread_colours(frame_linear, opaque, _NEAR_PX)
+    far = spread_colours(frame_linear, opaque, _FAR_PX)
+    own = spread_colours(unmixed.astype(np.float32), partly, _UNMIXED_PX)
+    channels = [linear_to_srgb(colours) - 0.5 for colours in (near, own)]
+    for colours in (near, far, own):
+        direction, difference = (colours - plate_linear) / noise, apart / noise
+        length = dot(direction, direction)
+        share = dot(difference, direction) / (length + 1)
+        rest = difference - np.clip(share, 0, 1)[..., None] * direction
+        told = np.clip(share, -0.3, 1.3) - 0.5, np.log1p(length) / 8, np.log1p(dot(rest, rest)) / 8
+        channels.extend(one[..., None] for one in told)
+    channels.extend([(alpha - 0.5)[..., None], np.clip(doubt, -6, 1)[..., None] / 4])
+    return np.ascontiguousarray(np.concatenate(channels, -1).transpose(2, 0, 1), np.float32)
