@@ -17,11 +17,13 @@ from flows.reaper import end_abandoned_flow_runs, mark_owner
 from flows.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError, Unavailable
+from hfb.export.names import REPORT
 from hfb.media.atomic import write_bytes_atomic
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking
 from tasks.batch_ledger import Entry, Ledger, stamp_of
 from tasks.clip_places import ClipPlace, find_clips
+from tasks.displays import shown_somewhere
 from tasks.video_inputs import take_video_inputs
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
@@ -61,7 +63,7 @@ def batch(
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
-    with workplace(out):
+    with shown_somewhere(), workplace(out):
         round_ = _Rounds(folder, out, options, workers, attempts, wait_s)
         if again:
             round_.ledger.again()
@@ -124,7 +126,7 @@ class _Rounds:
             return None
         entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
         progress.say(f"hfb: {place.name}: {entry.status}: {reason}")
-        _log.warning("%s: %s: %s", place.name, entry.status, reason)
+        _log.info("%s: %s: %s", place.name, entry.status, reason)
         self._write_page()
         return entry
 
@@ -154,13 +156,20 @@ class _Rounds:
             finished = status == "done" and (done / "result.json").exists()
             figures = json.loads((done / "result.json").read_bytes()) if finished else {}
             reason, link = (entry.reason, entry.link) if entry else ("", None)
-            clips.append(BatchClip(place.name, status, reason, figures, _strip_in(done) if finished else None, link))
+            strip, report = (_strip_in(done), self._report_in(done)) if finished else (None, None)
+            clips.append(BatchClip(place.name, status, reason, figures, strip, link, report=report))
             for one in figures.get("people", ()):
                 state = "no motion" if one["error"] else "done"
                 name = f"{place.name}: {one['name']}"
-                shown = _strip_in(Path(one["out"]))
-                clips.append(BatchClip(name, state, one["error"] or "", one, shown, person=True))
+                theirs = Path(one["out"])
+                shown, report = _strip_in(theirs), self._report_in(theirs)
+                clips.append(BatchClip(name, state, one["error"] or "", one, shown, person=True, report=report))
         write_bytes_atomic(self._out / _PAGE, batch_page(f"Clips of {self._folder.resolve().name}", clips).encode())
+
+    def _report_in(self, folder: Path) -> Path | None:
+        """A result's page, from the folder of the summary."""
+        whole, here = folder.resolve() / REPORT, self._out.resolve()
+        return whole.relative_to(here) if whole.is_file() and whole.is_relative_to(here) else None
 
 
 def _strip_in(folder: Path) -> Path | None:

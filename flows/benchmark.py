@@ -14,7 +14,10 @@ from hfb.baselines.method_spec import MethodSpec
 from hfb.config import InitConfig, MattingConfig, Record
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
+from hfb.evaluate.experiments import Experiment
+from hfb.export.names import REPORT
 from tasks import progress, tracking
+from tasks.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from tasks.benchmark_results import gallery, record_benchmark, tabulate
 from tasks.cases import (
     CaseHandle,
@@ -45,10 +48,12 @@ class BenchmarkPlan(Record):
     body: Path | None = None
 
 
-def run_benchmark(plan: BenchmarkPlan, out: Path, worker_count: int) -> dict[str, Any]:
+def run_benchmark(
+    plan: BenchmarkPlan, out: Path, worker_count: int, experiment: Experiment | None = None
+) -> dict[str, Any]:
     """See `_benchmark`; the number of workers is a property of the flow run."""
     with workers(worker_count):
-        return _benchmark.with_options(task_runner=_threads(worker_count))(plan, out)
+        return _benchmark.with_options(task_runner=_threads(worker_count))(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, worker_count: int) -> dict[str, Any]:
@@ -83,8 +88,11 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
 
 
 @flow(name="benchmark", persist_result=False, on_running=[mark_owner])
-def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
-    """Cases, mattes and starts, methods, tables; recorded in MLflow, published in ``out``.
+def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
+    """Cases, mattes and starts, methods, tables, one page with everything; recorded in MLflow, published in ``out``.
+
+    Args:
+        experiment: the paper's table that is set beside the results.
 
     A case that cannot be made or seen is left out for every method, and named in the summary.
 
@@ -116,13 +124,23 @@ def _benchmark(plan: BenchmarkPlan, out: Path) -> dict[str, Any]:
             tuple(rows), set_name(spec), spec.frames, names, len(ready), spec.seed, skipped, _notes(plan), folder
         )  # fmt: skip
         looks = gallery(tuple(rows), names, folder)
-        result = {**results.content(), "out": str(out.resolve()), "mlflow_run_id": None, "mlflow_link": None}
+        beside = write_beside(experiment, results, folder) if experiment is not None else None
+        page = draw_benchmark_page(
+            tuple(rows), results, looks, beside, _params(plan), _options(plan), folder
+        )  # fmt: skip
+        files = {
+            **results.files(), "gallery.png": looks.path, REPORT: page.path,
+            **({BESIDE: beside.path} if beside is not None else {}),
+            **({BESIDE_PLOT: beside.plot.path} if beside is not None and beside.plot is not None else {}),
+        }  # fmt: skip
+        places = {"out": str(out.resolve()), "page": str(out.resolve() / REPORT)}
+        result = {**results.content(), **places, "mlflow_run_id": None, "mlflow_link": None}
         try:
-            run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, looks)
+            run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, tuple(files.values()))
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
-        publish(out, {**results.files(), "gallery.png": looks.path}, result)
+        publish(out, files, result)
     return result
 
 

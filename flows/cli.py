@@ -1,7 +1,8 @@
 """The `hfb` command line: results on standard output, everything else on standard error.
 
 Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the user gave cannot be used; 3 a run was
-repeated and came out otherwise; 130 interrupted. Nothing heavy is imported before it is known what is to be done.
+repeated and came out otherwise; 130 interrupted; 141 nobody reads the output. Nothing heavy is imported before it is
+known what is to be done.
 """
 
 from __future__ import annotations
@@ -15,15 +16,18 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from flows import clips, exporting, judging, repeating, summary, training
+from flows import at_hand, clips, exporting, judging, repeating, reporting, summary, training
 from flows.options import add_config_flags, run_config
 from flows.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
 from hfb.errors import InputError, ServerLost, Unavailable
 
-_DONE, _FAILED, _UNUSABLE, _INTERRUPTED = 0, 1, 2, 130
+if TYPE_CHECKING:
+    from hfb.evaluate.experiments import Experiment
+
+_DONE, _FAILED, _UNUSABLE, _INTERRUPTED, _NOBODY_READS = 0, 1, 2, 130, 141
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -33,7 +37,9 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, _end_orderly)
     try:
         given = _parser().parse_args(words)
-        return given.run(given) or _DONE
+        code = given.run(given) or _DONE
+        sys.stdout.flush()
+        return code
     except InputError as error:
         return _complain(str(error), as_json, _UNUSABLE)
     except ServerLost as error:
@@ -42,6 +48,9 @@ def main(arguments: list[str] | None = None) -> int:
         os._exit(_FAILED)  # at a normal exit Prefect would try for minutes to send its server what is left
     except Unavailable as error:
         return _complain(str(error), as_json, _FAILED)
+    except BrokenPipeError:  # whoever read the results has gone, as `head` goes
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left to say is said to nobody
+        return _NOBODY_READS
     except KeyboardInterrupt:
         return _complain("interrupted; the same command goes on from here", as_json, _INTERRUPTED)
     except Exception as error:
@@ -104,10 +113,10 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     training.add_training_flags(train)
 
-    models = _command(commands, "models", _models, "networks and files that can be used; get the rest", seeded=True)
-    models.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
-    models.add_argument("--wheel", type=Path, help="fetch from a MediaPipe wheel that already lies here")
-    models.add_argument("--force", action="store_true", help="fetch again what is there")
+    models = _command(
+        commands, "models", at_hand.models, "networks and files that can be used; get the rest", seeded=True
+    )
+    at_hand.add_models_flags(models)
 
     again = _command(
         commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
@@ -115,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     repeating.add_rerun_flags(again)
 
     compare = _command(
-        commands, "compare", repeating.compare, "two recorded runs beside each other", seeded=True, configured=False
+        commands, "compare", repeating.compare, "recorded runs beside each other", seeded=True, configured=False
     )
     repeating.add_compare_flags(compare)
 
@@ -125,7 +134,13 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     exporting.add_export_flags(exported)
 
-    runs = _command(commands, "runs", _runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    reported = _command(
+        commands, "report", reporting.report_result, "a result on one page that opens anywhere", seeded=True,
+        configured=False,
+    )  # fmt: skip
+    reporting.add_report_flags(reported)
+
+    runs = _command(commands, "runs", at_hand.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
     return parser
 
@@ -200,7 +215,8 @@ def _synth(given: argparse.Namespace) -> None:
 
 def _benchmark(given: argparse.Namespace) -> None:
     out = given.out or Path("runs") / given.set
-    _tell_benchmark(given, _benchmarked(given, given.frames, out))
+    result = _benchmarked(given, given.frames, out)
+    tell(given, result, judging.benchmark_text(result))
 
 
 def _reproduce(given: argparse.Namespace) -> None:
@@ -209,16 +225,13 @@ def _reproduce(given: argparse.Namespace) -> None:
     given.count = given.count or experiment.count
     given.methods = given.methods or ",".join(experiment.methods)
     out = given.out or Path("runs") / given.experiment
-    result = _benchmarked(given, experiment.frames, out)
-    from hfb.evaluate.experiments import beside_paper
-    from hfb.media.atomic import write_bytes_atomic
-
-    text = beside_paper(experiment, result)
-    write_bytes_atomic(out / "beside_paper.md", text.encode())
-    tell(given, result, text)
+    result = _benchmarked(given, experiment.frames, out, experiment)
+    tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
 
 
-def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str, Any]:
+def _benchmarked(
+    given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
+) -> dict[str, Any]:
     judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
     judging.set_spec(given, frames)
 
@@ -226,7 +239,7 @@ def _benchmarked(given: argparse.Namespace, frames: int, out: Path) -> dict[str,
         from flows.benchmark import run_benchmark
 
         plan = judging.plan_of(given, frames)
-        return when_ready(lambda: run_benchmark(plan, out, given.workers))
+        return when_ready(lambda: run_benchmark(plan, out, given.workers, experiment))
 
     return through_prefect(given, out, load)
 
@@ -242,41 +255,6 @@ def _train_prior(given: argparse.Namespace) -> None:
 
     result = through_prefect(given, out.parent, load)
     tell(given, result, training.training_text(result))
-
-
-def _tell_benchmark(given: argparse.Namespace, result: dict[str, Any]) -> None:
-    tell(given, result, judging.benchmark_text(result))
-
-
-def _models(given: argparse.Namespace) -> None:
-    from hfb.initialize.known_models import list_models
-    from hfb.initialize.networks import fetch_networks, list_networks
-
-    if given.out is not None:
-        os.environ["HFB_MODELS_DIR"] = str(given.out)
-
-    def tell(line: str) -> None:
-        if not given.quiet:
-            print(line, file=sys.stderr)
-
-    if given.action == "fetch":
-        networks = fetch_networks(tell, wheel=given.wheel, force=given.force)
-    else:
-        networks = list_networks()
-    if given.json:
-        models = [model.as_dict() for model in list_models()]
-        print(json.dumps({"networks": [network.as_dict() for network in networks], "models": models}))
-    elif not given.quiet:
-        print(summary.models_text(list_models()))
-
-
-def _runs(given: argparse.Namespace) -> None:
-    from tasks.store_place import SMALL_SERVER, pages_command
-
-    command = pages_command(given.port)
-    url = f"http://127.0.0.1:{given.port}"
-    print(json.dumps({"url": url, "command": command}) if given.json else f"{url}  (Ctrl-C ends it)", flush=True)
-    os.execve(command[0], command, {**os.environ, **SMALL_SERVER})
 
 
 def _complain(message: str, as_json: bool, code: int) -> int:

@@ -1,10 +1,11 @@
-"""Two recorded runs beside each other: a page, a picture of both, and the numbers."""
+"""Recorded runs beside each other: a page with all of them under one slider, a picture, and the numbers."""
 
 from __future__ import annotations
 
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,34 @@ from hfb.export.motion_file import load_motion
 from hfb.media.atomic import write_bytes_atomic
 from hfb.media.pictures import read_picture_srgb
 from hfb.motion.sampled import SampledMotion
-from hfb.report.run_page import PageTable, run_page
-from hfb.report.two_motions import draw_motions, png_bytes, stack_pictures
+from hfb.report.page import Html, small_picture
+from hfb.report.run_page import PageTable, RunLook, run_page
+from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
+from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tasks import progress
-from tasks.run_comparison import Pair, RunComparison, compare_records
+from tasks.fitted_body import fitted_body, named_body
+from tasks.run_comparison import RunComparison, Words, compare_records
 from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
 
 _PICTURES = ("strip.png", "sheet.png", "gallery.png")
-_MOTION = "motion.npz"
+_MOTION, _TEXTURE, _RESULT = "motion.npz", "texture.png", "result.json"
+_GROUP = "runs"
+_PICTURE_PX = 2400
 PAGE, PICTURE, FIGURES = "comparison.html", "comparison.png", "comparison.json"
 
 
-def compare_runs(words: tuple[str, str], out: Path | None) -> dict[str, Any]:
-    """Compare two runs; leaves comparison.html, comparison.png and comparison.json.
+@dataclass(frozen=True)
+class _Shown:
+    """What there is to see of a run: what it found, drawn by itself, and as a body that can be turned."""
+
+    run: StoredRun
+    motion: SampledMotion | None
+    strip: Any
+    turning: Html | None
+
+
+def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
+    """Compare two runs or more; leaves comparison.html, comparison.png and comparison.json.
 
     Args:
         words: of each run its id, the beginning of it, or its result's folder.
@@ -41,31 +57,28 @@ def compare_runs(words: tuple[str, str], out: Path | None) -> dict[str, Any]:
         InputError: a run is not there, or the folder cannot be written.
     """
     with progress.step("records"):
-        one, other = (find_run(word) for word in words)
-        comparison = compare_records(one, other)
-    folder = out or Path("runs") / f"compare-{one.run_id[:8]}-{other.run_id[:8]}"
+        comparison = compare_records([find_run(word) for word in words])
+    folder = out or Path("runs") / "-".join(["compare", *(run.run_id[:8] for run in comparison.runs)])
     check_writable(folder)
+    shown = []
     with progress.step("pictures"), tempfile.TemporaryDirectory() as fetched, readable_store():
-        places = [Path(fetched) / side for side in ("one", "other")]
-        motions = [_motion(run, place) for run, place in zip((one, other), places, strict=True)]
-        strips = [_picture(run, place) for run, place in zip((one, other), places, strict=True)]
-    difference = motion_difference(motions[0], motions[1]) if motions[0] and motions[1] else None
-    picture = _drawn(comparison, strips, motions, difference)
-    result = _result(comparison, difference, folder, picture is not None)
-    page = run_page(
-        (one.title, other.title), sentence(difference), _tables(comparison), picture, "both, each as it was recorded"
-    )
-    if picture is not None:
-        write_bytes_atomic(folder / PICTURE, picture)
-    else:
-        (folder / PICTURE).unlink(missing_ok=True)
-    write_bytes_atomic(folder / PAGE, page.encode())
-    write_bytes_atomic(folder / FIGURES, json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
+        for number, run in enumerate(comparison.runs):
+            progress.advance(number, len(comparison.runs))
+            shown.append(_seen(run, Path(fetched) / str(number)))
+    with progress.step("page"):
+        differences = _differences([one.motion for one in shown])
+        overlay = _overlay(shown, differences)
+        strips = [(one.run.title, one.strip) for one in shown if one.strip is not None]
+        sheet = png_bytes(stack_pictures([*strips, *([("skeletons", overlay)] if overlay is not None else [])]))
+        has_picture = bool(strips) or overlay is not None
+        result = _result(comparison, differences, folder, has_picture)
+        page = _page(comparison, shown, overlay, result)
+    _publish(folder, page, sheet if has_picture else None, result)
     return result
 
 
 def sentence(difference: MotionDifference | None) -> str:
-    """How far the motions are from each other, in words."""
+    """How far two motions are from each other, in words."""
     if difference is None:
         return "At least one of them has no motion: there is none to compare."
     if difference.bit_equal:
@@ -78,9 +91,21 @@ def sentence(difference: MotionDifference | None) -> str:
     )
 
 
-def _motion(run: StoredRun, folder: Path) -> SampledMotion | None:
+def _seen(run: StoredRun, folder: Path) -> _Shown:
     path = fetch_file(run, _MOTION, folder)
-    return load_motion(path)[0] if path else None
+    if path is None:
+        return _Shown(run, None, _picture(run, folder), None)
+    motion, space = load_motion(path)
+    texture, result = fetch_file(run, _TEXTURE, folder), fetch_file(run, _RESULT, folder)
+    try:
+        body = fitted_body(motion, space, named_body(result) if result else None)
+    except InputError as error:  # a licensed file that is not here: the skeleton needs none
+        progress.say(f"run {run.title} is shown as a skeleton: {error}")
+        body = None
+    turning = viewer(
+        [ViewedMotion(run.title, motion)], body, texture.read_bytes() if texture and body else None, run.title, _GROUP
+    )  # fmt: skip
+    return _Shown(run, motion, _picture(run, folder), turning)
 
 
 def _picture(run: StoredRun, folder: Path) -> Any:
@@ -95,57 +120,86 @@ def _picture(run: StoredRun, folder: Path) -> Any:
     return None
 
 
-def _drawn(
-    comparison: RunComparison,
-    strips: Sequence[Any],
-    motions: Sequence[SampledMotion | None],
-    difference: MotionDifference | None,
-) -> bytes | None:
-    one, other = comparison.one, comparison.other
-    shown = [(run.title, strip) for run, strip in zip((one, other), strips, strict=True) if strip is not None]
-    if difference is not None and difference.mean_mm is not None and motions[0] and motions[1]:
-        shown.append(("both skeletons", draw_motions(motions[0], motions[1], difference, (one.title, other.title))))
-    return png_bytes(stack_pictures(shown)) if shown else None
+def _differences(motions: Sequence[SampledMotion | None]) -> list[MotionDifference | None]:
+    """Of every motion but the first from the first."""
+    first, *others = motions
+    return [motion_difference(first, other) if first and other else None for other in others]
+
+
+def _overlay(shown: Sequence[_Shown], differences: Sequence[MotionDifference | None]) -> Any:
+    """All skeletons that share a frame with the first; None where there are none."""
+    pairs = [(one, far) for one, far in zip(shown[1:], differences, strict=True) if far and far.mean_mm is not None]
+    if not pairs:
+        return None
+    named = [(one.run.title, one.motion) for one in (shown[0], *(one for one, _ in pairs)) if one.motion is not None]
+    return draw_motions(named, [far for _, far in pairs])
+
+
+def _page(comparison: RunComparison, shown: Sequence[_Shown], overlay: Any, result: dict[str, Any]) -> str:
+    looks = [
+        RunLook(one.run.title, one.turning, small_picture(one.strip, _PICTURE_PX) if one.strip is not None else None)
+        for one in shown
+    ]
+    drawn = png_bytes(overlay) if overlay is not None else None
+    return run_page(result["sentences"], _tables(comparison), looks, drawn, viewer_scripts())
 
 
 def _tables(comparison: RunComparison) -> list[PageTable]:
-    one, other = comparison.one, comparison.other
-    facts = [
-        ("run", one.run_id, other.run_id), ("made", f"{one.started} UTC", f"{other.started} UTC"),
-        ("state", one.status, other.status), ("MLflow", one.link, other.link),
-    ]  # fmt: skip
-    metrics = tuple(
-        (pair.name, number_text(pair.one), number_text(pair.other), number_text(pair.difference))
-        for pair in comparison.metrics
-    )
+    runs = comparison.runs
+    facts = (
+        ("run", *(run.run_id for run in runs)), ("made", *(f"{run.started} UTC" for run in runs)),
+        ("state", *(run.status for run in runs)), ("MLflow", *(run.link for run in runs)),
+    )  # fmt: skip
+    metrics = []
+    for name, values in comparison.metrics:
+        one, other = values[:2]
+        apart = [number_text(other - one) if one is not None and other is not None else "-"] if len(runs) == 2 else []
+        metrics.append((name, *(number_text(value) for value in values), *apart))
     return [
-        PageTable("runs", tuple((*row, "") for row in facts)),
-        PageTable("options that differ", _rows(comparison.config), f"all {comparison.same_options} are the same"),
-        PageTable("machine and versions that differ", _rows(comparison.environment), "none"),
-        PageTable("figures", metrics, "none were recorded"),
+        PageTable("Options that differ", _rows(comparison.config), f"all {comparison.same_options} are the same"),
+        PageTable("Figures", tuple(metrics), "none were recorded"),
+        PageTable("Machine and versions that differ", _rows(comparison.environment), "none"),
+        PageTable("Runs", facts),
     ]
 
 
-def _rows(pairs: Sequence[Pair]) -> tuple[tuple[str, str, str, str], ...]:
-    return tuple((name, "-" if one is None else one, "-" if other is None else other, "") for name, one, other in pairs)
+def _rows(every: Sequence[Words]) -> tuple[tuple[str, ...], ...]:
+    return tuple((name, *("-" if value is None else value for value in values)) for name, values in every)
 
 
 def _result(
-    comparison: RunComparison, difference: MotionDifference | None, folder: Path, has_picture: bool
+    comparison: RunComparison, differences: Sequence[MotionDifference | None], folder: Path, has_picture: bool
 ) -> dict[str, Any]:
-    motion = difference and {
-        "bit_equal": difference.bit_equal, "mean_mm": difference.mean_mm, "max_mm": difference.max_mm,
-    }  # fmt: skip
-    place = folder.resolve()
+    """comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others; distances are from the first."""
+    place, runs = folder.resolve(), comparison.runs
+    motions = [
+        far and {"bit_equal": far.bit_equal, "mean_mm": far.mean_mm, "max_mm": far.max_mm} for far in differences
+    ]
+    sentences = [sentence(far) for far in differences]
+    if len(runs) > 2:
+        pairs = zip(runs[1:], sentences, strict=True)
+        sentences = [f"{run.title} against {runs[0].title}: {words[0].lower()}{words[1:]}" for run, words in pairs]
     return {
-        "run_a": comparison.one.run_id, "run_b": comparison.other.run_id,
-        "names": [comparison.one.title, comparison.other.title],
+        "run_a": runs[0].run_id, "run_b": runs[1].run_id, "runs": [run.run_id for run in runs],
+        "names": [run.title for run in runs],
         "config": _plain(comparison.config), "same_options": comparison.same_options,
         "environment": _plain(comparison.environment), "metrics": _plain(comparison.metrics),
-        "motion": motion, "sentence": sentence(difference), "out": str(place),
-        "page": str(place / PAGE), "picture": str(place / PICTURE) if has_picture else None,
+        "motion": motions[0], "motions": motions, "sentence": sentences[0], "sentences": sentences,
+        "out": str(place), "page": str(place / PAGE), "picture": str(place / PICTURE) if has_picture else None,
     }  # fmt: skip
 
 
-def _plain(pairs: Sequence[Any]) -> list[dict[str, Any]]:
-    return [{"name": pair.name, "a": pair.one, "b": pair.other} for pair in pairs]
+def _plain(every: Sequence[tuple[str, tuple[Any, ...]]]) -> list[dict[str, Any]]:
+    return [
+        {"name": name, "a": values[0], "b": values[1], **({"more": list(values[2:])} if len(values) > 2 else {})}
+        for name, values in every
+    ]
+
+
+def _publish(folder: Path, page: str, picture: bytes | None, result: dict[str, Any]) -> None:
+    if picture is not None:
+        write_bytes_atomic(folder / PICTURE, picture)
+    else:
+        (folder / PICTURE).unlink(missing_ok=True)
+    write_bytes_atomic(folder / PAGE, page.encode())
+    write_bytes_atomic(folder / FIGURES, json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")

@@ -1,44 +1,43 @@
-"""A result in the formats of other programs: its motion files, and a mesh per sub-frame on request."""
+"""A result in the formats of other programs: its motion files; meshes and films on request."""
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-import torch
-
-from hfb.body.assets import load_body
-from hfb.body.model import BetasSpace, Body
-from hfb.config import AmassRate, MeshFormat, MotionFormat
+from hfb.body.model import BetasSpace
+from hfb.config import AmassRate, Film, FitConfig, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.export.files import Exported, write_motion_file
-from hfb.export.keys import rest_joints
 from hfb.export.mesh_files import write_meshes
 from hfb.export.motion_file import load_motion
 from hfb.export.names import NEEDS_BODY, check_formats
-from hfb.motion.sampled import SampledMotion
+from hfb.render.rasterizer import make_rasterizer
 from tasks import progress
+from tasks.fitted_body import fitted_body, named_body
 
 MESHES = "meshes"
 _MOTION, _TEXTURE, _RESULT = "motion.npz", "texture.png", "result.json"
-_SAME_BODY_M = 1e-3
-_RESULT_LIMIT_BYTES = 64 << 20
+_PICTURES_BY = FitConfig()  # what draws: wherever the result was computed, this machine has the default
 
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a result's files are, and what to call it; files that it may lack are named whether they exist or not."""
+    """Where a result's files are, and what to call it; files that it may lack are named whether they exist or not.
+
+    Attributes:
+        run: what finds its record.
+    """
 
     motion: Path
     texture: Path
     result: Path
     name: str
+    run: str
 
 
 def export_result(
@@ -48,35 +47,74 @@ def export_result(
     meshes: Sequence[MeshFormat],
     body: Path | None = None,
     amass_rate: AmassRate = 120,
+    films: Sequence[Film] = (),
+    inputs: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a result's motion in the asked-for formats.
+    """Write a result's motion in the asked-for formats, and draw the asked-for films of it.
 
     Args:
         source: a result's folder, a motion file, or a recorded run's id.
         out: where the files go; ``export`` beside the motion when not given.
         body: the model that was fitted; when not given the one that the result names, or the embedded one.
+        inputs: where the pictures lie, for films, if they were moved; they are told by their content.
 
     Returns:
         ``out``, ``files`` (name: bytes), how many ``meshes``, and whose betas they are.
 
     Raises:
-        InputError: there is no such result, it is damaged, a library is missing, or the body is not the one fitted.
+        InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, or
+            films are asked for and the pictures are gone.
     """
     check_formats(formats)
     with _found(source) as place:
         motion, space = load_motion(place.motion)
-        surface = meshes or set(formats) & set(NEEDS_BODY)
-        model = _body_of(motion, space, body or _named_body(place.result)) if surface else None
+        surface = meshes or films or set(formats) & set(NEEDS_BODY)
+        model = fitted_body(motion, space, body or named_body(place.result)) if surface else None
         texture = place.texture.read_bytes() if place.texture.is_file() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or (Path("runs") / f"export-{place.name}" if _is_run(source) else place.motion.parent / "export")
-        with progress.step("motion files"):
-            written = [write_motion_file(folder, form, exported) for form in formats]
+        written = _draw_films(folder, films, place, exported, inputs) if films else []
+        if formats:
+            with progress.step("motion files"):
+                written = [write_motion_file(folder, form, exported) for form in formats] + written
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     return {
         "out": str(folder.resolve()), "files": {path.name: path.stat().st_size for path in written}, "meshes": count,
         "sub_frames": len(motion.times_s), "betas_space": space,
     }  # fmt: skip
+
+
+def _draw_films(
+    folder: Path, films: Sequence[Film], place: _Source, exported: Exported, inputs: Path | None
+) -> list[Path]:
+    """The films; what they need is found before anything is written."""
+    from hfb.media.pictures import read_picture_srgb
+    from hfb.report.slow_motion import Shot
+    from tasks.earlier_result import pictures_of
+    from tasks.films import write_film
+    from tasks.scene import in_light
+
+    assert exported.body is not None
+    if not place.texture.is_file():
+        raise InputError(f"films need {_TEXTURE}, which {place.name} lacks: give a result's folder, or a run's id")
+    with ExitStack() as stack:
+        with progress.step("pictures"):
+            seen = stack.enter_context(pictures_of(place.run, inputs))
+        shot = Shot(
+            motion=exported.motion,
+            body=exported.body,
+            texture=in_light(read_picture_srgb(place.texture), "srgb", seen.light),
+            rasterizer=make_rasterizer("coverage", _PICTURES_BY.rasterizer, _PICTURES_BY.threads),
+            camera=seen.camera,
+            plate_linear=seen.plate_linear,
+            frame_linear=seen.frame_linear,
+            light=seen.light,
+        )
+        written = []
+        for film in films:
+            with progress.step(f"film ({film})"):
+                written.append(write_film(film, shot, folder))
+        return written
 
 
 def _write_meshes(folder: Path, form: MeshFormat, exported: Exported) -> int:
@@ -101,7 +139,7 @@ def _found(source: str) -> Iterator[_Source]:
     if not _is_run(source):
         folder = path if path.is_dir() else path.parent
         motion = path / _MOTION if path.is_dir() else path
-        yield _Source(motion, folder / _TEXTURE, folder / _RESULT, folder.name)
+        yield _Source(motion, folder / _TEXTURE, folder / _RESULT, folder.resolve().name, str(folder))
         return
     if path.suffix or len(path.parts) > 1:
         raise InputError(f"there is no {source}: give a result's folder, its motion.npz, or a run's id")
@@ -113,36 +151,5 @@ def _found(source: str) -> Iterator[_Source]:
             raise InputError(f"run {run.title} has no {_MOTION}: only results of `hfb fit` and `hfb video` have one")
         for name in (_TEXTURE, _RESULT):
             fetch_file(run, name, Path(fetched))
-        yield _Source(Path(fetched) / _MOTION, Path(fetched) / _TEXTURE, Path(fetched) / _RESULT, run.run_id[:8])
-
-
-def _named_body(result: Path) -> Path | None:
-    """The body model that result.json names; None where it names none or cannot be read."""
-    try:
-        if result.stat().st_size > _RESULT_LIMIT_BYTES:
-            return None
-        named = json.loads(result.read_bytes())["config"]["body"]["model"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return Path(named) if isinstance(named, str) else None
-
-
-def _body_of(motion: SampledMotion, space: str, path: Path | None) -> Body:
-    """The body model that a motion was fitted with.
-
-    Raises:
-        InputError: it is a SMPL file that is not given, or another one is.
-    """
-    if path is None and space == "smpl":
-        raise InputError("this motion was fitted with a SMPL file: give it with --body for formats with a surface")
-    body = load_body(path)
-    betas = torch.from_numpy(motion.betas).to(body.template.dtype)
-    if body.betas_space != space or body.shape_count < len(motion.betas):
-        raise InputError(
-            f"the betas of this motion are {space}'s, and {body.name} has others: give the body that was fitted"
-        )
-    fitted = body.rest_joints(betas).double().numpy()
-    far = float(np.abs(fitted - rest_joints(motion)).max())
-    if far > _SAME_BODY_M:
-        raise InputError(f"{body.name} is not the body that was fitted (joints {1000 * far:.0f} mm off): give that one")
-    return body
+        motion, texture, result = (Path(fetched) / name for name in (_MOTION, _TEXTURE, _RESULT))
+        yield _Source(motion, texture, result, run.run_id[:8], run.run_id)

@@ -11,6 +11,7 @@ from prefect import flow
 from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
+from hfb.export.names import CURVES, REPORT
 from hfb.fit.alternatives import what_is_unknown
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
@@ -19,11 +20,12 @@ from tasks.films import films_of
 from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
 from tasks.given_result import body_of_result, needed, read_result
-from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
+from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs
 from tasks.matte import matte
 from tasks.prepare import prepare
 from tasks.record import record
+from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
 from tasks.strip import strip
 from tasks.task import code_version
 
@@ -89,7 +91,7 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         result = _result(out, config, inputs, firsts, fitted, scores)
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
-            "texture.png": fitted.texture_picture, "strip.png": picture,
+            "texture.png": fitted.texture_picture, "strip.png": picture, CURVES: fit_curves(fitted, folder),
             **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
             **films.by_name(),
         }  # fmt: skip
@@ -98,8 +100,30 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
+        if config.export.report:
+            files[REPORT] = _reported(scene, fitted, files, inputs, config, result, folder)
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
+
+
+def _reported(
+    scene: ClipHandle,
+    fitted: FitHandle,
+    files: dict[str, FileHandle],
+    inputs: Inputs,
+    config: RunConfig,
+    result: dict[str, Any],
+    folder: Path,
+) -> FileHandle:
+    """The page, in MLflow too where the run is there."""
+    film = page_film(scene, fitted.motion, fitted.texture, inputs.body, config.fit, folder)
+    parts = ReportParts(
+        motion=fitted.motion, curves=files[CURVES], body=inputs.body, texture=fitted.texture_picture,
+        strip=files["strip.png"], alternatives=fitted.alternatives, film=film,
+    )  # fmt: skip
+    page = write_report(parts, result, folder)
+    add_report(result["mlflow_run_id"], page)
+    return page
 
 
 def _result(
@@ -118,6 +142,7 @@ def _result(
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
+        "report": str(out.resolve() / REPORT) if config.export.report else None,
         "mlflow_run_id": None,
         "mlflow_link": None,
         "first_bodies": [first.source for first in firsts],

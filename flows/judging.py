@@ -124,7 +124,8 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
         text = "".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in numbers)
         iou = "-" if cell["iou"] is None else f"{cell['iou']:.3f}"
         lines.append(f"{name:<24}{cell['n']:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
-    lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"result   {result['out']}"]
+    lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"page     {result['page']}"]
+    lines += [f"result   {result['out']}"]
     if result.get("mlflow_link"):
         lines.append(f"MLflow   {result['mlflow_link']}")
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ DIFFERS = 3
 _RUN = "a run's id, the beginning of it, or the folder of its result"
 _SHOWN_OPTIONS = 30
 _SHOWN_FIGURES = ("eval/", "rerun/", "time/", "loss/total")
-_WIDTH = 34
+_WIDTH, _NARROWEST, _WIDEST = 34, 14, 60
 
 
 def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
@@ -32,9 +32,10 @@ def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_compare_flags(parser: argparse.ArgumentParser) -> None:
-    """Which two runs."""
+    """Which runs."""
     parser.add_argument("run_a", metavar="RUN_A", help=_RUN)
     parser.add_argument("run_b", metavar="RUN_B", help="another one")
+    parser.add_argument("more", nargs="*", metavar="RUN_C", help="and others")
 
 
 def rerun(given: argparse.Namespace) -> int:
@@ -60,7 +61,7 @@ def compare(given: argparse.Namespace) -> None:
 
         with progress.step("libraries"), unwatched_by_gc():
             from flows.compare import compare_runs
-        result = compare_runs((given.run_a, given.run_b), given.out)
+        result = compare_runs((given.run_a, given.run_b, *given.more), given.out)
     tell(given, result, compare_text(result))
 
 
@@ -77,19 +78,25 @@ def rerun_text(verdict: Mapping[str, Any]) -> str:
 
 def compare_text(comparison: Mapping[str, Any]) -> str:
     """The short tables that end a comparison."""
-    first, second = comparison["names"]
-    head = f"{'':<{_WIDTH}} {_cut(first)}  {_cut(second)}"
-    lines = ["", comparison["sentence"], "", head]
+    width = max(_NARROWEST, _WIDEST // len(comparison["names"]))
+    lines = ["", *comparison["sentences"], "", _row("", comparison["names"], width)]
     for title, entry in (("options", "config"), ("machine and versions", "environment")):
-        pairs = comparison[entry]
-        lines.append(f"{title}: {f'{len(pairs)} differ' if pairs else 'the same'}")
-        lines += [f"  {_row(pair['name'], pair['a'], pair['b'])}" for pair in pairs[:_SHOWN_OPTIONS]]
+        rows = comparison[entry]
+        lines.append(f"{title}: {f'{len(rows)} differ' if rows else 'the same'}")
+        for row in rows[:_SHOWN_OPTIONS]:
+            words = ["-" if value is None else value for value in _values(row)]
+            lines.append(_row(f"  {row['name']}", words, width))
     lines.append("figures")
-    for pair in comparison["metrics"]:
-        if pair["name"].startswith(_SHOWN_FIGURES):
-            lines.append(f"  {_row(pair['name'], number_text(pair['a']), number_text(pair['b']))}")
+    for row in comparison["metrics"]:
+        if row["name"].startswith(_SHOWN_FIGURES):
+            lines.append(_row(f"  {row['name']}", [number_text(value) for value in _values(row)], width))
     picture = [f"picture  {comparison['picture']}"] if comparison["picture"] else []
     return "\n".join([*lines, "", f"page     {comparison['page']}", *picture])
+
+
+def _values(row: Mapping[str, Any]) -> list[Any]:
+    """What every run says."""
+    return [row["a"], row["b"], *row.get("more", [])]
 
 
 def number_text(value: float | None) -> str:
@@ -114,9 +121,6 @@ def _sentence(verdict: Mapping[str, Any]) -> str:
     return f"The joints are {far} from those of run {run}, {why}."
 
 
-def _row(name: str, one: str | None, other: str | None) -> str:
-    return f"{name:<{_WIDTH - 2}} {_cut('-' if one is None else one)}  {_cut('-' if other is None else other)}".rstrip()
-
-
-def _cut(text: str) -> str:
-    return f"{text if len(text) <= 30 else text[:27] + '...':<30}"
+def _row(name: str, words: Sequence[str], width: int) -> str:
+    cells = (word if len(word) <= width else word[: width - 3] + "..." for word in words)
+    return f"{name:<{_WIDTH}} {'  '.join(f'{cell:<{width}}' for cell in cells)}".rstrip()

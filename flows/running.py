@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +46,28 @@ def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> I
     """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
     from flows.surroundings import keep_log
     from flows.workplace import check_writable
-    from tasks import progress
+    from tasks import displays, progress
     from tasks.store_place import check_store, tracking_uri
 
     keep_log(given.verbose)
     check_writable(out)
     if recorded:
         check_store(tracking_uri())
-    with progress.showing(progress.display_for(sys.stderr, given.quiet)):
+    with progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+        yield
+
+
+@contextmanager
+def results_alone_on_stdout() -> Iterator[None]:
+    """Whatever is printed inside, by a library in C or a worker process too, goes to standard error."""
+    sys.stdout.flush()
+    with ExitStack() as stack:
+        with suppress(OSError):  # closed, as a service may have it
+            kept = os.dup(1)
+            stack.callback(os.close, kept)
+            os.dup2(2, 1)
+            stack.callback(os.dup2, kept, 1)
+        stack.enter_context(redirect_stdout(sys.stderr))
         yield
 
 

@@ -18,7 +18,7 @@ class Row(NamedTuple):
     form: str
 
 
-_PLACES = ("out", "strip", "mlflow_run_id")
+_PLACES = ("out", "strip", "report", "mlflow_run_id")
 FIT_KEYS = ("matte_iou", "psnr_db", "fit_seconds", *_PLACES, "directions", "unknown")
 DEMO_KEYS = (
     "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
@@ -44,6 +44,7 @@ def text(result: Mapping[str, Any], rows: tuple[Row, ...], hint: str | None) -> 
         *(["", *textwrap.wrap(result["unknown"], 100)] if result.get("unknown") else []),
         "",
         f"strip    {result['strip']}",
+        *([f"report   {result['report']}"] if result.get("report") else []),
         f"result   {result['out']}",
     ]
     if result["mlflow_link"] is not None:

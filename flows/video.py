@@ -12,12 +12,15 @@ from prefect import flow
 from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, score, see
+from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, report, score, see
 from flows.reaper import mark_owner
 from flows.trouble import ask_server, told_plainly
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
+from hfb.export.names import CURVES, REPORT
 from tasks.export_files import export_files
+from tasks.handles import FileHandle
+from tasks.result_report import ReportParts, add_report, clip_curves
 from tasks.task import code_version
 from tasks.video_handles import ClipBodiesHandle, JoinedHandle
 from tasks.video_inputs import VideoInputs, video_hashes
@@ -75,9 +78,10 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             record.frames(f"eval/{name}", values)
         texture = draw_texture(scene.footage.light, fitted.person, folder)
         exports = export_files(joined.motion, texture, inputs.body, config.export, folder)
-        files = {
-            "motion.npz": joined.motion, "edges.json": joined.edges, "strip.png": draw(scene, fitted, joined),
-            "texture.png": texture, **exports.by_name(), **film(scene, fitted, joined).by_name(),
+        curves = clip_curves(fitted.windows, _pairs(scores), folder)
+        files: dict[str, FileHandle] = {
+            "motion.npz": joined.motion, CURVES: curves, "edges.json": joined.edges, "texture.png": texture,
+            "strip.png": draw(scene, fitted, joined), **exports.by_name(), **film(scene, fitted, joined).by_name(),
         }  # fmt: skip
         result = _result(scene, bodies, fitted, joined, scores, out)
         result["seconds"] = round(time.perf_counter() - began, 3)
@@ -86,6 +90,12 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         place = record.finish(files, result)
         if place is not None:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
+        if config.export.report:
+            made_of = ReportParts(
+                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"]
+            )
+            files[REPORT] = report(scene, fitted, made_of, result)
+            add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
         return result
     except Exception:
@@ -125,6 +135,7 @@ def _result(
         "worst_velocity_share": joined.worst_velocity_share,
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
+        "report": str(out.resolve() / REPORT) if scene.config.export.report else None,
         "mlflow_run_id": None,
         "mlflow_link": None,
         "background": scene.plate.source,
@@ -132,6 +143,14 @@ def _result(
         "inputs": video_hashes(scene.inputs),
         "config": scene.config.model_dump(mode="json"),
         "code": code_version(),
+    }
+
+
+def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[int, float], ...]]:
+    """The scores that are known, as they are written."""
+    return {
+        name: tuple((number, value) for number, value in sorted(values.items()) if math.isfinite(value))
+        for name, values in scores.items()
     }
 
 

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError
-from hfb.export.names import EXPORTED_NAMES
+from hfb.export.names import EXPORTED_NAMES, REPORT
 from hfb.media.atomic import write_bytes_atomic
 
 INTERMEDIATE = "intermediate"
-_ONLY_SOMETIMES = ("alternatives.npz", *EXPORTED_NAMES)  # an earlier result may have had more
+_ONLY_SOMETIMES = ("alternatives.npz", REPORT, *EXPORTED_NAMES)  # an earlier result may have had more
 
 
 @contextmanager

@@ -101,9 +101,12 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 
 @task("record in MLflow", cached=False)
 def record_benchmark(
-    name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, gallery: FileHandle
+    name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, files: tuple[Path, ...]
 ) -> RunHandle:
     """A parent run for the set, a child per method; metrics of the bins are steps, in the order of the blur rate.
+
+    Args:
+        files: what the benchmark leaves.
 
     Raises:
         tracking.StoreLost: the store cannot be reached.
@@ -115,7 +118,7 @@ def record_benchmark(
         if not parent.complete:
             counts = {"count": [summary["count"]], "skipped": [summary["skipped"]]}
             tracking.log_histories(parent, counts)
-            tracking.log_files(parent, [*results.files().values(), gallery.path])
+            tracking.log_files(parent, files)
         for method, options in methods.items():
             cells = summary["methods"].get(method)
             if cells is None:

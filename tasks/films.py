@@ -58,10 +58,14 @@ def draw_film(
     folder: Path,
 ) -> FileHandle:
     """Draw one film; arguments as in `make_films`."""
+    return FileHandle.of(write_film(film, shot_of(clip, motion, texture, body, config), folder))
+
+
+def write_film(film: Film, shot: Shot, folder: Path) -> Path:
+    """Draw one film of a shot into a folder; says how far it is."""
     from hfb.media.video_writing import VideoWriter
     from hfb.report import slow_motion
 
-    shot = _shot(clip, motion, texture, body, config)
     path = folder / FILM_NAMES[film]
     slow = slow_motion.film_slow_factor(shot.motion)
     rate = slow_motion.overlay_rate(shot.motion) if film == "overlay" else float(slow_motion.FILM_FPS)
@@ -70,9 +74,9 @@ def draw_film(
         "one picture per sub-frame, shown at its true time" if true_times else f"hfb {film}, {slow:g} times slower"
     )
     with VideoWriter(path, None if true_times else rate, comment, to_look_at=True) as writer:
-        for time_s, picture in _watched(film, _pictures(film, shot), slow_motion.picture_count(shot.motion, film)):
+        for time_s, picture in watched(film, _pictures(film, shot), slow_motion.picture_count(shot.motion, film)):
             writer.write(picture, time_s)
-    return FileHandle.of(path)
+    return path
 
 
 def _pictures(film: Film, shot: Shot) -> Iterator[tuple[float | None, Float[Array, "Y X 3"]]]:
@@ -85,18 +89,18 @@ def _pictures(film: Film, shot: Shot) -> Iterator[tuple[float | None, Float[Arra
         yield None, picture
 
 
-def _watched(
-    film: Film, pictures: Iterator[tuple[float | None, Float[Array, "Y X 3"]]], total: int
+def watched(
+    label: str, pictures: Iterator[tuple[float | None, Float[Array, "Y X 3"]]], total: int
 ) -> Iterator[tuple[float | None, Float[Array, "Y X 3"]]]:
     said = 0.0
     for number, picture in enumerate(pictures, 1):
         if time.monotonic() - said > _SAID_EVERY_S or number == total:
             said = time.monotonic()
-            progress.advance(number, total, film)
+            progress.advance(number, total, label)
         yield picture
 
 
-def _shot(
+def shot_of(
     clip: ClipHandle, motion: FileHandle, texture: FileHandle, body: FileHandle | None, config: FitConfig
 ) -> Shot:
     from hfb.export.motion_file import load_motion

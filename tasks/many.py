@@ -59,6 +59,7 @@ def run_all(
     remaining = iter(calls)
     with progress.step(label) as shown:
         began, reused = time.monotonic(), 0
+        progress.advance(0, len(calls))
         most = max(_IN_FLIGHT, 2 * worker_count())
         try:
             while len(outcomes) < len(calls):

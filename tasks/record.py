@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import Record, RunConfig
-from hfb.export.names import EXPORTED_NAMES
+from hfb.export.names import CURVES, EXPORTED_NAMES
 from tasks import tracking
 from tasks.handles import FileHandle, FitHandle, ScoresHandle, digest
 from tasks.inputs import Inputs, input_hashes
@@ -48,7 +48,7 @@ def record(
     histories = {f"loss/{term}": values for term, values in json.loads(fit.history.path.read_text()).items()}
     final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
     alternatives = [fit.alternatives.path] if fit.alternatives else []
-    exports = [published[name].path for name in EXPORTED_NAMES if name in published]
+    exports = [published[name].path for name in (CURVES, *EXPORTED_NAMES) if name in published]
     timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}
     tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "fit"}
     made_of = recipe("fit", config, inputs, published, code_version())

@@ -1,9 +1,9 @@
-"""Two recorded runs beside each other: where options, inputs, machines and figures differ."""
+"""Recorded runs beside each other: where options, inputs, machines and figures differ."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,30 +13,23 @@ _ENVIRONMENT = ("version.", "code", "platform", "processor", "device")
 _FIRST = ("eval/", "rerun/", "time/", "fit/", "loss/total")
 
 
-class Pair(NamedTuple):
-    """What two runs say under one name; None where one says nothing."""
+class Words(NamedTuple):
+    """What every run says under one name; None where one says nothing."""
 
     name: str
-    one: str | None
-    other: str | None
+    values: tuple[str | None, ...]
 
 
-class NumberPair(NamedTuple):
-    """A metric of two runs; None where one lacks it or it is no number."""
+class Numbers(NamedTuple):
+    """A metric of every run; None where one lacks it or it is no number."""
 
     name: str
-    one: float | None
-    other: float | None
-
-    @property
-    def difference(self) -> float | None:
-        """The second run's minus the first's."""
-        return None if self.one is None or self.other is None else self.other - self.one
+    values: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Two runs.
+    """Two runs or more.
 
     Attributes:
         config: options, inputs and clip where they differ.
@@ -45,33 +38,30 @@ class RunComparison:
         metrics: every metric, errors and scores before losses.
     """
 
-    one: StoredRun
-    other: StoredRun
-    config: tuple[Pair, ...]
+    runs: tuple[StoredRun, ...]
+    config: tuple[Words, ...]
     same_options: int
-    environment: tuple[Pair, ...]
-    metrics: tuple[NumberPair, ...]
+    environment: tuple[Words, ...]
+    metrics: tuple[Numbers, ...]
 
 
-def compare_records(one: StoredRun, other: StoredRun) -> RunComparison:
-    """What the store says of two runs."""
-    config = _differing(one.params, other.params)
+def compare_records(runs: Sequence[StoredRun]) -> RunComparison:
+    """What the store says of some runs."""
+    config = _differing([run.params for run in runs])
+    named = sorted({name for run in runs for name in run.metrics}, key=_order)
     return RunComparison(
-        one=one,
-        other=other,
+        runs=tuple(runs),
         config=config,
-        same_options=len(one.params.keys() | other.params.keys()) - len(config),
-        environment=_differing(_environment(one), _environment(other)),
-        metrics=tuple(
-            NumberPair(name, _finite(one.metrics.get(name)), _finite(other.metrics.get(name)))
-            for name in sorted(one.metrics.keys() | other.metrics.keys(), key=_order)
-        ),
+        same_options=len({name for run in runs for name in run.params}) - len(config),
+        environment=_differing([_environment(run) for run in runs]),
+        metrics=tuple(Numbers(name, tuple(_finite(run.metrics.get(name)) for run in runs)) for name in named),
     )
 
 
-def _differing(one: Mapping[str, str], other: Mapping[str, str]) -> tuple[Pair, ...]:
-    names = sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
-    return tuple(Pair(name, one.get(name), other.get(name)) for name in names)
+def _differing(records: Sequence[Mapping[str, str]]) -> tuple[Words, ...]:
+    names = sorted({name for record in records for name in record})
+    every = (Words(name, tuple(record.get(name) for record in records)) for name in names)
+    return tuple(words for words in every if len(set(words.values)) > 1)
 
 
 def _environment(run: StoredRun) -> dict[str, str]:

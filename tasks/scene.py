@@ -1,6 +1,7 @@
 """From handles to what the method works on."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import torch
@@ -10,19 +11,25 @@ from hfb.body.assets import load_body
 from hfb.body.model import Body
 from hfb.media.pictures import read_matte, read_picture_srgb
 from hfb.observation import Observation
-from hfb.photometry import as_srgb, linear_to_srgb, srgb_to_linear
+from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.render.camera import PinholeCamera
+from hfb.shapes import Array
 from tasks.handles import ClipHandle, FileHandle
 
 
 def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
     """A picture (H, W, 3) in the light in which the clip's blur is an average."""
-    stored = torch.from_numpy(as_srgb(read_picture_srgb(picture.path), clip.transfer))
-    if clip.transfer == clip.light:
+    return in_light(read_picture_srgb(picture.path), clip.transfer, clip.light)
+
+
+def in_light(picture: Array, transfer: Transfer, light: Literal["srgb", "linear"]) -> Tensor:
+    """A picture (H, W, 3) as it was stored, in the light in which blur is an average."""
+    stored = torch.from_numpy(as_srgb(picture, transfer))
+    if transfer == light:
         return stored
-    if clip.light == "linear":
+    if light == "linear":
         return srgb_to_linear(stored)
-    return linear_to_srgb(stored) if clip.transfer == "linear" else stored
+    return linear_to_srgb(stored) if transfer == "linear" else stored
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:

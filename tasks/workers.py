@@ -7,8 +7,11 @@ not depend on their number: each computes with one thread, and nothing is shared
 
 from __future__ import annotations
 
+import logging
+import logging.handlers
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
@@ -21,6 +24,7 @@ from typing import Any, ParamSpec, TypeVar
 P = ParamSpec("P")
 R = TypeVar("R")
 _ATTEMPTS = 3
+_LAST_WORDS_S = 0.5
 
 
 class WorkerLost(Exception):
@@ -44,7 +48,11 @@ class _Pool:
     def _started(self) -> ProcessPoolExecutor:
         # spawn: a forked child would inherit locks that threads of the parent hold
         context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(os.getpid(),))
+        # one per set of processes: a process that is killed while it writes leaves its queue locked
+        self._records = _Records(context)
+        return ProcessPoolExecutor(
+            self.count, context, initializer=_begin, initargs=(os.getpid(), self._records.queue)
+        )  # fmt: skip
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         for _ in range(_ATTEMPTS):
@@ -71,6 +79,7 @@ class _Pool:
                 raise Stopped
             if self._executor is broken:  # every thread that waited finds out; one of them mends
                 broken.shutdown(wait=False)
+                self._records.close()
                 self._executor = self._started()
 
     def close(self) -> None:
@@ -81,6 +90,28 @@ class _Pool:
             self._executor.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
+        self._records.close()
+
+
+class _Records:
+    """What workers log, said by this process: its handlers know the log file and the display."""
+
+    def __init__(self, context: multiprocessing.context.SpawnContext) -> None:
+        self.queue: Any = context.Queue()
+        self.queue.cancel_join_thread()
+        self._thread = threading.Thread(target=self._retell, name="hfb-worker-log", daemon=True)
+        self._thread.start()
+
+    def _retell(self) -> None:
+        try:
+            while (record := self.queue.get()) is not None:
+                logging.getLogger(record.name).handle(record)
+        except (EOFError, OSError, pickle.UnpicklingError):  # a worker that was killed in the middle of a word
+            return
+
+    def close(self) -> None:
+        self.queue.put(None)
+        self._thread.join(_LAST_WORDS_S)
 
 
 _pool: _Pool | None = None
@@ -136,8 +167,11 @@ def _timed(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, 
     return function(*args, **kwargs), time.monotonic() - began
 
 
-def _begin(parent: int) -> None:
+def _begin(parent: int, records: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
+    records.cancel_join_thread()  # nobody waits for a worker's last words
+    logging.captureWarnings(True)
+    logging.getLogger().addHandler(logging.handlers.QueueHandler(records))
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     import torch
 

@@ -15,7 +15,10 @@ import cv2
 import pytest
 
 TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
-TINY_OPTIONS = ("--init.method", "matte", "--fit.stages", TINY_FIT, "--fit.subframes", "2", "--fit.texture-px", "16")
+TINY_OPTIONS = (
+    "--init.method", "matte", "--fit.stages", TINY_FIT, "--fit.subframes", "2", "--fit.texture-px", "16",
+    "--export.report", "false",
+)  # fmt: skip
 _SIDE_PX = 96
 
 

@@ -157,6 +157,16 @@ def beside_paper(experiment: Experiment, summary: Mapping[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[float] | None:
+    """MPJPE of the paper's HfB over its start's, per column and in all; None where the summary has other intervals."""
+    rows = [row for row in experiment.rows if "best" in row.ours and row.mpjpe_mm and row.name != experiment.start]
+    start = _start_values(experiment, "mpjpe_mm")
+    if not rows or not start or [tuple(cell["blur"]) for cell in summary["start"]["bins"]] != experiment.bins():
+        return None
+    pairs = zip(_with_mean(experiment, rows[-1].mpjpe_mm or ()), _with_mean(experiment, start), strict=True)
+    return [after / before for after, before in pairs]
+
+
 def _pairs(experiment: Experiment, summary: Mapping[str, Any], metric: Metric) -> list[tuple[PaperRow, str]]:
     """The paper's rows but the start's, each with every method of ours beside it that was run."""
     rows = [row for row in experiment.rows if metric in row.metrics() and row.name != experiment.start]

@@ -19,6 +19,9 @@ FILM_NAMES: dict[Film, str] = {
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
 
+REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
+"""The page about a result, what its curves show, and its film among the intermediate files."""
+
 NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
 """Formats with a surface; the others need nothing but the motion."""
 

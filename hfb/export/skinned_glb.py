@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from hfb.body.mesh import vertex_normals
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from hfb.export.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuffer
 from hfb.export.keys import MotionKeys, exact_keys, subframe_rate_hz
+from hfb.export.skin import skin_of
 from hfb.media.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
-from hfb.shapes import Array, Float, Shaped, Tensor
+from hfb.shapes import Array, Float, Tensor
 
 _WORLD, _PELVIS = 1, 2  # nodes: the mesh, the camera's frame, then the joints
 _SLOW_FPS = 30.0  # in slow motion sub-frames follow at this rate
@@ -99,34 +99,17 @@ def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
 
 
 def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str, Any]:
-    """The person in the rest pose: glTF has one index per corner, so vertices on seams of the texture come twice."""
-    corners = torch.stack([body.mesh.faces, body.mesh.uv_faces], -1).reshape(-1, 2).numpy()
-    pairs, index = np.unique(corners, axis=0, return_inverse=True)
-    vertices = body.shape(betas).vertices
-    normals = vertex_normals(vertices[None], body.mesh)[0]
+    """The person in the rest pose."""
+    skin = skin_of(body, betas)
     attributes = {
-        "POSITION": buffer.add(_float32(vertices)[pairs[:, 0]], ARRAY_BUFFER, bounds=True),
-        "NORMAL": buffer.add(_float32(normals)[pairs[:, 0]], ARRAY_BUFFER),
-        "TEXCOORD_0": buffer.add(_float32(body.mesh.uv)[pairs[:, 1]], ARRAY_BUFFER),
+        "POSITION": buffer.add(skin.vertices, ARRAY_BUFFER, bounds=True),
+        "NORMAL": buffer.add(skin.normals, ARRAY_BUFFER),
+        "TEXCOORD_0": buffer.add(skin.uv, ARRAY_BUFFER),
     }
-    for number, (joints, weights) in enumerate(_influences(body)):
-        attributes[f"JOINTS_{number}"] = buffer.add(joints[pairs[:, 0]], ARRAY_BUFFER)
-        attributes[f"WEIGHTS_{number}"] = buffer.add(weights[pairs[:, 0]], ARRAY_BUFFER)
-    small = np.uint16 if len(pairs) < 2**16 - 1 else np.uint32
-    indices = buffer.add(index.reshape(-1).astype(small), ELEMENT_ARRAY_BUFFER)
-    return {"attributes": attributes, "indices": indices, "material": 0}
-
-
-def _influences(body: Body) -> list[tuple[Shaped[Array, "V 4"], Float[Array, "V 4"]]]:
-    """(joints, weights) of every vertex in sets of four, the heaviest first; as many sets as the model needs."""
-    weights, joints = body.skinning_weights.double().sort(dim=1, descending=True, stable=True)
-    sets = -(-int((weights > 0).sum(1).max()) // 4)
-    shares = weights[:, : 4 * sets] / weights[:, : 4 * sets].sum(1, keepdim=True)
-    used = torch.where(shares > 0, joints[:, : 4 * sets], torch.zeros_like(joints[:, : 4 * sets]))
-    return [
-        (used[:, at : at + 4].numpy().astype(np.uint8), _float32(shares[:, at : at + 4]))
-        for at in range(0, 4 * sets, 4)
-    ]
+    for number, (joints, weights) in enumerate(zip(skin.joints, skin.weights, strict=True)):
+        attributes[f"JOINTS_{number}"] = buffer.add(joints, ARRAY_BUFFER)
+        attributes[f"WEIGHTS_{number}"] = buffer.add(weights, ARRAY_BUFFER)
+    return {"attributes": attributes, "indices": buffer.add(skin.corners, ELEMENT_ARRAY_BUFFER), "material": 0}
 
 
 def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24 3"]) -> list[dict[str, Any]]:
@@ -180,7 +163,3 @@ def _material(textured: bool) -> dict[str, Any]:
 
 def _rows(values: Float[Array, "F *c"]) -> Float[Array, "F *c"]:
     return values.astype(np.float32)
-
-
-def _float32(values: Float[Tensor, "*n"]) -> Float[Array, "*n"]:
-    return values.detach().float().numpy()

@@ -36,14 +36,14 @@ def styles(summary: Mapping[str, Any]) -> dict[str, Style]:
     return {**{name: {"color": GRAY, "marker": None, "linestyle": "--"} for name in summary["methods"]}, **styles}
 
 
-def sheet(panels: int = 1) -> tuple[Any, Any]:
+def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> tuple[Any, Any]:
     """An empty figure and its axes (several side by side: a list of them)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
-    figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=layout)
+    figure = Figure(figsize=inches, dpi=_DPI, layout=layout)
     FigureCanvasAgg(figure)
     every = [figure.add_subplot(1, panels, 1 + index) for index in range(panels)]
     for axes in every:
@@ -53,7 +53,7 @@ def sheet(panels: int = 1) -> tuple[Any, Any]:
     return figure, every[0] if panels == 1 else every
 
 
-def png(figure: Any, *every: Any) -> bytes:
+def png(figure: Any, *every: Any, columns: int = 6) -> bytes:
     """The finished picture, the first axes' legend above all of them."""
     handles, labels = every[0].get_legend_handles_labels()
     named = len(labels)
@@ -61,7 +61,7 @@ def png(figure: Any, *every: Any) -> bytes:
         handles,
         labels,
         loc="outside upper center",
-        ncols=math.ceil(named / math.ceil(named / 6)),
+        ncols=math.ceil(named / math.ceil(named / columns)),
         frameon=False,
         fontsize=_FONT_POINTS,
     )

@@ -66,7 +66,7 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
     """Mean MPJPE over the start's, per interval of blur rates and over all, with 95 % intervals.
 
     Args:
-        paper: the paper's ratios per interval, drawn as a gray line where given.
+        paper: the paper's ratios per interval and, if it says that, over all; drawn in gray where given.
     """
     cells = {name: [*both["bins"], both["all"]] for name, both in _contenders(summary, "ratio").items()}
     if not cells:
@@ -76,7 +76,9 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
     labels.append(f"all\nn {summary['start']['all']['n']}")
     axes.axhline(1, color=GRAY, linewidth=1.2, linestyle="--")
     if paper is not None:
-        axes.plot(range(len(paper)), paper, color=GRAY, linewidth=2, label="HfB in the paper")
+        last = len(labels) - 1
+        axes.plot(range(last), paper[:last], color=GRAY, linewidth=2, marker="_", label="HfB in the paper")
+        axes.plot(range(last, len(paper)), paper[last:], color=GRAY, linestyle="", marker="_", markersize=14, mew=2)
     for place, (name, row) in enumerate(cells.items()):
         style, shift = styles(summary)[name], 0.7 * ((place + 0.5) / len(cells) - 0.5)
         known = [(index, cell) for index, cell in enumerate(row) if cell["ratio"] is not None]

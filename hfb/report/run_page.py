@@ -1,77 +1,104 @@
-"""Two runs beside each other as one HTML file that needs nothing else: no network, no scripts, the picture inside."""
+"""Recorded runs beside each other as one HTML file that needs nothing else: where they differ, what each found, and the
+same instant of all of them under one slider.
+"""
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
-_STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem; color: #222 }
-h1 { font-size: 1.4rem } h2 { font-size: 1.1rem; margin-top: 2rem }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums }
-th, td { text-align: left; padding: .25rem .9rem .25rem 0; border-bottom: 1px solid #ddd; vertical-align: top }
-td { overflow-wrap: anywhere } td.name { color: #555; overflow-wrap: normal }
-th.one { color: #0072B2 } th.other { color: #D55E00 }
-.picture { overflow-x: auto; border: 1px solid #ddd } .none { color: #777 }
-"""
+from hfb.report.page import Html, element, page, picture, section
+
+RUN_CLASSES = ("one", "two", "three", "four")
+_TWO = 2
 
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table of two runs.
+    """A table of some runs.
 
     Attributes:
-        rows: name, the first run's value, the other's, and where it is a number the difference.
+        rows: name, a value per run, and where they are numbers what else is to be said, such as a difference.
         empty: what to say when there are no rows.
-        folded: shown only when asked for.
     """
 
     title: str
-    rows: tuple[tuple[str, str, str, str], ...]
+    rows: tuple[tuple[str, ...], ...]
     empty: str = "nothing"
-    folded: bool = False
+
+
+@dataclass(frozen=True)
+class RunLook:
+    """What there is to see of a run.
+
+    Attributes:
+        viewer: see `hfb.report.viewer`. picture: its own picture of what it found, PNG or JPEG.
+    """
+
+    name: str
+    viewer: Html | None = None
+    picture: bytes | None = None
 
 
 def run_page(
-    names: tuple[str, str], sentence: str, tables: Sequence[PageTable], picture_png: bytes | None, caption: str
+    sentences: Sequence[str],
+    tables: Sequence[PageTable],
+    looks: Sequence[RunLook],
+    overlay: bytes | None,
+    scripts: Sequence[str] = (),
 ) -> str:
     """The page.
 
     Args:
-        names: the runs' titles.
-        sentence: how far they are from each other.
-        picture_png: what to show of both.
-        caption: what the picture shows.
+        sentences: how far the runs are from each other.
+        looks: one per run. overlay: a picture of all motions over each other.
+        scripts: what the viewers need.
     """
-    one, other = (escape(name) for name in names)
-    parts = [
-        "<!doctype html>", '<html lang="en"><head><meta charset="utf-8">',
-        f"<title>{one} and {other}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>{one} and {other}</h1>", f"<p>{escape(sentence)}</p>",
-        *(_table(table, one, other) for table in tables),
-    ]  # fmt: skip
-    if picture_png is not None:
-        data = base64.b64encode(picture_png).decode()
-        parts += [
-            f"<h2>{escape(caption)}</h2>",
-            f'<div class="picture"><img alt="{escape(caption)}" src="data:image/png;base64,{data}"></div>',
-        ]
-    return "\n".join([*parts, "</body></html>"]) + "\n"
-
-
-def _table(table: PageTable, one: str, other: str) -> str:
-    title = f"<h2>{escape(table.title)}</h2>"
-    if not table.rows:
-        return f'{title}<p class="none">{escape(table.empty)}</p>'
-    last = "<th></th>" if any(row[3] for row in table.rows) else ""
-    lines = [f'<table><tr><th></th><th class="one">{one}</th><th class="other">{other}</th>{last}</tr>']
-    for name, mine, theirs, difference in table.rows:
-        cells = "".join(
-            f"<td>{escape(value)}</td>" for value in ((mine, theirs, difference) if last else (mine, theirs))
+    names = [look.name for look in looks]
+    viewers = [look.viewer for look in looks if look.viewer is not None]
+    moving = "Any slider moves all of them: the same instant of the recording, from the same side."
+    return page(
+        " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}",
+        *(element("p", sentence) for sentence in sentences),
+        section(
+            "The same instant", element("p", moving, class_="muted"), element("div", *viewers, class_=_columns(viewers))
         )
-        lines.append(f'<tr><td class="name">{escape(name)}</td>{cells}</tr>')
-    lines.append("</table>")
-    body = "\n".join(lines)
-    if table.folded:
-        return f"<details><summary>{escape(table.title)}</summary>{body}</details>"
-    return title + body
+        if viewers
+        else None,
+        *(_table(table, names) for table in tables),
+        section("What each found", *(_found(look, place) for place, look in enumerate(looks) if look.picture))
+        if any(look.picture for look in looks)
+        else None,
+        section(
+            "All of them over each other", picture(overlay, "skeletons of all runs, and their distances", wide=True)
+        )
+        if overlay is not None
+        else None,
+        scripts=scripts if viewers else (),
+    )
+
+
+def _found(look: RunLook, place: int) -> Html:
+    assert look.picture is not None
+    caption = element("figcaption", element("b", look.name, class_=_colour(place)))
+    return element("figure", caption, picture(look.picture, f"what {look.name} found", wide=True))
+
+
+def _table(table: PageTable, names: Sequence[str]) -> Html:
+    if not table.rows:
+        return section(table.title, element("p", table.empty, class_="muted"))
+    extra = len(table.rows[0]) - 1 - len(names)
+    heads = [element("th", name, class_=_colour(place)) for place, name in enumerate(names)]
+    head = element("tr", element("th"), *heads, *(element("th") for _ in range(extra)))
+    rows = [
+        element("tr", element("td", row[0], class_="name"), *(element("td", value) for value in row[1:]))
+        for row in table.rows
+    ]
+    drawn = element("table", element("thead", head), element("tbody", *rows), class_="long")
+    return section(table.title, element("div", drawn, class_="wide"))
+
+
+def _columns(viewers: Sequence[Html]) -> str:
+    return "columns close" if len(viewers) > _TWO else "columns"
+
+
+def _colour(place: int) -> str | None:
+    return RUN_CLASSES[place] if place < len(RUN_CLASSES) else None

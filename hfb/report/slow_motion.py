@@ -59,11 +59,16 @@ def film_slow_factor(motion: SampledMotion) -> float:
     return max(1.0, subframe_rate_hz(motion) / FILM_FPS, _SHORT_S / max(lasts, 1e-9))
 
 
-def film_instants(motion: SampledMotion) -> Float[Array, "F"]:
-    """When the pictures of the slow-motion film are [s]: at an even pace; stretches without the person are cut out."""
+def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Array, "F"]:
+    """When the pictures of a slow-motion film are [s]: at an even pace; stretches without the person are cut out.
+
+    Args:
+        slow: how many times slower it is; `film_slow_factor` where nothing is said.
+    """
+    slow = film_slow_factor(motion) if slow is None else slow
     first, last = float(motion.times_s[0]), float(motion.times_s[-1])
-    steps = int(np.ceil((last - first) * film_slow_factor(motion) * FILM_FPS - 1e-6))
-    instants = np.minimum(first + np.arange(steps + 1) / (film_slow_factor(motion) * FILM_FPS), last)
+    steps = int(np.ceil((last - first) * slow * FILM_FPS - 1e-6))
+    instants = np.minimum(first + np.arange(steps + 1) / (slow * FILM_FPS), last)
     return instants[keys_at(motion, instants).present]
 
 
@@ -133,12 +138,34 @@ def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"
         yield _even(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
 
 
+def paired_pictures(
+    shot: Shot, instants: Float[Array, "F"], slow: float, panel_px: tuple[int, int]
+) -> Iterator[Float[Array, "Y X 3"]]:
+    """Blurred | one instant, over a time line.
+
+    Args:
+        instants: when [s]. slow: how many times slower that is, to be written.
+        panel_px: the height and the width that a panel has at most.
+    """
+    keys = keys_at(shot.motion, instants)
+    view = _View(shot, (panel_px[0], panel_px[0]), panel_px[1])
+    for row, time_s in enumerate(keys.times_s.tolist()):
+        frame = view.frame_at(time_s)
+        state = "" if keys.observed[row] else ", shutter closed"
+        cells = [
+            captioned(view.seen(frame), f"frame {frame}, blurred"),
+            captioned(view.instant(keys, row), f"t = {1000 * time_s:.0f} ms{state}"),
+        ]
+        picture = np.concatenate(cells, 1)
+        yield _even(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+
+
 def _opened(motion: SampledMotion) -> Float[Array, "T"]:
     """When the shutter opened for every frame of the motion [s]."""
     return motion.times_s[np.flatnonzero(np.diff(motion.frame_index, prepend=-1))]
 
 
-def _even(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y X 3"]:
+def _even(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
     """The picture with white below and right where H.264 needs an even number of pixels."""
     height, width = picture.shape[:2]
     pads = ((0, height % 2), (0, width % 2), (0, 0))
@@ -148,11 +175,17 @@ def _even(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y X 3"]:
 class _View:
     """A shot at the size of the film; holds the pictures of the frame that was asked for last."""
 
-    def __init__(self, shot: Shot) -> None:
+    def __init__(
+        self, shot: Shot, heights_px: tuple[int, int] = _PANEL_HEIGHT_PX, width_px: int = _PANEL_WIDTH_PX
+    ) -> None:
+        """
+        Args:
+            heights_px: the least and the largest height of a panel, as far as ``width_px`` allows.
+        """
         self._shot = shot
         height, width = shot.plate_linear.shape[:2]
-        low, high = _PANEL_HEIGHT_PX
-        scale = min(max(min(height, high), low) / height, _PANEL_WIDTH_PX / width)
+        low, high = heights_px
+        scale = min(max(min(height, high), low) / height, width_px / width)
         self._size = max(8, round(width * scale)), max(8, round(height * scale))
         self._camera = shot.camera.resize(self._size[1], self._size[0])
         self._plate = self._resized(shot.plate_linear)

@@ -68,6 +68,8 @@ def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsy
     [
         (["nowhere/motion.npz"], "there is no nowhere/motion.npz"),
         (["{result}", "--formats", "stl"], "'stl' is no format: take some of amass"),
+        (["{result}", "--films", "sepia"], "'sepia' is no film: take some of slowmotion, exact, overlay"),
+        (["{result}", "--films", "exact"], "has no result.json"),
         (["{result}/texture.png"], "not a motion file"),
         (["{result}", "--body", "{result}/texture.png"], "texture.png"),
     ],

@@ -65,6 +65,7 @@ def test_reproduce(
     printed = capsys.readouterr().out
     assert "104.3" in printed  # the paper's METRO, weighted by cases
     assert (out / "beside_paper.md").read_text() in printed
+    assert "Table 1: " in (out / "report.html").read_text()
 
 
 def test_every_experiment_is_found() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hfb.baselines.method_spec import method_spec
 from hfb.datasets.blur_bins import bins_of, paper_counts
 from hfb.errors import InputError
-from hfb.evaluate.experiments import beside_paper, load_experiment
+from hfb.evaluate.experiments import beside_paper, load_experiment, papers_ratios
 from hfb.evaluate.tables import summarize
 
 FOLDER = Path(__file__).parents[2] / "infra/experiments"
@@ -61,6 +61,17 @@ def test_the_papers_ratios_are_those_of_its_reading(name, ratio):
     experiment = _experiment(name)
     fitted, start = _row(experiment, "HfB (ours)"), experiment.start_row()
     assert experiment.mean(fitted.mpjpe_mm) / experiment.mean(start.mpjpe_mm) == pytest.approx(ratio, abs=5e-4)
+
+
+def test_the_papers_ratios_stand_beside_ours_where_the_intervals_are_the_same():
+    experiment = _experiment("table1")
+    start = {"case": 1, "method": "static", "blur_rate": 0.15, "failed": None, "initial_mpjpe_mm": 9.0, "mpjpe_mm": 9.0}
+    ratios = papers_ratios(experiment, summarize([start], "bt-amass", 1, {}, 0, experiment.bins()))
+    assert ratios is not None
+    assert len(ratios) == len(experiment.columns) + 1
+    assert ratios[0] == pytest.approx(56.3 / 70.0)
+    assert ratios[-1] == pytest.approx(0.823, abs=5e-4)
+    assert papers_ratios(experiment, summarize([start], "bt-amass", 1, {}, 0, [(0.1, 0.5)])) is None
 
 
 @pytest.mark.parametrize(("name", "total"), [("table1", 1124), ("table2", 305)])

@@ -16,10 +16,10 @@ import sys
 from pathlib import Path
 from flows.fit_image import fit_image
 from hfb.config import RunConfig, FitConfig, Stage
-from tasks import progress
+from tasks import displays, progress
 frame, plate, first, out = map(Path, sys.argv[1:])
 config = RunConfig(fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)))
-with progress.showing(progress.Plain(sys.stderr, first_s=0.05)):
+with progress.showing(displays.lines_on(sys.stderr, first_s=0.05)):
     fit_image([frame], plate, out, config, first_bodies=[first])
 """
 SERVER = """
@@ -103,14 +103,14 @@ from pathlib import Path
 from flows.benchmark import BenchmarkPlan, run_benchmark
 from hfb.baselines.method_spec import method_spec
 from hfb.datasets.set_spec import SetSpec
-from tasks import progress
+from tasks import displays, progress
 if __name__ == "__main__":
     out, toml, workers = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     plan = BenchmarkPlan(
         spec=SetSpec(size_px=64, seed=5), count=4, methods=(method_spec(f"tiny={toml}"), method_spec("static")),
         start="simulated",
     )
-    with progress.showing(progress.Plain(sys.stderr, first_s=0.05)):
+    with progress.showing(displays.lines_on(sys.stderr, first_s=0.05)):
         run_benchmark(plan, out, workers)
 """
 JUDGED_TOML = """
@@ -141,7 +141,7 @@ def test_a_killed_benchmark_goes_on_where_it_was(store: Path, tmp_path: Path) ->
     assert rest.returncode == 0, rest.stderr
     assert "cases: reused" in rest.stderr
     assert "methods: reused" not in rest.stderr
-    assert len(list(out.rglob("row.json"))) == 8
+    assert len(list(out.rglob("row.json"))) == 8, rest.stderr
     kept = [path for path, stamp in done.items() if path.stat().st_mtime_ns == stamp]
     assert len(kept) >= len(done) - 2  # what two workers had in hand at the kill may be made again
     assert sorted(mlflow_rows(store, "select status from runs")) == [("FINISHED",)] * 3

@@ -38,7 +38,7 @@ def plan(tmp_path: Path) -> BenchmarkPlan:
 
 def contents(out: Path) -> dict[str, bytes]:
     """Everything that has to come out the same; how long a method took does not."""
-    kept = {"cases.parquet", "summary.json", "table.md", "result.json", "row.json"}
+    kept = {"cases.parquet", "summary.json", "table.md", "result.json", "row.json", "report.html"}
     files = [path for path in sorted(out.rglob("*")) if path.is_file() and "intermediate" not in path.parts]
     return {str(path.relative_to(out)): path.read_bytes() for path in files if path.name not in kept}
 
@@ -70,6 +70,13 @@ def test_tables_record_and_workers(plan: BenchmarkPlan, store: Path, tmp_path: P
     assert "How sure it is" in (one / "table.md").read_text()
     assert len(list((one / "methods" / "tiny").glob("case_*/alternatives.npz"))) == 2
     assert (table.groupby("case")["initial_mpjpe_mm"].nunique() == 1).all()
+
+    page = (one / "report.html").read_text()
+    assert result["page"] == str(one / "report.html")
+    assert "method tiny" in page
+    assert page.count('id="case-') == 2
+    artifacts = {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*") if path.is_file()}
+    assert {"report.html", "table.md", "gallery.png"} <= artifacts
 
     runs = mlflow_rows(store, "select name, status from runs")
     assert sorted(runs) == [("bt-amass", "FINISHED"), ("bt-amass/static", "FINISHED"), ("bt-amass/tiny", "FINISHED")]

@@ -56,6 +56,24 @@ def test_two_fits(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -
     assert max(map(len, text.splitlines()[:-3])) < 120
 
 
+def test_three_runs(pair: tuple[dict[str, Any], dict[str, Any]], problem: Problem, tmp_path: Path) -> None:
+    third = run(problem, tmp_path / "third", TINY.model_copy(update={"seed": 7}))
+    ids = [one["mlflow_run_id"] for one in (*pair, third)]
+    found = compare_runs(ids, tmp_path / "compared")
+    assert found["runs"] == ids
+    assert found["names"] == [
+        f"{name} ({run_id[:8]})" for name, run_id in zip(("one", "other", "third"), ids, strict=True)
+    ]
+    assert {"name": "seed", "a": "2", "b": "3", "more": ["7"]} in found["config"]
+    assert found["motion"] == found["motions"][0]
+    assert len(found["motions"]) == len(found["sentences"]) == 2
+    assert found["sentences"][1].startswith(f"third ({ids[2][:8]}) against one ({ids[0][:8]})")
+    page = Path(found["page"]).read_text()
+    assert page.count('class="viewer"') == 3
+    assert page.count("data:image/jpeg;base64,") == 3
+    assert max(map(len, compare_text(found).splitlines()[:-3])) < 130
+
+
 def test_a_run_with_itself(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -> None:
     run_id = pair[0]["mlflow_run_id"]
     found = compare_runs((run_id, run_id), tmp_path / "compared")

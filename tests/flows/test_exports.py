@@ -1,6 +1,7 @@
 """What `hfb fit` leaves for other programs: in its folder, in MLflow, and gone again when it is no longer asked for."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.export.names import EXPORTED_NAMES, FILE_NAMES
 from tests.orchestration import Problem, mlflow_rows
-from tests.small_clips import FRAMES, begun, run_clip, small_clip, stamps
+from tests.small_clips import FRAMES, begun, finished, run_clip, small_clip, stamps
 
 FIT = FitConfig(subframes=3, texture_px=16, stages=(Stage(size_px=32, iterations=2),))
 
@@ -23,6 +24,12 @@ FIT = FitConfig(subframes=3, texture_px=16, stages=(Stage(size_px=32, iterations
 def run(problem: Problem, out: Path, export: ExportConfig) -> dict[str, Any]:
     config = RunConfig(init=InitConfig(method="matte"), fit=FIT, export=export)
     return fit_image([problem.frame], problem.background, out, config, first_bodies=[problem.first_body])
+
+
+def shown_at(film: Path) -> list[float]:
+    """When each picture of a film is shown [s]."""
+    with av.open(str(film)) as container:
+        return [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
 
 
 def exported(folder: Path) -> set[str]:
@@ -62,13 +69,46 @@ def test_films_on_request(problem: Problem, store: Path, tmp_path: Path) -> None
     run(problem, out, ExportConfig(formats=(), films=("exact", "overlay")))
     assert exported(out) == {"exact_time.mp4", "overlay.mp4"}
     motion, _ = load_motion(out / "motion.npz")
-    with av.open(str(out / "exact_time.mp4")) as container:
-        shown = [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
-    np.testing.assert_allclose(shown, motion.times_s, atol=6e-7)
+    np.testing.assert_allclose(shown_at(out / "exact_time.mp4"), motion.times_s, atol=6e-7)
     with av.open(str(out / "overlay.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) == 61
     artifacts = {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert {"exact_time.mp4", "overlay.mp4"} <= artifacts
+
+
+def test_films_of_an_earlier_result(store: Path, problem: Problem, tmp_path: Path) -> None:
+    """Drawn from the record alone, also where the pictures were moved; without them, one sentence and no file."""
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    moved = Problem(
+        *(Path(shutil.copy(path, pictures)) for path in (problem.frame, problem.background, problem.first_body))
+    )
+    out = tmp_path / "out"
+    result = run(moved, out, ExportConfig(formats=(), report=False))
+    told = export_result(str(out), None, (), (), films=("exact", "overlay"))
+    assert told["files"].keys() == {"exact_time.mp4", "overlay.mp4"}
+    assert shown_at(out / "export" / "exact_time.mp4") == pytest.approx(
+        load_motion(out / "motion.npz")[0].times_s, abs=6e-7
+    )
+
+    pictures.rename(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="--inputs DIR"):
+        export_result(result["mlflow_run_id"], tmp_path / "none", (), (), films=("exact",))
+    assert not (tmp_path / "none").exists()
+    again = tmp_path / "again"
+    export_result(result["mlflow_run_id"], again, (), (), films=("exact",), inputs=tmp_path / "elsewhere")
+    assert (again / "exact_time.mp4").read_bytes() == (out / "export" / "exact_time.mp4").read_bytes()
+
+
+def test_films_of_an_earlier_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, database, result = finished()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{database}")
+    told = export_result(result["mlflow_run_id"], tmp_path / "films", (), (), films=("exact",))
+    assert told["sub_frames"] == 3 * FRAMES
+    motion, _ = load_motion(finished()[0] / "motion.npz")
+    assert shown_at(tmp_path / "films" / "exact_time.mp4") == pytest.approx(
+        np.unique(motion.times_s.round(6)), abs=2e-6
+    )
 
 
 def test_a_library_that_is_missing_is_said_before_anything_is_computed(
@@ -90,6 +130,4 @@ def test_a_clips_films_are_drawn_without_fitting_it_again(store: Path, tmp_path:
     assert result["resumed_frames"] == FRAMES
     assert stamps(out, "window*") == before != {}
     motion, _ = load_motion(out / "motion.npz")
-    with av.open(str(out / "exact_time.mp4")) as container:
-        shown = [float(frame.pts * frame.time_base) for frame in container.decode(video=0)]
-    assert shown == pytest.approx(np.unique(motion.times_s.round(6)), abs=2e-6)
+    assert shown_at(out / "exact_time.mp4") == pytest.approx(np.unique(motion.times_s.round(6)), abs=2e-6)

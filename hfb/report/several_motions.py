@@ -1,8 +1,9 @@
-"""Two motions in one picture: skeletons from the camera and from the side, and how far apart they are.
+"""Motions of several runs in one picture: skeletons from the camera and from the side, and how far apart they are.
 
 Drawn from motions alone, so it serves one picture and a long clip alike.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -15,7 +16,9 @@ from hfb.report.plot_style import FAINT_GRAY, GRAY
 from hfb.report.strip import captioned
 from hfb.shapes import Array, Float, Int
 
-_COLOURS = ("#0072B2", "#D55E00")
+RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""The first run's, the second's ...; the page's style calls them one, two, three, four."""
+
 _SHOWN_INSTANTS = 3
 _VIEWS = (("camera", 0), ("side", 2))
 _SIZE_INCHES, _DPI = (9.0, 7.5), 110
@@ -23,19 +26,19 @@ _LONGEST_PX = 4000
 
 
 def draw_motions(
-    one: SampledMotion, other: SampledMotion, difference: MotionDifference, names: tuple[str, str]
+    motions: Sequence[tuple[str, SampledMotion]], differences: Sequence[MotionDifference]
 ) -> Float[Array, "Y X 3"]:
-    """Both skeletons at the first, middle and last shared instant, and joint distances over time; sRGB in [0, 1].
+    """All skeletons at the first, middle and last shared instant, and joint distances over time; sRGB in [0, 1].
 
     Args:
-        difference: of these two motions, with at least one shared instant.
-        names: what the two are called.
+        motions: what each is called, and itself.
+        differences: of every motion but the first from the first, each with at least one shared instant.
 
     Raises:
-        ValueError: the two share no frame.
+        ValueError: two share no frame.
     """
-    if not len(difference.instants_s):
-        raise ValueError("there is nothing to draw: the two motions share no frame")
+    if not all(len(difference.instants_s) for difference in differences):
+        raise ValueError("there is nothing to draw: the motions share no frame")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -43,18 +46,22 @@ def draw_motions(
     figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI, layout=ConstrainedLayoutEngine(w_pad=0.05, h_pad=0.05))
     canvas = FigureCanvasAgg(figure)
     grid = figure.add_gridspec(3, _SHOWN_INSTANTS, height_ratios=(3, 3, 1.6))
-    for column, row in enumerate(_shown_rows(one, difference)):
-        place_s = float(one.times_s[row])
-        theirs = other.joints[_nearest(other, place_s)]
+    first = motions[0][1]
+    colours = [RUN_COLOURS[place % len(RUN_COLOURS)] for place in range(len(motions))]
+    for column, row in enumerate(_shown_rows(first, differences[0])):
+        place_s = float(first.times_s[row])
         for line, (view, axis) in enumerate(_VIEWS):
             axes = figure.add_subplot(grid[line, column])
-            for joints, colour in ((one.joints[row], _COLOURS[0]), (theirs, _COLOURS[1])):
-                _skeleton(axes, joints, axis, colour)
+            for (_, motion), colour in zip(motions, colours, strict=True):
+                _skeleton(axes, motion.joints[_nearest(motion, place_s)], axis, colour)
             axes.set_title(f"{view}, {place_s:.3f} s", fontsize=9, color=GRAY)
             axes.set_aspect("equal")
             axes.set_axis_off()
-    _distances(figure.add_subplot(grid[2, :]), difference)
-    figure.legend(handles=_legend(names), loc="outside upper center", ncols=2, frameon=False, fontsize=10)
+    _distances(figure.add_subplot(grid[2, :]), differences, colours[1:])
+    figure.legend(
+        handles=_legend([name for name, _ in motions], colours), loc="outside upper center",
+        ncols=min(3, len(motions)), frameon=False, fontsize=10,
+    )  # fmt: skip
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].astype(np.float32) / np.float32(255)
 
@@ -91,24 +98,29 @@ def _skeleton(axes: Any, joints: Float[Array, "24 3"], axis: int, colour: str) -
         axes.plot(across[[parent, child]], -joints[[parent, child], 1], color=colour, linewidth=1.8, alpha=0.8)
 
 
-def _distances(axes: Any, difference: MotionDifference) -> None:
-    """Mean and largest joint distance against time."""
-    spread = difference.joints_mm
-    axes.plot(difference.instants_s, spread.mean(1), color="black", linewidth=1.6, label="mean")
-    axes.plot(difference.instants_s, spread.max(1), color=GRAY, linewidth=1.0, linestyle="--", label="largest")
+def _distances(axes: Any, differences: Sequence[MotionDifference], colours: Sequence[str]) -> None:
+    """Mean (and, of two motions, largest) distance of the joints from the first motion's, against time."""
+    for difference, colour in zip(differences, colours, strict=True):
+        spread = difference.joints_mm
+        drawn = colour if len(differences) > 1 else "black"
+        axes.plot(difference.instants_s, spread.mean(1), color=drawn, linewidth=1.6, label="mean")
+    if len(differences) == 1:
+        largest = differences[0].joints_mm.max(1)
+        axes.plot(differences[0].instants_s, largest, color=GRAY, linewidth=1.0, linestyle="--", label="largest")
+        axes.legend(frameon=False, fontsize=8)
     axes.set_ylim(bottom=0)
     axes.set_xlabel("time [s]", fontsize=9)
-    axes.set_ylabel("joint distance [mm]", fontsize=9)
+    axes.set_ylabel("joint distance [mm]" if len(differences) == 1 else "distance from the first [mm]", fontsize=9)
     axes.tick_params(labelsize=8)
     axes.grid(axis="y", color=FAINT_GRAY, linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8)
 
 
-def _legend(names: tuple[str, str]) -> list[Any]:
+def _legend(names: Sequence[str], colours: Sequence[str]) -> list[Any]:
     from matplotlib.lines import Line2D
 
-    return [Line2D([], [], color=colour, linewidth=2, label=name) for colour, name in zip(_COLOURS, names, strict=True)]
+    pairs = zip(names, colours, strict=True)
+    return [Line2D([], [], color=colour, linewidth=2, label=name.replace("$", r"\$")) for name, colour in pairs]
 
 
 def _bounded(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:

@@ -1,0 +1,31 @@
+"""Our own tables in markdown as part of a page: table.md and the page cannot disagree.
+
+Markup inside the text stays text: names of methods and folders come from users.
+"""
+
+from functools import cache
+
+from markdown_it import MarkdownIt
+
+from hfb.report.page import Html
+
+
+def markdown(text: str) -> Html:
+    """GitHub's markdown without links and pictures; a title (``# ...``) at its beginning is left to the page."""
+    lines = text.lstrip().split("\n", 1)
+    body = lines[1] if lines[0].startswith("# ") and len(lines) > 1 else text
+    reader = _reader()
+    tokens = reader.parse(body)
+    for token in tokens:
+        if token.type in ("heading_open", "heading_close"):  # the page's own sections are above them
+            token.tag = f"h{int(token.tag[1]) + 1}"
+    return Html(reader.renderer.render(tokens, reader.options, {}))
+
+
+@cache
+def _reader() -> MarkdownIt:
+    reader = MarkdownIt("commonmark", {"html": False}).enable("table").disable(["link", "image", "autolink"])
+    # tables wider than the page scroll by themselves
+    reader.add_render_rule("table_open", lambda *_: '<div class="wide"><table class="figures">')
+    reader.add_render_rule("table_close", lambda *_: "</table></div>")
+    return reader

@@ -1,0 +1,61 @@
+"""The slow-motion film of a result's page: small enough to be part of it, cut to where the person is.
+
+Blurred | the body at one instant, at most 640 px wide and 20 seconds long, whatever the clip.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hfb.motion.sampled import SampledMotion
+from hfb.render.camera import PinholeCamera
+from hfb.report.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
+from hfb.shapes import Array, Float
+
+_PANEL_PX = (340, 316)  # height and width that a panel of two may have, captions and margins left out
+_MARGIN = 0.35  # of the person's height: hands and feet beyond their joints, and some ground
+_LEAST_PX = 48
+_LONGEST_S = 20.0
+
+
+def page_slow_factor(motion: SampledMotion) -> float:
+    """How many times slower the film is: as the large one, unless it would last too long; a long clip runs faster."""
+    lasts = float(motion.times_s[-1] - motion.times_s[0])
+    return min(film_slow_factor(motion), _LONGEST_S / max(lasts, 1e-9))
+
+
+def page_picture_count(motion: SampledMotion) -> int:
+    """How many pictures the film has."""
+    return len(film_instants(motion, page_slow_factor(motion)))
+
+
+def page_pictures(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
+    """Its pictures, `hfb.report.slow_motion.FILM_FPS` per second."""
+    slow = page_slow_factor(shot.motion)
+    yield from paired_pictures(around_person(shot), film_instants(shot.motion, slow), slow, _PANEL_PX)
+
+
+def around_person(shot: Shot) -> Shot:
+    """The same shot, cut to a box that holds the person at every instant."""
+    left, top, right, bottom = _box(shot.motion, shot.camera)
+    frame = shot.frame_linear
+    return replace(
+        shot,
+        camera=shot.camera.crop(left, top, right - left, bottom - top),
+        plate_linear=shot.plate_linear[top:bottom, left:right],
+        frame_linear=lambda number: frame(number)[top:bottom, left:right],
+    )
+
+
+def _box(motion: SampledMotion, camera: PinholeCamera) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom [px] around all joints in the picture, with a margin; the whole picture at most."""
+    seen = motion.joints @ camera.matrix().numpy().T
+    pixels = seen[..., :2] / np.maximum(seen[..., 2:], 1e-6)
+    margin = _MARGIN * float(np.median(np.ptp(pixels[..., 1], axis=1)))
+    low, high = pixels.min((0, 1)) - margin, pixels.max((0, 1)) + margin
+    sides = []
+    for at, size in ((0, camera.width), (1, camera.height)):
+        start = int(np.clip(np.floor(low[at]), 0, max(0, size - _LEAST_PX)))
+        sides.append((start, int(np.clip(np.ceil(high[at]), min(size, start + _LEAST_PX), size))))
+    return sides[0][0], sides[1][0], sides[0][1], sides[1][1]

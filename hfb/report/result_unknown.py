@@ -1,0 +1,155 @@
+"""The parts of a result's page on what the pictures could not tell, and on the motions that explain them too."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.body.skeleton import JOINT_NAMES
+from hfb.fit.alternatives import LIMB_NAMES, Alternatives
+from hfb.motion.sampled import SampledMotion
+from hfb.report.page import Html, element, section, table
+from hfb.report.viewer import ViewedMotion
+from hfb.shapes import Array
+
+_SHOWN = 12
+_LEAST_SURE, _MOST_SURE = 4, 3
+_SCORES = (("loss", "weighted loss", ".3f"), ("excess", "worse by", ".3f"), ("image", "image", ".2e"),
+           ("matte", "matte", ".4f"), ("joints", "joints", ".4f"), ("motion", "motion", ".3f"),
+           ("adversarial", "prior", ".3f"))  # fmt: skip
+
+
+def unknown_section(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> Html:
+    """What to doubt, in sentences."""
+    said = []
+    if isinstance(facts.get("unknown"), str):
+        said.append(str(facts["unknown"]))
+    said += _joints_said(motion)
+    said += _frames_said(facts)
+    said.append(_size_said(motion, body))
+    items = (element("li", one) for one in said)
+    return section("What the picture could not tell", element("ul", *items), id="unknown")
+
+
+def alternatives_section(alternatives: Alternatives | None) -> Html | None:
+    """The motions that were weighed, the likeliest first; None where none were."""
+    if alternatives is None:
+        return None
+    known = [(name, label, form) for name, label, form in _SCORES if name in alternatives.scores]
+    rows = [
+        [
+            reversed_text(alternatives.reversed_limbs[number], alternatives.reversed_limbs[alternatives.chosen]),
+            f"{100 * alternatives.probability[number]:.0f} %",
+            *(format(float(alternatives.scores[name][number]), form) for name, _, form in known),
+        ]
+        for number in by_probability(alternatives)[:_SHOWN]
+    ]
+    head = ["compared with the result", "probability", *(label for _, label, _ in known)]
+    return section(
+        "Directions that were weighed",
+        element(
+            "p", "A blurred picture is nearly the same if a limb moves the other way. These motions were fitted and "
+            "weighed; the viewer above shows each of them.", class_="muted",
+        ),
+        table(rows, head, "figures"), id="alternatives",
+    )  # fmt: skip
+
+
+def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:
+    """The others, the likeliest first, for the viewer."""
+    chosen = alternatives.reversed_limbs[alternatives.chosen]
+    return [
+        ViewedMotion(
+            f"{reversed_text(alternatives.reversed_limbs[number], chosen)} "
+            f"({100 * alternatives.probability[number]:.0f} %)",
+            replace(
+                motion,
+                poses=alternatives.poses[number],
+                trans=alternatives.trans[number],
+                joints=alternatives.joints[number],
+            ),
+        )
+        for number in by_probability(alternatives)[:_SHOWN]
+        if number != alternatives.chosen
+    ]
+
+
+def by_probability(alternatives: Alternatives) -> list[int]:
+    """Numbers of the motions, the result first, then the likeliest."""
+    order = np.argsort(-alternatives.probability, kind="stable").tolist()
+    return sorted(order, key=lambda number: number != alternatives.chosen)
+
+
+def reversed_text(reversed_limbs: Array, chosen: Array) -> str:
+    """Which limbs of which frames run the other way than in the result."""
+    different = reversed_limbs != chosen
+    if not different.any():
+        return "the result"
+    if different.all():
+        return "all the other way"
+    said = []
+    for number, frame in enumerate(different, 1):
+        limbs = [name for name, other in zip(LIMB_NAMES, frame, strict=True) if other]
+        if limbs:
+            kept = [name for name in LIMB_NAMES if name not in limbs]
+            words = " and ".join(limbs) if len(limbs) <= len(LIMB_NAMES) // 2 + 1 else f"all but {' and '.join(kept)}"
+            words = "everything" if not kept else words
+            said.append(f"frame {number}: {words}" if len(different) > 1 else words)
+    return f"{'; '.join(said)} the other way"
+
+
+def _joints_said(motion: SampledMotion) -> list[str]:
+    """Which joints are least sure, and which most."""
+    if motion.joint_radius_mm is None or not np.isfinite(motion.joint_radius_mm).any():
+        return []
+    radius = np.nanmean(motion.joint_radius_mm, 0)
+    order = [joint for joint in np.argsort(-radius, kind="stable").tolist() if joint]
+    least = ", ".join(_joint_text(joint, radius) for joint in order[:_LEAST_SURE])
+    most = ", ".join(_joint_text(joint, radius) for joint in order[: -_MOST_SURE - 1 : -1])
+    return [
+        f"Least sure are {least}; most sure {most}: as likely as not each lies within that distance of its place about "
+        "the pelvis. Most of it is depth."
+    ]
+
+
+def _joint_text(joint: int, radius: Array) -> str:
+    return f"{JOINT_NAMES[joint].replace('_', ' ')} ({radius[joint]:.0f} mm)"
+
+
+def _frames_said(facts: Mapping[str, Any]) -> list[str]:
+    """Frames of a clip in which nobody was fitted."""
+    said = []
+    gaps, filled = facts.get("gaps"), facts.get("filled")
+    if isinstance(gaps, list) and gaps:
+        listed = ", ".join(f"{first}\u2013{last}" if first != last else str(first) for first, last in gaps)
+        said.append(f"Nobody is seen in frames {listed}: there is no motion there.")
+    if isinstance(filled, list) and filled:
+        said.append(f"In frames {_ranges(filled)} the pose comes from the neighbouring frames.")
+    return said
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """1-3, 7 of 1, 2, 3, 7."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(f"{first}\u2013{last}" if last > first else str(first) for first, last in runs)
+
+
+def _size_said(motion: SampledMotion, body: Body | None) -> str:
+    """Size and distance are one number in a picture."""
+    far = float(np.median(motion.joints[:, 0, 2]))
+    tall = ""
+    if body is not None and body.shape_count >= len(motion.betas):
+        vertices = body.shape(torch.from_numpy(motion.betas).to(body.template.dtype)).vertices
+        tall = f" {float(vertices[:, 1].max() - vertices[:, 1].min()):.2f} m tall and"
+    return (
+        f"One camera does not tell a tall person far away from a short one nearby. The person is taken to be{tall} "
+        f"{far:.1f} m away; all lengths and speeds grow with that."
+    )

@@ -1,0 +1,82 @@
+"""Make hfb/report/data/limb_speed.json from benchmarks whose truth is known: how far a limb's top speed may be off.
+
+python limb_speeds.py --singles BENCHMARK --several BENCHMARK --method best --out ../../hfb/report/data
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from hfb.datasets.truth import load_truth
+from hfb.export.motion_file import load_motion
+from hfb.media.atomic import write_bytes_atomic
+from hfb.report.limb_speed import LIMB_ENDS, sureness_m_s
+
+_SHARE = 0.8
+_FILE = "limb_speed.json"
+
+
+def main() -> None:
+    """Find the factors, and say how many true speeds lie inside where half of the recordings gave the factors."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--singles", type=Path, nargs="+", required=True, help="folders of hfb benchmark, one frame")
+    parser.add_argument(
+        "--several", type=Path, nargs="+", required=True, help="folders of hfb benchmark --frames 2 ..."
+    )
+    parser.add_argument("--method", default="best", help="whose answers [best]")
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    found: dict[str, dict] = {"share": _SHARE, "measured": {}}
+    for name, folders in (("single", options.singles), ("several", options.several)):
+        rows = np.array([row for folder in folders for row in speeds_of(folder, options.method)])
+        for part, chosen in (("limbs", rows[:, 1] > 0), ("pelvis", rows[:, 1] == 0)):
+            found.setdefault(name, {})[part] = [round(factor, 3) for factor in factors_of(rows[chosen])]
+            found["measured"][f"{name} {part}"] = {"speeds": int(chosen.sum()), "held_out": held_out(rows[chosen])}
+    print(json.dumps(found, indent=1))
+    write_bytes_atomic(options.out / _FILE, json.dumps(found, indent=1).encode() + b"\n")
+
+
+def factors_of(rows: np.ndarray) -> tuple[float, float]:
+    """Quantiles of (true - fitted top speed) over (radius / exposure)."""
+    fitted, true, scale = rows[:, 2:].T
+    low, high = np.quantile((true - fitted) / scale, [(1 - _SHARE) / 2, (1 + _SHARE) / 2])
+    return float(low), float(high)
+
+
+def held_out(rows: np.ndarray) -> list[float]:
+    """The share inside of slow, middle and fast limbs, each half by the other half's factors."""
+    inside = np.zeros(len(rows), bool)
+    for half in (0, 1):
+        mine = rows[:, 0] % 2 == half
+        low, high = factors_of(rows[~mine])
+        fitted, true, scale = rows[mine, 2:].T
+        inside[mine] = (true >= np.maximum(0, fitted + low * scale)) & (true <= fitted + high * scale)
+    thirds = np.array_split(np.argsort(rows[:, 2], kind="stable"), 3)
+    return [round(float(inside[third].mean()), 3) for third in thirds]
+
+
+def speeds_of(folder: Path, method: str) -> list[tuple[int, int, float, float, float]]:
+    """(case, joint, fitted and true top speed, radius over exposure [m/s]) of every limb in every frame."""
+    rows = []
+    for case, answer in enumerate(sorted((folder / "methods" / method).glob("case_*"))):
+        truth = load_truth(folder / "cases" / answer.name / "truth.npz").motion
+        motion, _ = load_motion(answer / "motion.npz")
+        near = np.abs(truth.times_s[None] - motion.times_s[:, None]).argmin(1)
+        for joint in LIMB_ENDS.values():
+            for frame in np.unique(motion.frame_index):
+                at = motion.rows_of(int(frame))
+                fitted = top_speed(motion.joints[at, joint], motion.times_s[at])
+                true = top_speed(truth.joints[near[at], joint], truth.times_s[near[at]])
+                rows.append((case, joint, fitted, true, sureness_m_s(motion, joint, at)))
+    return rows
+
+
+def top_speed(path: np.ndarray, times_s: np.ndarray) -> float:
+    """The highest speed between neighbouring instants."""
+    return float((np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(times_s)).max())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""report.html in a real browser: it moves, plays, asks for nothing, complains of nothing, and says what it should."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from hfb.body.assets import load_default_body
+from hfb.fit.alternatives import LIMB_NAMES, Alternatives
+from hfb.media.video_writing import VideoWriter
+from hfb.motion.sampled import SampledMotion
+from hfb.report.page import page
+from hfb.report.result_page import ResultContents, result_page
+from hfb.report.result_unknown import by_probability, reversed_text
+from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened
+from tests.export.motions import motion_of
+
+BODY = load_default_body()
+NASTY = """</script><script>alert(1)</script><b>"'"""
+WIDTHS = (600, 1400)
+
+
+def short_film(path: Path) -> bytes:
+    """Two seconds in which something happens."""
+    with VideoWriter(path, 30.0, small=True) as writer:
+        for number in range(60):
+            picture = np.full((120, 160, 3), 0.2)
+            picture[20:40, number : number + 30] = 0.9
+            writer.write(picture)
+    return path.read_bytes()
+
+
+def weighed(motion: SampledMotion) -> Alternatives:
+    """The motion, and two in which limbs run backwards."""
+    flipped = np.zeros((3, 3, len(LIMB_NAMES)), bool)
+    flipped[1, 0, 4] = flipped[2] = True
+    back = slice(None, None, -1)
+    return Alternatives(
+        reversed_limbs=flipped,
+        poses=np.stack([motion.poses, motion.poses, motion.poses[back]]),
+        trans=np.stack([motion.trans, motion.trans, motion.trans[back]]),
+        joints=np.stack([motion.joints, motion.joints, motion.joints[back]]),
+        scores={"loss": np.array([0.5, 0.7, 0.6]), "matte": np.array([0.01, 0.02, 0.03])},
+        probability=np.array([0.3, 0.2, 0.5]),
+        chosen=0,
+        frame_index=motion.frame_index,
+    )
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with everything on it, and names that want to break it."""
+    folder = tmp_path_factory.mktemp(NASTY.replace("/", "_"))
+    motion = motion_of(BODY)
+    texture = np.zeros((8, 8, 3), np.uint8) + np.array([40, 90, 200], np.uint8)
+    cv2.imwrite(str(folder / "strip.png"), np.full((60, 3000, 3), 128, np.uint8))
+    facts = {
+        "matte_iou": 0.61, "frames": 3, "fit_seconds": 3.25, "remarks": [NASTY], "gaps": [[5, 9]], "filled": [1, 2, 4],
+        "mlflow_link": "javascript:alert(1)", "mlflow_run_id": NASTY, "unknown": NASTY, "inputs": {NASTY: NASTY},
+        "config": {"init": {"file": NASTY}, "fit": {"stages": [{"iterations": 3}, {"iterations": 2}]}},
+        "directions": [{"right": {"body": 0.61}}],
+    }  # fmt: skip
+    contents = ResultContents(
+        title=NASTY, facts=facts, motion=motion, body=BODY, texture_png=cv2.imencode(".png", texture)[1].tobytes(),
+        strip=folder / "strip.png", alternatives=weighed(motion),
+        curves={
+            "losses": {"total": [3.0, 2.0, 4.0, 1.0, 0.5], NASTY: [1.0, None, 0.0, 2.0, 1.0]},
+            "windows": [{"total": [2.0, 1.0]}, {"total": [3.0]}], "frames": {NASTY: [[0, 1.0], [2, 0.5]]},
+        },
+        film=short_film(folder / "film.mp4"), film_caption=NASTY, environment={NASTY: NASTY}, repeat=f"hfb {NASTY}",
+    )  # fmt: skip
+    path = folder / f"{NASTY.replace('/', '_')}.html"
+    path.write_text(result_page(contents))
+    return path
+
+
+def test_the_page_lives_at_every_width(report: Path) -> None:
+    with browser() as chromium:
+        for width in WIDTHS:
+            shown = opened(chromium, report.as_uri(), width)
+            assert shown.tab.locator(".viewer").get_attribute("data-drawing") == "surface"
+            assert_body_moves(shown.tab)
+            assert_film_plays(shown.tab)
+            assert_readable(shown)
+            assert shown.requests == []
+            assert shown.errors == []
+            assert shown.tab.locator("script:not([type])").count() == len(viewer_scripts())
+            assert shown.tab.title() == NASTY
+            shown.tab.close()
+
+
+def assert_readable(shown: Opened) -> None:
+    """Nothing is wider than the page but what scrolls by itself, and letters have a size."""
+    wide = shown.tab.evaluate("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+    assert wide[0] <= wide[1]
+    sizes = shown.tab.evaluate(
+        "[...document.querySelectorAll('p, li, td, th, summary')]"
+        ".map((one) => parseFloat(getComputedStyle(one).fontSize))"
+    )
+    assert min(sizes) >= 13
+
+
+def test_what_it_says(report: Path) -> None:
+    said = report.read_text()
+    for words in (
+        "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval", "right arm the other way",
+        "61 % for the one shown", "agree to 0.61 only", "3.2 s",
+    ):  # fmt: skip
+        assert words in said, words
+    assert "javascript:alert(1)</p>" in said  # a word, not a link
+    assert 'href="javascript' not in said
+    assert "alert(1)</script>" not in said.replace("&lt;", "<<")
+
+
+def test_the_body_stands_where_the_motion_says() -> None:
+    motion = motion_of(BODY, frames=5, missing=(2,))
+    whole = page("x", viewer([ViewedMotion("one", motion)], BODY), scripts=viewer_scripts())
+    with browser() as chromium:
+        tab = new_tab(chromium, 700)
+        tab.set_content(whole)
+        rows = [0, 5, 15]
+        found = np.array(
+            tab.evaluate("rows => rows.map((row) => [...hfb.viewers[0].motion.pose(row).places])", rows)
+        ).reshape(-1, 24, 3)
+        assert np.abs(found - motion.joints[rows]).max() < 5e-4
+        assert tab.evaluate("hfb.viewers[0].motion.absentAfter(15)") is True
+        assert tab.evaluate("hfb.viewers[0].motion.absentAfter(7)") is False
+        assert tab.evaluate("hfb.viewers[0].motion.at(hfb.viewers[0].motion.timeAt(3.25))") == pytest.approx(3.25)
+        bones = np.array(tab.evaluate("[...hfb.viewers[0].motion.pose(5).bones]")).reshape(24, 3, 4)
+        carried = skinned(bones, motion)
+        assert np.abs(carried - posed(motion, 5)).max() < 1e-3
+
+
+def skinned(bones: np.ndarray, motion: SampledMotion) -> np.ndarray:
+    """The rest pose's vertices, as the vertex shader carries them."""
+    import torch
+
+    rest = BODY.shape(torch.from_numpy(motion.betas).float()).vertices.double().numpy()
+    mixed = np.einsum("vj,jab->vab", BODY.skinning_weights.double().numpy(), bones)
+    return np.einsum("vab,vb->va", mixed, np.pad(rest, ((0, 0), (0, 1)), constant_values=1))
+
+
+def posed(motion: SampledMotion, row: int) -> np.ndarray:
+    """The vertices that the method itself finds."""
+    import torch
+
+    from hfb.rotations import axis_angle_to_matrix
+
+    turns = axis_angle_to_matrix(torch.from_numpy(motion.poses[row : row + 1]).unflatten(1, (24, 3))).float()
+    shaped = BODY.shape(torch.from_numpy(motion.betas).float())
+    return shaped.pose(turns, torch.from_numpy(motion.trans[row : row + 1]).float()).vertices[0].double().numpy()
+
+
+def test_without_webgl_there_is_a_skeleton_and_viewers_of_a_group_move_together() -> None:
+    motion = motion_of(BODY)
+    both = [viewer([ViewedMotion("one", motion)], BODY, label=NASTY, group="runs") for _ in range(2)]
+    with browser("--disable-3d-apis") as chromium:
+        tab = new_tab(chromium, 700)
+        errors: list[str] = []
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.set_content(page("x", *both, scripts=viewer_scripts()))
+        kinds = tab.evaluate("[...document.querySelectorAll('.viewer')].map((one) => one.dataset.drawing)")
+        assert kinds == ["skeleton", "skeleton"]
+        assert_body_moves(tab)
+        tab.locator("input.when").nth(1).fill("9")
+        assert tab.evaluate("hfb.viewers.map((one) => one.position)") == pytest.approx([9, 9])
+        before = tab.locator("canvas").nth(1).screenshot()
+        tab.locator("canvas").nth(0).scroll_into_view_if_needed()
+        box = tab.locator("canvas").nth(0).bounding_box()
+        assert box is not None
+        tab.mouse.move(box["x"] + 200, box["y"] + 100)
+        tab.mouse.down()
+        tab.mouse.move(box["x"] + 300, box["y"] + 100)
+        tab.mouse.up()
+        assert tab.locator("canvas").nth(1).screenshot() != before  # turned with the first
+        assert errors == []
+
+
+def test_controls(report: Path) -> None:
+    with browser() as chromium:
+        shown = opened(chromium, report.as_uri(), WIDTHS[1])
+        tab = shown.tab
+        canvas = tab.locator(".viewer canvas")
+
+        def after(action: Any) -> bytes:
+            action()
+            return canvas.screenshot()
+
+        seen = [
+            after(lambda: canvas.focus()),
+            after(lambda: tab.locator("select.colours").select_option("time")),
+            after(lambda: tab.locator("select.colours").select_option("sureness")),
+            after(lambda: tab.locator("input.ghosts").uncheck()),
+            after(lambda: canvas.press("ArrowRight")),
+            after(lambda: canvas.press("+")),
+            after(lambda: tab.get_by_role("button", name="above").click()),
+            after(lambda: tab.locator("select.motions").select_option("1")),
+        ]
+        assert len(set(seen)) == len(seen)
+        assert tab.locator("select.motions option").all_inner_texts() == [
+            "as fitted", "everything the other way (50 %)".replace("everything", "all"),
+            "frame 1: right arm the other way (20 %)",
+        ]  # fmt: skip
+        tab.locator("button.play").click()
+        tab.wait_for_function("hfb.viewers[0].position > 0 && hfb.viewers[0].playing")
+        at = tab.evaluate("hfb.viewers[0].position")
+        tab.wait_for_function("at => hfb.viewers[0].position !== at", arg=at)
+        tab.locator("button.play").click()
+        assert tab.evaluate("hfb.viewers[0].playing") is False
+        assert shown.errors == []
+
+
+def test_a_long_clip_stays_small() -> None:
+    motion = motion_of(BODY, frames=300)
+    assert len(motion.times_s) == 2400
+    block = viewer([ViewedMotion("clip", motion)], BODY)
+    assert len(block) < 2_000_000
+    content = json.loads(block.partition('class="scene">')[2].partition("</script>")[0])
+    assert len(content["motions"]) == 1
+
+
+def test_limbs_in_words() -> None:
+    one = np.zeros((1, 5), bool)
+    assert reversed_text(one, one) == "the result"
+    assert reversed_text(~one, one) == "all the other way"
+    arm = one.copy()
+    arm[0, 3] = True
+    assert reversed_text(arm, one) == "left arm the other way"
+    assert reversed_text(~arm, one) == "all but left arm the other way"
+    assert by_probability(weighed(motion_of(BODY))) == [0, 2, 1]
