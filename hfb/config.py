@@ -200,7 +200,8 @@ class ExportConfig(Record):
     )
     amass_rate: AmassRate = Field(120, description="poses per second in amass.npz")
     films: Annotated[tuple[Film, ...], BeforeValidator(_words)] = Field(
-        (), description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none"
+        ("slowmotion", "overlay"),
+        description="videos: slowmotion, exact (one picture per sub-frame, at its true time), overlay, or none",
     )
     report: bool = Field(True, description="report.html: the result on one page that opens anywhere")
 

@@ -17,7 +17,7 @@ import pytest
 TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
 TINY_OPTIONS = (
     "--init.method", "matte", "--fit.stages", TINY_FIT, "--fit.subframes", "2", "--fit.texture-px", "16",
-    "--export.report", "false",
+    "--export.report", "false", "--export.films", "none",
 )  # fmt: skip
 _SIDE_PX = 96
 

@@ -24,7 +24,7 @@ SMALL_OPTIONS = (
     "--init.method", "matte", "--matting.method", "known-background", "--fit.subframes", "3", "--fit.texture-px", "16",
     "--fit.stages", '[{"size_px": 32, "iterations": 3}]', "--fit.settle", "0", "--fit.weights.joints", "0",
     "--fit.matte-scales", "1", "--fit.image-scales", "1", "--video.key-every", str(FRAMES),
-    "--export.report", "false", "--video.person-windows", "1",
+    "--export.report", "false", "--export.films", "none", "--video.person-windows", "1",
     "--video.stages", '[{"size_px": 32, "iterations": 3}]', "--video.longest-fill", "1",
 )  # fmt: skip
 """One full search of a body at either end, three iterations of every window."""

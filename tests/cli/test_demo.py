@@ -10,7 +10,7 @@ from tests.orchestration import TINY_OPTIONS, mlflow_rows
 
 KEYS = [
     "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
-    "out", "strip", "mlflow_run_id", "directions", "unknown",
+    "out", "strip", "report", "mlflow_run_id", "directions", "unknown",
 ]  # fmt: skip
 
 # Python runs this at the start of every process of the command, the temporary server's included.
@@ -53,7 +53,8 @@ def test_demo_from_nothing(tmp_path: Path) -> None:
         "OUTSIDE_LOG": str(outside),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli", "demo", "--out", str(tmp_path / "out"), "--json", *TINY_OPTIONS],
+        [sys.executable, "-m", "flows.cli", "demo", "--out", str(tmp_path / "out"), "--json", *TINY_OPTIONS,
+         "--export.report", "true"],
         capture_output=True, text=True, env=environment, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -61,6 +62,7 @@ def test_demo_from_nothing(tmp_path: Path) -> None:
     assert list(answer) == KEYS
     assert all(value is not None for value in answer.values())
     assert Path(answer["strip"]).is_file()
+    assert Path(answer["report"]).is_file()
     store = home / ".local" / "share" / "hfb" / "mlflow.db"
     assert mlflow_rows(store, "select run_uuid, status from runs") == [(answer["mlflow_run_id"], "FINISHED")]
     assert not outside.exists(), outside.read_text()
