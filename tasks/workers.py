@@ -58,7 +58,7 @@ class _Pool:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                result, seconds = executor.submit(_timed, function, args, kwargs).result()
+                result, seconds = executor.submit(_timed, os.getpid(), function, args, kwargs).result()
                 with self._lock:
                     self._busy_s += seconds
                 return result
@@ -162,7 +162,11 @@ def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
 
 
-def _timed(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, float]:
+def _timed(
+    parent: int, function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> tuple[R, float]:  # fmt: skip
+    if os.getppid() != parent:  # killed, with this still waiting: nobody would hear of the result
+        os._exit(1)
     began = time.monotonic()
     return function(*args, **kwargs), time.monotonic() - began
 

@@ -51,7 +51,7 @@ def test_killed_flow_and_killed_worker(out: Path, store: Path, tmp_path: Path) -
 
     before = stamps(out, "window_*.npz")
     victim = started(out, *LONGER)
-    until(lambda: new_windows(out, before) >= 3, victim, out)
+    until(lambda: new_windows(out, before) >= 5, victim, out)
     victim.kill()
     victim.wait()
     time.sleep(2.5)  # workers of a killed parent end themselves within a second or two, and may finish what they have
@@ -66,7 +66,9 @@ def test_killed_flow_and_killed_worker(out: Path, store: Path, tmp_path: Path) -
     assert victim.returncode == 0, shown(out).read_text()
     result = json.loads(told.splitlines()[-1])
     kept = [name for name, stamp in done.items() if stamps(out, name)[name] == stamp]
-    assert len(kept) >= len(done) - 2  # what the two workers had in hand may be made again
+    # In flight are a task per thread: two in the workers' hands, two done whose record is on its way.
+    assert len(kept) >= len(done) - 4
+    assert kept
     assert result["resumed_frames"] >= len(kept)
     for name in ("motion.npz", "strip.png", "texture.png", "edges.json"):
         assert (out / name).read_bytes() == (undisturbed / name).read_bytes()
