@@ -97,7 +97,7 @@ def test_the_page_is_made_again_from_what_is_left(problem: Problem, store: Path,
     assert fetched["film"]
     assert "data:video/mp4;base64," in (tmp_path / "fetched" / "report.html").read_text()
 
-    for name in ("curves.json", "strip.png", "texture.png", "result.json"):
+    for name in ("curves.json", "strip.png", "texture.png", "result.json", "slowmotion.mp4"):
         (out / name).unlink()
     (out / "intermediate" / "page_film.mp4").unlink()
     (out / "intermediate" / "history.json").unlink()
