@@ -29,6 +29,7 @@ from hfb.shapes import Array, Float, Tensor
 
 FILM_FPS = 30
 _PANEL_HEIGHT_PX, _PANEL_WIDTH_PX = (360, 480), 636  # three panels and their margins: 1920
+_VECTOR_PX = 64
 _SHORT_S = 2.0  # a motion that takes less is shown so long at least
 _HOLD_S = 0.5
 _BODY_OPACITY = 0.75
@@ -112,7 +113,7 @@ def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
         frame = view.frame_at(time_s)
         state = "" if keys.observed[row] else ", shutter closed"
         picture = captioned(view.with_clay(frame, keys, row), f"frame {frame}, body at t = {time_s:.4f} s{state}")
-        yield _even(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1])]))
+        yield _filled_up(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1])]))
 
 
 def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
@@ -135,7 +136,7 @@ def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"
             captioned(view.reblurred(frame), "re-blurred from the motion"),
         ]
         picture = np.concatenate(cells, 1)
-        yield _even(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+        yield _filled_up(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
 
 
 def paired_pictures(
@@ -157,7 +158,7 @@ def paired_pictures(
             captioned(view.instant(keys, row), f"t = {1000 * time_s:.0f} ms{state}"),
         ]
         picture = np.concatenate(cells, 1)
-        yield _even(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+        yield _filled_up(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
 
 
 def _opened(motion: SampledMotion) -> Float[Array, "T"]:
@@ -165,11 +166,15 @@ def _opened(motion: SampledMotion) -> Float[Array, "T"]:
     return motion.times_s[np.flatnonzero(np.diff(motion.frame_index, prepend=-1))]
 
 
-def _even(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
-    """The picture with white below and right where H.264 needs an even number of pixels."""
+def _filled_up(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
+    """The picture with white below and right: an even height, as H.264 needs, and rows of whole vectors.
+
+    Where a row is none, the conversion to YUV reads what lies behind it in memory: the same pictures then gave films
+    that differed from time to time (widths of 48, 66, 208 and 224 px did, multiples of 64 did not).
+    """
     height, width = picture.shape[:2]
-    pads = ((0, height % 2), (0, width % 2), (0, 0))
-    return np.pad(picture, pads, constant_values=1.0) if height % 2 or width % 2 else picture
+    pads = ((0, height % 2), (0, -width % _VECTOR_PX), (0, 0))
+    return np.pad(picture, pads, constant_values=1.0)
 
 
 class _View:

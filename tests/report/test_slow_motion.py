@@ -32,7 +32,8 @@ def shot() -> films.Shot:
 
 def panels(picture: np.ndarray) -> list[np.ndarray]:
     """Blurred, de-blurred, re-blurred."""
-    width = picture.shape[1] // 3
+    filled = np.flatnonzero((picture[_TOP_PX : _TOP_PX + 360] < 1).any((0, 2)))[-1] + 1  # white to the right of it
+    width = (filled + _GAP_PX) // 3
     return [picture[_TOP_PX : _TOP_PX + 360, at * width : (at + 1) * width - _GAP_PX] for at in range(3)]
 
 
@@ -41,7 +42,7 @@ def test_sub_frames_come_at_their_true_times(shot: films.Shot) -> None:
     assert [time_s for time_s, _ in shown] == shot.motion.times_s.tolist()
     assert len(shown) == films.picture_count(shot.motion, "exact")
     for _, picture in shown:
-        assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+        assert picture.shape[0] % 2 == picture.shape[1] % 64 == 0
         assert picture.min() >= 0
         assert picture.max() <= 1
         seen, _, again = panels(picture)
