@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _DONE, _FAILED, _UNUSABLE, _INTERRUPTED, _NOBODY_READS = 0, 1, 2, 130, 141
 
+_told_to_end: list[int] = []  # the exit code of a signal that came
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
@@ -54,6 +56,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted; the same command goes on from here", as_json, _INTERRUPTED)
     except Exception as error:
+        if _told_to_end:  # a library that was interrupted may turn the end into a failure of its own
+            return _told_to_end[0]
         return _complain(_unexpected(error), as_json, _FAILED)
 
 
@@ -274,7 +278,8 @@ def _unexpected(error: Exception) -> str:
 
 
 def _end_orderly(signum: int, _frame: object) -> NoReturn:
-    raise SystemExit(128 + signum)
+    _told_to_end.append(128 + signum)
+    raise SystemExit(_told_to_end[0])
 
 
 if __name__ == "__main__":
