@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import logging.handlers
 import multiprocessing
+import multiprocessing.connection
 import os
 import pickle
 import signal
@@ -50,15 +51,13 @@ class _Pool:
         context = multiprocessing.get_context("spawn")
         # one per set of processes: a process that is killed while it writes leaves its queue locked
         self._records = _Records(context)
-        return ProcessPoolExecutor(
-            self.count, context, initializer=_begin, initargs=(os.getpid(), self._records.queue)
-        )  # fmt: skip
+        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._records.queue,))
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                result, seconds = executor.submit(_timed, os.getpid(), function, args, kwargs).result()
+                result, seconds = executor.submit(_timed, function, args, kwargs).result()
                 with self._lock:
                     self._busy_s += seconds
                 return result
@@ -162,28 +161,25 @@ def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
 
 
-def _timed(
-    parent: int, function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
-) -> tuple[R, float]:  # fmt: skip
-    if os.getppid() != parent:  # killed, with this still waiting: nobody would hear of the result
-        os._exit(1)
+def _timed(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, float]:
     began = time.monotonic()
     return function(*args, **kwargs), time.monotonic() - began
 
 
-def _begin(parent: int, records: Any) -> None:
+def _begin(records: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     records.cancel_join_thread()  # nobody waits for a worker's last words
     logging.captureWarnings(True)
     logging.getLogger().addHandler(logging.handlers.QueueHandler(records))
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     import torch
 
     torch.set_num_threads(1)
 
 
-def _end_with(parent: int) -> None:
-    """No orphans: a parent that was killed cannot tell its workers."""
-    while os.getppid() == parent:
-        time.sleep(1)
+def _end_with_parent() -> None:
+    """No orphans, at once: a parent that was killed cannot tell its workers, and nobody hears of what they make."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
     os._exit(1)

@@ -51,10 +51,10 @@ def test_killed_flow_and_killed_worker(out: Path, store: Path, tmp_path: Path) -
 
     before = stamps(out, "window_*.npz")
     victim = started(out, *LONGER)
-    until(lambda: new_windows(out, before) >= 5, victim, out)
+    until(lambda: new_windows(out, before) >= 3, victim, out)
     victim.kill()
     victim.wait()
-    time.sleep(2.5)  # workers of a killed parent end themselves within a second or two, and may finish what they have
+    time.sleep(0.5)  # its workers end with it
     done = {name: stamp for name, stamp in stamps(out, "window_*.npz").items() if stamp != before[name]}
     assert mlflow_rows(store, "select status from runs") == [("RUNNING",)]
     assert unfinished_flow_runs()
@@ -66,9 +66,8 @@ def test_killed_flow_and_killed_worker(out: Path, store: Path, tmp_path: Path) -
     assert victim.returncode == 0, shown(out).read_text()
     result = json.loads(told.splitlines()[-1])
     kept = [name for name, stamp in done.items() if stamps(out, name)[name] == stamp]
-    # In flight are a task per thread: two in the workers' hands, two done whose record is on its way.
-    assert len(kept) >= len(done) - 4
-    assert kept
+    # The two in the workers' hands left no file; in flight are also those whose record was still on its way.
+    assert len(kept) >= len(done) - 2
     assert result["resumed_frames"] >= len(kept)
     for name in ("motion.npz", "strip.png", "texture.png", "edges.json"):
         assert (out / name).read_bytes() == (undisturbed / name).read_bytes()
