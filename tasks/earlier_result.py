@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from hfb.config import RunConfig
+from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from tasks.handles import ClipHandle
 from tasks.inputs import Inputs
@@ -21,8 +21,11 @@ from tasks.video_inputs import VideoInputs
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from hfb.body.model import Body
     from hfb.media.footage import Footage
+    from hfb.motion.sampled import SampledMotion
     from hfb.render.camera import PinholeCamera
+    from hfb.report.slow_motion import Shot
     from hfb.shapes import Array
     from tasks.video_handles import FootageHandle
 
@@ -74,6 +77,37 @@ def pictures_of(run_words: str, inputs_folder: Path | None = None) -> Iterator[P
         )
         config = recipe_config(recipe, places, run.title)
         yield (_of_fit if recipe.command == "fit" else _of_video)(recipe, config, places, run.title, folder)
+
+
+@contextmanager
+def earlier_shot(
+    run_words: str, inputs_folder: Path | None, motion: SampledMotion, body: Body, texture: Path
+) -> Iterator[Shot]:
+    """What films of a recorded run are drawn from, for as long as they are.
+
+    Args:
+        texture: the fitted texture's picture.
+
+    Raises:
+        InputError: see `pictures_of`.
+    """
+    from hfb.media.pictures import read_picture_srgb
+    from hfb.render.rasterizer import make_rasterizer
+    from hfb.report.slow_motion import Shot
+    from tasks.scene import in_light
+
+    drawing = FitConfig()  # wherever the result was computed, this machine has the default
+    with pictures_of(run_words, inputs_folder) as seen:
+        yield Shot(
+            motion=motion,
+            body=body,
+            texture=in_light(read_picture_srgb(texture), "srgb", seen.light),
+            rasterizer=make_rasterizer("coverage", drawing.rasterizer, drawing.threads),
+            camera=seen.camera,
+            plate_linear=seen.plate_linear,
+            frame_linear=seen.frame_linear,
+            light=seen.light,
+        )
 
 
 def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, _folder: Path) -> Pictures:

@@ -15,7 +15,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_evidence import look_for_joints
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine, refine_swept, swept_overlap
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine, refine_swept
 from hfb.observation import Observation
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
@@ -181,7 +181,7 @@ def body_between(
     # Somebody who crosses their own width in a frame: laid on along the way from neighbour to neighbour.
     path = (known[after].translation - known[before].translation) / (after - before)
     moving, path = refine_swept(start, path, matte, camera, body, drawing, list(_LAY_ON), _STAY)
-    return moving if swept_overlap(moving, path, level, body, drawing) > shared + _CLEARLY_MOVING else best
+    return moving if overlap(moving, level, body, drawing, path) > shared + _CLEARLY_MOVING else best
 
 
 def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longest_fill: int) -> ClipBodies:

@@ -1,6 +1,5 @@
 """The static body that every fit starts from."""
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import torch
 
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
+from hfb.media.array_files import read_arrays
 from hfb.shapes import Float, Tensor
 
 _NUMBERS = {"pose": (24, 3), "translation": (3,), "betas": (10,)}
@@ -44,15 +44,14 @@ def load_first_body(path: Path) -> FirstBody:
         InputError: missing, damaged, or of other shapes.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            numbers = {name: file[name] for name in _NUMBERS}
-            source = str(file["source"])
+        found = read_arrays(path, (*_NUMBERS, "source"))
+        numbers, source = {name: found[name] for name in _NUMBERS}, str(found["source"])
     except FileNotFoundError:
         raise InputError(f"there is no first body at {path}") from None
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path} is not a first body of hfb ({error})") from None
     for name, shape in _NUMBERS.items():
-        if numbers[name].shape != shape or not np.isfinite(numbers[name]).all():
+        if numbers[name].shape != shape or numbers[name].dtype.kind not in "fiu" or not np.isfinite(numbers[name]).all():
             raise InputError(f"{path} is not a first body of hfb: {name} must be {shape} finite numbers")
     tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
     return FirstBody(**tensors, source=source)

@@ -78,18 +78,18 @@ def silhouette(first: FirstBody, camera: PinholeCamera, body: Body, rasterizer: 
         return rasterizer.silhouette_mean(posed.vertices, camera, body.mesh)
 
 
-def overlap(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:
-    """Soft IoU of the body's silhouette and the matte."""
-    return 1 - float(matting_loss(silhouette(first, level.camera, body, rasterizer), level.matte))
-
-
-def swept_overlap(
-    first: FirstBody, travel_m: Float[Tensor, "3"], level: Level, body: Body, rasterizer: Rasterizer
+def overlap(
+    first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer, travel_m: Float[Tensor, "3"] | None = None
 ) -> float:
-    """Soft IoU of the matte and the mean silhouette of the body carried from -travel / 2 to +travel / 2."""
+    """Soft IoU of the matte and the body's silhouette.
+
+    Args:
+        travel_m: the mean silhouette of the body carried from -travel / 2 to +travel / 2 is meant.
+    """
     with torch.no_grad():
         posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
-        seen = rasterizer.silhouette_mean(_carried(posed.vertices, travel_m), level.camera, body.mesh)
+        shown = posed.vertices if travel_m is None else _carried(posed.vertices, travel_m)
+        seen = rasterizer.silhouette_mean(shown, level.camera, body.mesh)
     return 1 - float(matting_loss(seen, level.matte))
 
 
@@ -107,10 +107,7 @@ def refine(
     Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
     of the last stage, the start included.
     """
-    for stage in stages:
-        level = matte_level(matte, camera, stage.size_px)
-        first, _ = _refine_at(first, None, level, body, rasterizer, stage, stay)
-    return first
+    return _refined(first, None, matte, camera, body, rasterizer, stages, stay)[0]
 
 
 def refine_swept(
@@ -128,11 +125,24 @@ def refine_swept(
     Args:
         travel_m: the path to start from, from its first to its last instant in camera coordinates.
     """
+    first, moved = _refined(first, travel_m, matte, camera, body, rasterizer, stages, stay)
+    assert moved is not None
+    return first, moved
+
+
+def _refined(
+    first: FirstBody,
+    travel_m: Float[Tensor, "3"] | None,
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stages: Sequence[Stage],
+    stay: Stay,
+) -> tuple[FirstBody, Float[Tensor, "3"] | None]:
     for stage in stages:
         level = matte_level(matte, camera, stage.size_px)
-        first, moved = _refine_at(first, travel_m, level, body, rasterizer, stage, stay)
-        assert moved is not None
-        travel_m = moved
+        first, travel_m = _refine_at(first, travel_m, level, body, rasterizer, stage, stay)
     return first, travel_m
 
 

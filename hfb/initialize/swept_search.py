@@ -12,7 +12,7 @@ import numpy as np
 from hfb.body.model import Body
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.matte_search import Moments, Templates, bank_templates, body_from_template, differ
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, refine_swept, swept_overlap
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
 from hfb.shapes import Array, Float, Tensor
@@ -58,7 +58,7 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
         travel = first.translation.new_tensor([path_m, 0, 0] if start.axis == 0 else [0, path_m, 0])
         first, travel = refine_swept(first, travel, *scene, [_ROUGH], _STAY)
         facing = float(templates.facing[start.index])
-        value = swept_overlap(first, travel, level, body, rasterizer) - _BACK_COST * (1 - facing) / 2
+        value = overlap(first, level, body, rasterizer, travel) - _BACK_COST * (1 - facing) / 2
         found.append((value, first, travel))
     _, first, travel = max(found, key=lambda one: one[0])
     return refined_swept(SweptBody(first, travel, 0.0), *scene, _STAY)
@@ -80,7 +80,7 @@ def refined_swept(
     """Laid onto the matte once more, at a finer size, with the shape."""
     first, travel = refine_swept(swept.first, swept.travel_m, matte, camera, body, rasterizer, [_FINE], stay)
     level = matte_level(matte, camera, _FINE.size_px)
-    return SweptBody(first, travel, swept_overlap(first, travel, level, body, rasterizer))
+    return SweptBody(first, travel, overlap(first, level, body, rasterizer, travel))
 
 
 def _spreads(matte: Float[Array, "H W"]) -> tuple[float, float, float, float]:

@@ -1,13 +1,13 @@
 """Boxes of people out of other systems' files, row by row."""
 
 import csv
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.array_files import read_arrays
 from hfb.shapes import Array, Float
 
 _COLUMNS = {
@@ -39,16 +39,16 @@ def read_rows(path: Path) -> list[TrackRow]:
         return _rows_of_npz(path) if path.suffix.lower() == ".npz" else _rows_of_csv(path)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check person.track.") from None
-    except (OSError, ValueError, KeyError, IndexError, EOFError, csv.Error, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, IndexError, OverflowError, csv.Error) as error:
         raise InputError(
             f"{path}: is no file of tracks ({error}); give columns frame, id, left, top, width, height."
         ) from None
 
 
 def _rows_of_npz(path: Path) -> list[TrackRow]:
-    """Members ``frame`` (N), ``id`` (N) and ``box`` (N, 4). Raises what numpy raises, and ValueError or KeyError."""
-    with np.load(path, allow_pickle=False) as file:
-        numbers, names, boxes = file["frame"], file["id"], np.asarray(file["box"], np.float64)
+    """Members ``frame`` (N), ``id`` (N) and ``box`` (N, 4). Raises OSError, ValueError or KeyError."""
+    found = read_arrays(path, ("frame", "id", "box"), _BYTE_LIMIT)
+    numbers, names, boxes = found["frame"], found["id"], np.asarray(found["box"], np.float64)
     if numbers.ndim != 1 or names.shape != numbers.shape or boxes.shape != (len(numbers), 4):
         raise ValueError("frame, id and box differ in number")
     return [(int(frame), str(name), box) for frame, name, box in zip(numbers, names, boxes, strict=True)]

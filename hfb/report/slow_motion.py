@@ -29,7 +29,6 @@ from hfb.shapes import Array, Float, Tensor
 
 FILM_FPS = 30
 _PANEL_HEIGHT_PX, _PANEL_WIDTH_PX = (360, 480), 636  # three panels and their margins: 1920
-_VECTOR_PX = 64
 _SHORT_S = 2.0  # a motion that takes less is shown so long at least
 _HOLD_S = 0.5
 _BODY_OPACITY = 0.75
@@ -111,9 +110,8 @@ def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
     keys = keys_at(motion, instants)
     for row, time_s in enumerate(instants.tolist()):
         frame = view.frame_at(time_s)
-        state = "" if keys.observed[row] else ", shutter closed"
-        picture = captioned(view.with_clay(frame, keys, row), f"frame {frame}, body at t = {time_s:.4f} s{state}")
-        yield _filled_up(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1])]))
+        caption = f"frame {frame}, body at t = {time_s:.4f} s{_closed(keys, row)}"
+        yield _over_time_line(motion, [captioned(view.with_clay(frame, keys, row), caption)], time_s)
 
 
 def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
@@ -129,14 +127,12 @@ def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"
     view, slow = _View(shot), film_slow_factor(shot.motion)
     for row, time_s in enumerate(keys.times_s.tolist()):
         frame = view.frame_at(time_s)
-        state = "" if keys.observed[row] else ", shutter closed"
         cells = [
             captioned(view.seen(frame), f"frame {frame}, blurred"),
-            captioned(view.instant(keys, row), f"de-blurred, t = {time_s:.4f} s{state}"),
+            captioned(view.instant(keys, row), f"de-blurred, t = {time_s:.4f} s{_closed(keys, row)}"),
             captioned(view.reblurred(frame), "re-blurred from the motion"),
         ]
-        picture = np.concatenate(cells, 1)
-        yield _filled_up(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+        yield _over_time_line(shot.motion, cells, time_s, slow)
 
 
 def paired_pictures(
@@ -152,13 +148,23 @@ def paired_pictures(
     view = _View(shot, (panel_px[0], panel_px[0]), panel_px[1])
     for row, time_s in enumerate(keys.times_s.tolist()):
         frame = view.frame_at(time_s)
-        state = "" if keys.observed[row] else ", shutter closed"
         cells = [
             captioned(view.seen(frame), f"frame {frame}, blurred"),
-            captioned(view.instant(keys, row), f"t = {1000 * time_s:.0f} ms{state}"),
+            captioned(view.instant(keys, row), f"t = {1000 * time_s:.0f} ms{_closed(keys, row)}"),
         ]
-        picture = np.concatenate(cells, 1)
-        yield _filled_up(np.concatenate([picture, draw_time_line(shot.motion, time_s, picture.shape[1], slow)]))
+        yield _over_time_line(shot.motion, cells, time_s, slow)
+
+
+def _closed(keys: MotionKeys, row: int) -> str:
+    return "" if keys.observed[row] else ", shutter closed"
+
+
+def _over_time_line(
+    motion: SampledMotion, cells: list[Float[Array, "Y x 3"]], time_s: float, slow: float | None = None
+) -> Float[Array, "Y2 X2 3"]:
+    """Panels beside each other over the time line."""
+    picture = np.concatenate(cells, 1)
+    return _filled_up(np.concatenate([picture, draw_time_line(motion, time_s, picture.shape[1], slow)]))
 
 
 def _opened(motion: SampledMotion) -> Float[Array, "T"]:
@@ -167,13 +173,8 @@ def _opened(motion: SampledMotion) -> Float[Array, "T"]:
 
 
 def _filled_up(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
-    """The picture with white below and right: an even height, as H.264 needs, and rows of whole vectors.
-
-    Where a row is none, the conversion to YUV reads what lies behind it in memory: the same pictures then gave films
-    that differed from time to time (widths of 48, 66, 208 and 224 px did, multiples of 64 did not).
-    """
-    height, width = picture.shape[:2]
-    pads = ((0, height % 2), (0, -width % _VECTOR_PX), (0, 0))
+    """The picture with white below and right where a side is odd: H.264 needs even ones."""
+    pads = (*((0, side % 2) for side in picture.shape[:2]), (0, 0))
     return np.pad(picture, pads, constant_values=1.0)
 
 

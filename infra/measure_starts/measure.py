@@ -22,7 +22,7 @@ from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import Initializer, make_initializer
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, refine_swept, silhouette, swept_overlap
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept, silhouette
 from hfb.matting.matting import Matting, make_matting, shrink
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
@@ -86,7 +86,7 @@ def swept(first: FirstBody, matte: np.ndarray, camera: PinholeCamera, body: Body
     for across in (0.1, 0.6):
         start = first.translation.new_tensor([across, 0.0, 0.0])
         moved, path = refine_swept(first, start, matte, camera, body, rasterizer, [stage], stay)
-        values.append(swept_overlap(moved, path, level, body, rasterizer))
+        values.append(overlap(moved, level, body, rasterizer, path))
     return max(values)
 
 

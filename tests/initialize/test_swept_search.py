@@ -10,7 +10,7 @@ from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import make_initializer
 from hfb.initialize.matte_search import search_by_matte
 from hfb.initialize.pose_bank import bank_rotations
-from hfb.initialize.silhouette_fit import matte_level, overlap, silhouette, swept_overlap
+from hfb.initialize.silhouette_fit import matte_level, overlap, silhouette
 from hfb.initialize.swept_search import search_swept
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
@@ -69,6 +69,6 @@ def test_between_neighbours_the_way_is_known() -> None:
     level = matte_level(matte, CAMERA, 64)
     assert overlap(truth, level, BODY, RASTERIZER) < 0.5
     # Five instants are lumpier than seventeen: the truth's own smear sets the scale.
-    reached, truths = (swept_overlap(one, path, level, BODY, RASTERIZER) for one in (found, truth))
+    reached, truths = (overlap(one, level, BODY, RASTERIZER, path) for one in (found, truth))
     assert reached > 0.85 * truths
     assert float((found.translation - truth.translation).norm()) < 0.25

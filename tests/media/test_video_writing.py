@@ -1,5 +1,8 @@
 """Videos that are written: whole or not at all, at the times and in the colours that were given."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import av
@@ -50,6 +53,25 @@ def test_constant_rate_and_the_same_bytes(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown, np.arange(7) / 30, atol=1e-4)
     assert pictures[-1].min() > 250
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+
+
+FILM = """
+import sys
+from pathlib import Path
+import numpy as np
+from hfb.media.video_writing import VideoWriter
+with VideoWriter(Path(sys.argv[1]), 30) as writer:
+    for picture in np.random.default_rng(0).random((6, 128, 178, 3)).astype(np.float32):
+        writer.write(picture)
+"""
+
+
+def test_bytes_do_not_depend_on_what_lay_in_memory(tmp_path: Path) -> None:
+    for level in ("1", "255"):  # glibc fills memory with it before it hands it out
+        filled = {"MALLOC_PERTURB_": level, "MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TOP_PAD_": str(1 << 26)}
+        words = [sys.executable, "-c", FILM, str(tmp_path / f"{level}.mp4")]
+        subprocess.run(words, check=True, env={**os.environ, **filled})
+    assert (tmp_path / "1.mp4").read_bytes() == (tmp_path / "255.mp4").read_bytes()
 
 
 def test_nothing_is_left_of_a_video_that_was_not_finished(tmp_path: Path) -> None:

@@ -1,10 +1,8 @@
 """What another system left in a file, whatever container it is in: told by content, and no code of it is ever run."""
 
 import bz2
-import io
 import json
 import lzma
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +15,13 @@ from hfb.body.pickles import load_pickle
 from hfb.body.placeholders import JoblibArray, NumpyArray, NumpyScalar
 from hfb.body.torch_files import load_torch, looks_like_torch
 from hfb.errors import InputError
-from hfb.shapes import Array, Float, Shaped
+from hfb.media.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
+from hfb.shapes import Array, Float
 
-_MAX_BYTES = 1 << 30
+_MAX_BYTES = 768 << 20
+_MAX_JSON_BYTES = 32 << 20  # Python takes twenty times as much for nested lists
 _MAX_NUMBERS = 1 << 26  # of one array that is really read: half a GiB as float64
+_MAX_ENTRIES, _MAX_DEPTH = 1 << 22, 8  # of lists that stand for an array
 _NPY, _GZIP, _BZ2, _XZ = b"\x93NUMPY", b"\x1f\x8b", b"BZh", b"\xfd7zXZ"
 _ZLIB = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
 _WHAT = "give a result file of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS or of hfb"
@@ -38,7 +39,7 @@ def read_contents(path: Path) -> Any:
             raise InputError(f"{path} is a folder; {_WHAT}")
         if path.stat().st_size > _MAX_BYTES:
             raise InputError(
-                f"{path} has {path.stat().st_size / 1e9:.1f} GB: save it without its vertices, below 1 GiB"
+                f"{path} has {path.stat().st_size / 1e9:.1f} GB: save it without its vertices, below 0.8 GB"
             )
         data = path.read_bytes()
     except OSError as error:
@@ -58,7 +59,7 @@ def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
     Raises:
         InputError: no numbers, another shape, or not finite; the text continues "FILE cannot be used: ".
     """
-    array = np.asarray(_gathered(value))
+    array = np.asarray(_gathered(value, [_MAX_ENTRIES]))
     if array.size > _MAX_NUMBERS:
         raise InputError(f"it holds an array of {array.size} numbers where a few were expected")
     if array.dtype.kind not in "fiub":
@@ -78,11 +79,19 @@ def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
     return result
 
 
-def _gathered(value: Any) -> Any:
-    """An array, or lists of them: JSON has nothing else."""
+def _gathered(value: Any, room: list[int], depth: int = 0) -> Any:
+    """An array, or lists of them: JSON has nothing else.
+
+    Args:
+        room: how many more entries are looked at. In a pickle a list may hold itself, or the same one ten times, and
+            that one another ten times: a few hundred bytes are endless.
+    """
     if not isinstance(value, list | tuple):
         return to_array(value)
-    parts = [_gathered(one) if isinstance(one, list | tuple) else to_array(one) for one in value]
+    room[0] -= len(value)
+    if room[0] < 0 or depth > _MAX_DEPTH:
+        raise InputError("it holds lists within lists without end where numbers should be")
+    parts = [_gathered(one, room, depth + 1) if isinstance(one, list | tuple) else to_array(one) for one in value]
     if len({np.shape(part) for part in parts}) > 1:
         raise InputError("it holds lists of different lengths where numbers should be")
     return np.asarray(parts)
@@ -160,15 +169,17 @@ def _loaded_inside(data: bytes) -> Any:
 
 def _inflated(data: bytes, decompress: Callable[..., bytes]) -> bytes:
     try:
-        unpacked = decompress(data, _MAX_BYTES + 1)
+        unpacked = decompress(data, UNPACKED_LIMIT + 1)
     except (zlib.error, OSError, lzma.LZMAError, EOFError, ValueError) as error:
         raise InputError("it is damaged: it cannot be unpacked") from error
-    if len(unpacked) > _MAX_BYTES:
-        raise InputError("unpacked it would be larger than 1 GiB")
+    if len(unpacked) > UNPACKED_LIMIT:
+        raise InputError(f"unpacked it would be larger than {UNPACKED_LIMIT >> 20} MB")
     return unpacked
 
 
 def _json(data: bytes) -> Any:
+    if len(data) > _MAX_JSON_BYTES:
+        raise InputError(f"it is JSON of more than {_MAX_JSON_BYTES >> 20} MB: save it as .npz")
     try:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -177,39 +188,32 @@ def _json(data: bytes) -> Any:
 
 def _zipped(data: bytes) -> Any:
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            members = {info.filename: info for info in archive.infolist()}
-            if any(name.endswith("data.pkl") for name in members):
-                return load_torch(data)
-            if sum(info.file_size for info in members.values()) > _MAX_BYTES:
-                raise InputError("unpacked it would be larger than 1 GiB")
-            arrays = {}
-            for name, info in members.items():
-                with archive.open(info) as member:
-                    arrays[name.removesuffix(".npy")] = _npy(member.read(info.file_size))
-            return arrays
+        if any(name.endswith("data.pkl") for name in names_in(data)):
+            return load_torch(data)
+        arrays = read_arrays(data, objects=_objects)
     except InputError:
         raise
-    except Exception as error:  # a broken archive makes zipfile raise nearly anything
-        raise InputError(f"it is not a readable archive ({type(error).__name__})") from error
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    return {name: _texts_as_list(array) for name, array in arrays.items()}
 
 
 def _npy(data: bytes) -> Any:
     """An array of numbers or texts; what an array of objects holds, where it is a single one."""
-    stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read_header(stream)
-    except (ValueError, EOFError) as error:
-        raise InputError("it is not a readable array of numpy") from error
-    rest = memoryview(data)[stream.tell() :]
-    if dtype.hasobject:
-        return _single(load_pickle(bytes(rest)))
-    if dtype.kind not in "fiubUS" or len(rest) != int(np.prod(shape, dtype=np.float64)) * dtype.itemsize:
-        raise InputError("it holds an array whose bytes do not fit its shape")
-    array: Shaped[Array, ...] = np.frombuffer(rest, dtype).reshape(shape, order="F" if fortran else "C")
-    return array.tolist() if dtype.kind in "US" else array.astype(dtype.newbyteorder("="))
+        return _texts_as_list(parse_array(data, _objects))
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def _objects(pickled: bytes) -> Any:
+    return _single(load_pickle(pickled))
+
+
+def _texts_as_list(array: Any) -> Any:
+    return array.tolist() if isinstance(array, np.ndarray) and array.dtype.kind in "US" else array
 
 
 def _single(value: Any) -> Any:
