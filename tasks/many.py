@@ -15,7 +15,7 @@ from prefect.states import State
 from tasks import progress
 from tasks.handles import StaleFile
 from tasks.task import Step, verify
-from tasks.workers import stop_computing, worker_count
+from tasks.workers import shared_out, stop_computing, worker_count
 
 _log = logging.getLogger(__name__)
 R = TypeVar("R")
@@ -57,7 +57,7 @@ def run_all(
     outcomes: list[Outcome[R]] = []
     waiting: deque[tuple[tuple[Any, ...], PrefectFuture[R]]] = deque()
     remaining = iter(calls)
-    with progress.step(label) as shown:
+    with progress.step(label) as shown, shared_out():
         began, reused = time.monotonic(), 0
         progress.advance(0, len(calls))
         most = max(_IN_FLIGHT, 2 * worker_count())

@@ -43,7 +43,7 @@ class _Pool:
         self.count = count
         self._lock = threading.Lock()
         self._closed = False
-        self._began, self._busy_s = time.monotonic(), 0.0
+        self.busy_s, self.shared_s, self.shared_busy_s = 0.0, 0.0, 0.0
         self._executor = self._started()
 
     def _started(self) -> ProcessPoolExecutor:
@@ -59,7 +59,7 @@ class _Pool:
             try:
                 result, seconds = executor.submit(_timed, function, args, kwargs).result()
                 with self._lock:
-                    self._busy_s += seconds
+                    self.busy_s += seconds
                 return result
             except BrokenProcessPool:
                 self._replace(executor)
@@ -68,9 +68,6 @@ class _Pool:
                     raise
                 raise Stopped from None
         raise WorkerLost(f"a worker process died {_ATTEMPTS} times over this; was there enough memory?")
-
-    def busy_share(self) -> float:
-        return self._busy_s / (self.count * (time.monotonic() - self._began))
 
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
@@ -141,9 +138,29 @@ def worker_count() -> int:
     return _pool.count if _pool else 1
 
 
+@contextmanager
+def shared_out() -> Iterator[None]:
+    """What is computed inside is one step over many inputs, meant to keep every worker busy."""
+    pool = _pool
+    if pool is None:
+        yield
+        return
+    began, busy_s = time.monotonic(), pool.busy_s
+    try:
+        yield
+    finally:
+        pool.shared_s += time.monotonic() - began
+        pool.shared_busy_s += pool.busy_s - busy_s
+
+
 def busy_share() -> float | None:
-    """The share of the workers' time in which they computed, since they were started; None without workers."""
-    return round(_pool.busy_share(), 4) if _pool else None
+    """The share of the workers' time in which they computed, of steps over many inputs; None where there was none.
+
+    What is missing of 1 is the cost of orchestration, and the wait for the last of each step.
+    """
+    if _pool is None or not _pool.shared_s:
+        return None
+    return round(_pool.shared_busy_s / (_pool.count * _pool.shared_s), 4)
 
 
 def stop_computing() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tasks.workers import Stopped, WorkerLost, busy_share, compute, stop_computing, workers
+from tasks.workers import Stopped, WorkerLost, busy_share, compute, shared_out, stop_computing, workers
 
 
 def process_id(_: int) -> int:
@@ -57,9 +57,13 @@ def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
     assert busy_share() is None
     with workers(1, apart=True):
         assert compute(process_id, 0) != os.getpid()
+        assert busy_share() is None
+        with shared_out():
+            compute(nap, 0.2)
+            time.sleep(0.2)
         share = busy_share()
         assert share is not None
-        assert 0 < share < 1
+        assert 0.2 < share < 0.55
 
 
 def nap(seconds: float) -> None:
