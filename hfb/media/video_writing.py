@@ -2,6 +2,7 @@
 
 import os
 import secrets
+from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -9,7 +10,7 @@ from types import TracebackType
 import av
 import numpy as np
 
-from hfb.shapes import Array, Float
+from hfb.shapes import Array, Float, Shaped
 
 _QUALITY = {"crf": "12"}  # constant rate factor: visually the same, some 1 bit per pixel
 _TO_LOOK_AT = {"crf": "17", "preset": "veryfast"}
@@ -22,7 +23,7 @@ class VideoWriter:
     """Takes sRGB pictures of one size, one after another; the file appears when the `with` block ends well.
 
     The file says how its colours are meant (players guess differently where it does not), and its index comes first, so
-    that a browser shows it while it loads.
+    that a browser shows it while it loads. A picture is encoded while the next one is drawn.
     """
 
     def __init__(
@@ -41,6 +42,8 @@ class VideoWriter:
         self._temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.part{path.suffix}")
         self._container: av.container.OutputContainer | None = None
         self._stream: av.VideoStream | None = None
+        self._encoder = ThreadPoolExecutor(1, "hfb-video")
+        self._encoded: Future[None] | None = None
 
     def __enter__(self) -> "VideoWriter":
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -55,11 +58,18 @@ class VideoWriter:
         Args:
             time_s: when it is shown, to a microsecond, later than the one before; where the video has no rate.
         """
-        assert self._container is not None
         assert (time_s is None) == (self._fps is not None), "a picture has a time where the video has no rate"
         levels = np.round(np.clip(picture_srgb, 0, 1) * 255).astype(np.uint8)
+        self._wait()
+        self._encoded = self._encoder.submit(self._encode, levels, time_s)
+
+    def _wait(self) -> None:
+        if self._encoded is not None:
+            self._encoded.result()
+
+    def _encode(self, levels: Shaped[Array, "H W 3"], time_s: float | None) -> None:
+        assert self._container is not None
         stream = self._stream = self._stream or self._begin(*levels.shape[:2])
-        assert self._stream is not None
         rgb = av.VideoFrame.from_ndarray(np.ascontiguousarray(levels), format="rgb24")
         frame = rgb.reformat(format="yuv420p", dst_colorspace="ITU709", src_color_range="JPEG", dst_color_range="MPEG")
         if time_s is not None:
@@ -85,10 +95,13 @@ class VideoWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         assert self._container is not None
+        self._encoder.shutdown(wait=True)
         try:
-            if kind is None and self._stream is not None:
-                self._container.mux(self._stream.encode())
-            self._container.close()
+            with self._container as container:
+                if kind is None:
+                    self._wait()
+                    if self._stream is not None:
+                        container.mux(self._stream.encode())
             if kind is None:
                 self._temporary.replace(self._path)
         finally:
