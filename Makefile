@@ -1,6 +1,6 @@
-# One vocabulary for people, hooks and CI.  make demo | test | check | bench | setup
+# One vocabulary for people, hooks and CI.  make demo | test | check | bench | setup | up | down
 .DEFAULT_GOAL := help
-.PHONY: help setup demo check test bench clean
+.PHONY: help setup demo check test bench up down audit sbom clean
 MAKEFLAGS += --no-print-directory
 
 BIN := .venv/bin
@@ -16,6 +16,10 @@ help:
 	@echo "make test    the tests"
 	@echo "make check   formatting, lint, types and import contracts"
 	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
+	@echo "make up      Prefect, MLflow and a worker for a team, with a login; needs Docker (infra/compose/README.md)"
+	@echo "make down    end them; what they hold stays"
+	@echo "make audit   known holes of the pinned packages; asks the package index"
+	@echo "make sbom    sbom.json: what is installed (CycloneDX)"
 	@echo "make setup   install everything into .venv (the others do it when needed)"
 
 setup: .venv/dev.stamp
@@ -35,6 +39,36 @@ test: .venv/dev.stamp
 bench: .venv/dev.stamp
 	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable
 
+# Of a team: HFB_HOST=name of this machine, HFB_DATA=folder with clips, GPU=1, HA=1.  Whoever runs it owns the files.
+HFB_HOST ?= localhost
+export HFB_HOST
+export HFB_STATE ?= $(CURDIR)/runs/team
+export HFB_DATA ?= $(CURDIR)/runs/team/data
+export HFB_BIND ?= $(if $(filter localhost,$(HFB_HOST)),127.0.0.1,0.0.0.0)
+export HFB_UID ?= $(or $(filter-out 0,$(shell id -u)),1000)
+export HFB_GID ?= $(or $(filter-out 0,$(shell id -g)),1000)
+COMPOSE = docker compose --file infra/compose/compose.yaml $(if $(filter-out 0,$(HA)),--file infra/compose/compose.ha.yaml) \
+	$(if $(filter-out 0,$(GPU)),--profile gpu)
+
+up:
+	@infra/compose/prepare.sh "$(HFB_STATE)" "$(HFB_HOST)" "$(HFB_DATA)"
+	@$(COMPOSE) up --build --detach
+	@echo "Prefect  https://$(HFB_HOST):4200   login: $(HFB_STATE)/secrets/prefect_auth"
+	@echo "MLflow   https://$(HFB_HOST):5000   login: admin, $(HFB_STATE)/secrets/mlflow_admin"
+	@echo "clips    $(HFB_DATA)/clips"
+
+down:
+	@$(COMPOSE) --profile gpu down
+
+# A package that the index tells nothing about is no pass: without the network this fails and says so.
+audit: .venv/audit.stamp
+	@.venv/audit/bin/pip-audit --strict --requirement constraints.txt --no-deps --disable-pip --progress-spinner off \
+		|| { echo "make audit: a hole, or a package that could not be looked up (no network?); see above"; exit 1; }
+
+sbom: .venv/run.stamp .venv/audit.stamp
+	@.venv/audit/bin/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --of JSON -o sbom.json $(BIN)/python
+	@echo "sbom.json"
+
 clean:
 	rm -rf .venv build *.egg-info
 
@@ -50,4 +84,10 @@ clean:
 .venv/dev.stamp: .venv/run.stamp
 	@echo "installing the tools for development"
 	@$(PIP) install --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+.venv/audit.stamp: .venv/run.stamp infra/audit/requirements.txt
+	@echo "installing the tools of audits"
+	@$(PYTHON) -m venv .venv/audit
+	@.venv/audit/bin/python -m pip --disable-pip-version-check --quiet install --no-deps --requirement infra/audit/requirements.txt
 	@touch $@

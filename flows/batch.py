@@ -16,7 +16,7 @@ from flows.people import run_clip
 from flows.reaper import end_abandoned_flow_runs, mark_owner
 from flows.workplace import workplace
 from hfb.config import RunConfig
-from hfb.errors import Busy, InputError, Unavailable
+from hfb.errors import Busy, InputError, ServerLost, Unavailable
 from hfb.export.names import REPORT
 from hfb.media.atomic import write_bytes_atomic
 from hfb.toml_file import read_toml, to_record
@@ -24,6 +24,7 @@ from tasks import progress, tracking
 from tasks.batch_ledger import Entry, Ledger, stamp_of
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
+from tasks.engine import Engine, engine_of
 from tasks.video_inputs import take_video_inputs
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
@@ -37,11 +38,12 @@ def batch(
     folder: Path | str,
     out: Path | str,
     config: dict[str, Any] | str | None = None,
-    workers: int = 1,
+    workers: int | str = 1,
     attempts: int = 3,
     wait_s: float = 60.0,
     watch_s: float | None = None,
     again: bool = False,
+    store: str | None = None,
 ) -> dict[str, Any]:
     """Every clip of a folder through `flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
 
@@ -50,12 +52,14 @@ def batch(
         attempts: failures after which a clip is set aside; wait_s: before the second attempt, doubled for each further.
         watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
         again: take clips that were set aside once more.
+        workers, store: see `tasks.engine.engine_of`.
 
     Returns:
         clips, done, set_aside, waiting (numbers), ``out`` and ``page``.
 
     Raises:
         InputError: the folder cannot be read or ``out`` not be written, or another process works on it.
+        ServerLost: Prefect's server went away; what is finished is kept.
     """
     folder, out = Path(folder), Path(out)
     content = read_toml(Path(config)) if isinstance(config, str) else config or {}
@@ -64,7 +68,7 @@ def batch(
         tracking.open_store()
         end_abandoned_flow_runs()
     with shown_somewhere(), workplace(out):
-        round_ = _Rounds(folder, out, options, workers, attempts, wait_s)
+        round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s)
         if again:
             round_.ledger.again()
         while True:
@@ -80,12 +84,13 @@ class _Rounds:
     """A folder, looked through again and again."""
 
     def __init__(
-        self, folder: Path, out: Path, config: RunConfig, workers: int, attempts: int, wait_s: float
+        self, folder: Path, out: Path, config: RunConfig, engine: Engine, attempts: int, wait_s: float
     ) -> None:  # fmt: skip
         self._folder, self._out, self._config = folder, out, config
-        self._workers, self._attempts, self._wait_s = workers, attempts, wait_s
+        self._engine, self._attempts, self._wait_s = engine, attempts, wait_s
         self._options = config.model_dump(mode="json")
         self.ledger = Ledger(out / _LOG)
+        self._seen: dict[str, float] = {}  # stamp of a clip -> when it was first seen, on a clock that does not jump
 
     def once(self) -> float | None:
         """Work on every clip whose time has come; the seconds until the next one's, None where nothing waits."""
@@ -93,37 +98,66 @@ class _Rounds:
         for place in find_clips(self._folder, self._out):
             stamp, written = stamp_of(place.files, self._options)
             entry = self.ledger.entry(place.name, stamp)
-            now = time.time()
-            ready = max(entry.due if entry else 0.0, written + _STILL_S)
             if entry is not None and entry.status != "failed":
                 continue
-            if ready <= now:
+            wait_s = self._wait(stamp, entry, written)
+            if wait_s <= 0:
                 entry = self._work(place, stamp)
-                if entry is None or entry.status != "failed":
+                replaced = stamp_of(place.files, self._options)[0] != stamp
+                if not replaced and (entry is None or entry.status != "failed"):
                     continue
-                ready = entry.due
-            due.append(ready)
+                wait_s = self._pause(entry) if entry is not None and not replaced else _STILL_S
+            due.append(time.monotonic() + wait_s)
         self._write_page()
-        return max(0.2, min(due) - time.time()) if due else None
+        return max(0.2, min(due) - time.monotonic()) if due else None
+
+    def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
+        """Seconds until a clip's time has come.
+
+        Clocks jump, and files bring the times of other machines' clocks: a time that lies further ahead than it can
+        is not believed.
+        """
+        now = time.time()
+        still_s, again_s = written + _STILL_S - now, entry.due - now if entry else 0.0
+        if still_s > _STILL_S:  # written to in the future: how long it has been lying there is counted here
+            still_s = self._seen.setdefault(stamp, time.monotonic()) + _STILL_S - time.monotonic()
+        if entry is not None and again_s > self._pause(entry):
+            again_s = 0.0
+        return max(still_s, again_s)
+
+    def _pause(self, entry: Entry) -> float:
+        """Seconds between a failure and the next attempt."""
+        return self._wait_s * 2 ** (entry.attempts - 1)
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
         """One clip; None where it is done."""
         progress.say(f"hfb: {place.name}")
         hopeless = False
         try:
+            place.check()
             inputs = take_video_inputs(place.source, self._config, clip=place.clip)
-            result = run_clip(inputs, self._out / place.name, self._config, self._workers)
+            result = run_clip(inputs, self._out / place.name, self._config, self._engine)
+        except ServerLost:  # no clip's fault, and nothing can be reported any more: the next look goes on
+            raise
         except (Busy, Unavailable) as error:
-            reason = str(error)
+            reason, kind = str(error), type(error).__name__
         except InputError as error:
-            reason, hopeless = str(error), True  # only another file can mend it, and then it is a new clip
+            reason, kind, hopeless = (
+                str(error),
+                "InputError",
+                True,
+            )  # only another file can mend it, and then it is a new clip
         except Exception as error:
             _log.exception("%s", place.name)
-            reason = f"unexpected {type(error).__name__}: {error}"
+            kind = type(error).__name__
+            reason = f"unexpected {kind}: {error}"
         else:
-            self.ledger.finished(place.name, stamp, result.get("mlflow_link"))
-            self._write_page()
-            return None
+            if not _unrecorded(result):
+                self.ledger.finished(place.name, stamp, result.get("mlflow_link"))
+                self._write_page()
+                return None
+            reason, kind = "it is finished, but MLflow did not take its record: that is tried again", "StoreLost"
+        progress.fail(kind)
         entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
         progress.say(f"hfb: {place.name}: {entry.status}: {reason}")
         _log.info("%s: %s: %s", place.name, entry.status, reason)
@@ -170,6 +204,12 @@ class _Rounds:
         """A result's page, from the folder of the summary."""
         whole, here = folder.resolve() / REPORT, self._out.resolve()
         return whole.relative_to(here) if whole.is_file() and whole.is_relative_to(here) else None
+
+
+def _unrecorded(result: dict[str, Any]) -> bool:
+    """Whether the tracking store was away when a finished clip, or somebody in it, was to be recorded."""
+    parts = [one for one in result["people"] if not one["error"]] if result.get("people") else [result]
+    return any(one.get("mlflow_run_id") is None for one in parts)
 
 
 def _strip_in(folder: Path) -> Path | None:

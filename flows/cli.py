@@ -23,6 +23,7 @@ from flows.options import add_config_flags, run_config
 from flows.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
 from hfb.errors import InputError, ServerLost, Unavailable
+from tasks.secrets import without_secrets
 
 if TYPE_CHECKING:
     from hfb.evaluate.experiments import Experiment
@@ -262,6 +263,7 @@ def _train_prior(given: argparse.Namespace) -> None:
 
 
 def _complain(message: str, as_json: bool, code: int) -> int:
+    message = without_secrets(" ".join(message.splitlines()))  # one line, whatever a file is called
     print(f"hfb: {message}", file=sys.stderr)
     if as_json:
         print(json.dumps({"error": message}))

@@ -11,6 +11,7 @@ from typing import Any
 from flows.judging import cores, positive
 from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
+from tasks.engine import engine_of
 
 VIDEO_KEYS = (
     "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
@@ -50,21 +51,28 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--window", metavar="K", dest="config:video.window", default=argparse.SUPPRESS, help="as --video.window")
     add("--average", metavar="K", dest="config:video.average", default=argparse.SUPPRESS, help="as --video.average")
-    add("--workers", type=positive, default=cores(), metavar="N", help="processes; changes no digit [all cores]")
+    add(
+        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
+    )  # fmt: skip
+    add(
+        "--store", metavar="URL",
+        help="with a cluster whose workers do not see this machine's files: where they are shared, s3://bucket/prefix",
+    )  # fmt: skip
 
 
 def video(given: argparse.Namespace) -> None:
     """`hfb video`."""
     from tasks.video_inputs import take_video_inputs
 
-    config = run_config(given)
+    config, engine = run_config(given), engine_of(given.workers, given.store)
     out = given.out or Path("runs") / given.source.resolve().stem
     inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone)
 
     def load() -> Chain:
         from flows.people import run_clip
 
-        return when_ready(lambda: run_clip(inputs, out, config, given.workers))
+        return when_ready(lambda: run_clip(inputs, out, config, engine))
 
     result = through_prefect(given, out, load)
     result["total_seconds"] = round(time.perf_counter() - given.began, 3)
@@ -77,15 +85,22 @@ def batch(given: argparse.Namespace) -> None:
     from tasks.clip_places import find_clips
 
     config = run_config(given)
+    engine_of(given.workers, given.store)  # what is wrong with it is said at once
     out = given.out or Path("runs") / given.folder.resolve().name
     find_clips(given.folder, out)  # a folder that is none is said at once
 
     def load() -> Chain:
         from flows.batch import batch as every_clip
+        from flows.trouble import told_plainly
 
         options = config.model_dump(mode="json")
-        pace = (given.attempts, given.wait, given.watch, given.again)
-        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
+        pace = (given.attempts, given.wait, given.watch, given.again, given.store)
+
+        def look() -> dict[str, Any]:
+            with told_plainly(out):
+                return every_clip(given.folder, out, options, given.workers, *pace)
+
+        return when_ready(look)
 
     result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))

@@ -8,20 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from prefect import flow
-from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
+from flows.clip_place import clip_place
 from flows.reaper import mark_owner
-from flows.trouble import told_plainly
 from flows.video import run_video
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
 from hfb.errors import InputError
 from tasks import progress
+from tasks.engine import Engine
 from tasks.task import code_version
 from tasks.video_clip import find_background, find_everyone, look_at_clip
 from tasks.video_handles import PersonSeen
 from tasks.video_inputs import VideoInputs, video_hashes
-from tasks.workers import workers
 
 _log = logging.getLogger(__name__)
 _KEPT = (
@@ -30,7 +29,7 @@ _KEPT = (
 )  # fmt: skip
 
 
-def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, worker_count: int) -> dict[str, Any]:
+def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
     """The person whom the clip names, into ``out``; everyone, each into a folder and a run of their own in it.
 
     Returns:
@@ -41,13 +40,11 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, worker_count: in
         Unavailable: see `flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
-        return run_video(inputs, out, config, worker_count)
+        return run_video(inputs, out, config, engine)
     began = time.perf_counter()
     people = everyone_in(inputs, out, config)
     progress.say(f"hfb: {len(people)} people, one after the other: {', '.join(one.name for one in people)}")
-    told = [
-        _motion_of(one, inputs, out / f"person-{number}", config, worker_count) for number, one in enumerate(people, 1)
-    ]
+    told = [_motion_of(one, inputs, out / f"person-{number}", config, engine) for number, one in enumerate(people, 1)]
     found = [one for one in told if one["error"] is None]
     if not found:
         raise InputError(f"no motion was found of any of {len(told)} people ({told[0]['error']})")
@@ -80,22 +77,19 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
         plate = find_background(footage, inputs.plate, inputs.background, folder)
         return find_everyone(footage, plate, inputs.track).people
 
-    with (
-        told_plainly(out),
-        workplace(out) as folder,
-        workers(1, apart=True),
-        temporary_settings({PREFECT_LOCAL_STORAGE_PATH: folder / "records"}),
-    ):
+    with clip_place(out, 1) as folder:
         return flow(name="everyone", persist_result=False, on_running=[mark_owner])(everyone)(str(inputs.video[0].path))
 
 
-def _motion_of(one: PersonSeen, inputs: VideoInputs, out: Path, config: RunConfig, workers: int) -> dict[str, Any]:
+def _motion_of(
+    one: PersonSeen, inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int
+) -> dict[str, Any]:
     """What became of one person; whoever cannot be followed does not end the others."""
     progress.say(f"hfb: {one.name} (seen in {one.frames} frames)")
     theirs = inputs.model_copy(update={"clip": inputs.clip.model_copy(update={"person": one.choice})})
     told: dict[str, Any] = {"name": one.name, "seen": one.frames, "error": None, **dict.fromkeys(_KEPT)}
     try:
-        result = run_video(theirs, out, config, workers)
+        result = run_video(theirs, out, config, engine)
     except InputError as error:
         _log.warning("%s: %s", one.name, error)
         progress.say(f"hfb: {one.name}: {error}")

@@ -47,13 +47,14 @@ def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> I
     from flows.surroundings import keep_log
     from flows.workplace import check_writable
     from tasks import displays, progress
+    from tasks.metrics import served
     from tasks.store_place import check_store, tracking_uri
 
     keep_log(given.verbose)
     check_writable(out)
     if recorded:
         check_store(tracking_uri())
-    with progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+    with served(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
         yield
 
 

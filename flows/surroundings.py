@@ -19,7 +19,10 @@ import platformdirs
 
 from hfb.errors import InputError
 from tasks import progress
+from tasks.secrets import SecretFormatter, without_login, without_secrets
+from tasks.structured_log import JsonFormatter, WithIds
 
+LOG_VARIABLE = "HFB_LOG"
 _HEALTH_TIMEOUT_S = 3
 _LOG_BYTES = 2_000_000
 
@@ -36,6 +39,8 @@ def _server_log() -> Path:
 def keep_log(verbose: bool = False) -> None:
     """Everything into the log file, warnings also to the person; Prefect's own lines only when asked for.
 
+    With HFB_LOG=json the file has one JSON object per line; see tasks/structured_log.py.
+
     Has to come before Prefect is imported: it leaves handlers alone that it finds.
     """
     root = logging.getLogger()
@@ -47,7 +52,12 @@ def keep_log(verbose: bool = False) -> None:
         logging.getLogger(chatty).setLevel(logging.WARNING)
     for handler in (_file_handler(), _Telling(verbose)):
         if handler is not None:
-            handler.setFormatter(logging.Formatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s"))
+            handler.setFormatter(
+                JsonFormatter()
+                if os.environ.get(LOG_VARIABLE) == "json"
+                else SecretFormatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
+            )
+            handler.addFilter(WithIds())
             root.addHandler(handler)
 
 
@@ -71,7 +81,7 @@ class PrefectServer:
             reason = does_not_answer(self._api)
             if reason:
                 raise InputError(
-                    f"the Prefect server at {self._api} {reason}: "
+                    f"the Prefect server at {without_login(self._api)} {reason}: "
                     "start it, or unset PREFECT_API_URL for a temporary one"
                 )
         else:
@@ -128,7 +138,7 @@ def _free_port() -> int:
 def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | None:
     """Why a server is of no use, or None where it answers."""
     try:
-        with urlopen(f"{api.rstrip('/')}/health", timeout=patience_s):
+        with urlopen(f"{without_login(api).rstrip('/')}/health", timeout=patience_s):
             return None
     except HTTPError as error:
         # one that asks for a login is there
@@ -163,7 +173,7 @@ class _Telling(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         # What fails inside a task surfaces as an exception; Prefect's account of it is for the log.
         if self._verbose or not record.name.startswith(("prefect", "py.warnings", "alembic", "mlflow")):
-            progress.say(f"{record.levelname.lower()}: {record.getMessage()}")
+            progress.say(without_secrets(f"{record.levelname.lower()}: {record.getMessage()}"))
 
 
 def _file_handler() -> logging.Handler | None:

@@ -15,8 +15,9 @@ from prefect.settings import PREFECT_API_URL
 
 from flows.surroundings import does_not_answer
 from hfb.errors import InputError, ServerLost, Unavailable
+from tasks.engine import WorkerLost
 from tasks.handles import StaleFile
-from tasks.workers import WorkerLost
+from tasks.secrets import without_login
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _GOES_ON = "what is finished is kept, and the same command goes on from there"
@@ -64,7 +65,11 @@ def ask_server() -> None:
 
 
 def _server_lost() -> ServerLost:
-    return ServerLost(f"the Prefect server at {PREFECT_API_URL.value()} no longer answers: start it again; {_GOES_ON}")
+    return ServerLost(f"the Prefect server at {_server()} no longer answers: start it again; {_GOES_ON}")
+
+
+def _server() -> str:
+    return without_login(str(PREFECT_API_URL.value()))
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
@@ -84,9 +89,9 @@ def _sentence(error: BaseException, out: Path) -> str | None:
     if isinstance(error, sqlite3.OperationalError) and "full" in str(error):
         return f"the disk is full ({error}): free some space"
     if isinstance(error, PrefectHTTPStatusError) and error.response.status_code >= _SERVER_ERROR:
-        return f"the Prefect server at {PREFECT_API_URL.value()} answers {error.response.status_code}: see its log"
+        return f"the Prefect server at {_server()} answers {error.response.status_code}: see its log"
     if isinstance(error, StaleFile):
-        return f"a finished file was changed or removed while it was needed ({error})"
+        return f"a file was changed or removed while it was needed ({error})"
     if isinstance(error, WorkerLost):
-        return f"{error} Give fewer --workers"
+        return str(error)
     return None

@@ -9,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from prefect import flow
-from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 from prefect.task_runners import ThreadPoolTaskRunner
 
+from flows.clip_place import clip_place
 from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, report, score, see
 from flows.reaper import mark_owner
-from flows.trouble import ask_server, told_plainly
-from flows.workplace import publish, workplace
+from flows.trouble import ask_server
+from flows.workplace import publish
 from hfb.config import RunConfig
 from hfb.export.names import CURVES, REPORT
+from tasks.engine import Engine
 from tasks.export_files import export_files
 from tasks.handles import FileHandle
 from tasks.result_report import ReportParts, add_report, clip_curves
@@ -26,17 +27,17 @@ from tasks.video_handles import ClipBodiesHandle, JoinedHandle
 from tasks.video_inputs import VideoInputs, video_hashes
 from tasks.video_look import draw_texture
 from tasks.video_record import ClipRecord
-from tasks.workers import busy_share, workers
+from tasks.workers import busy_share, worker_count
 
 _SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
 _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
 
 
-def run_video(inputs: VideoInputs, out: Path, config: RunConfig, worker_count: int) -> dict[str, Any]:
+def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
     """From a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
 
     One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
-    ``out``: the same call goes on from them, after a kill too. The number of workers changes nothing but the seconds.
+    ``out``: the same call goes on from them, after a kill too. The engine changes nothing but the seconds.
 
     Returns:
         the content of result.json.
@@ -50,15 +51,9 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, worker_count: i
     def video(clip: str, out_folder: str) -> dict[str, Any]:
         return _motion_of(inputs, out, folder, config)
 
-    threads: Any = ThreadPoolTaskRunner(max_workers=worker_count + _SPARE_THREADS)
-    made = flow(name="video", persist_result=False, on_running=[mark_owner], task_runner=threads)(video)
-    with (
-        told_plainly(out),
-        workplace(out) as folder,
-        workers(worker_count, apart=True),
-        # Results of tasks stay with the files that they name: no other folder takes them for its own.
-        temporary_settings({PREFECT_LOCAL_STORAGE_PATH: folder / "records"}),
-    ):
+    with clip_place(out, engine) as folder:
+        threads: Any = ThreadPoolTaskRunner(max_workers=worker_count() + _SPARE_THREADS)
+        made = flow(name="video", persist_result=False, on_running=[mark_owner], task_runner=threads)(video)
         return made(str(inputs.video[0].path), str(out))
 
 

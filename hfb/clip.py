@@ -23,15 +23,17 @@
     track = "tracks.csv"           # or a track of another system's file, with its id
     id = 3
 
-Every entry may be left out. Paths are relative to the file.
+Every entry may be left out. Files are named relative to this one and lie in its folder, or below: a clip that somebody
+hands over must not be able to show what lies elsewhere.
 """
 
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from hfb.config import Record
+from hfb.errors import InputError
 from hfb.toml_file import read_toml, to_record
 
 BACKGROUND_WORDS = ("median", "still")
@@ -40,7 +42,13 @@ BACKGROUND_WORDS = ("median", "still")
 _Row = tuple[float, float, float]
 
 
-class ClipCamera(Record):
+class _ClipRecord(Record):
+    """Numbers are finite."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+class ClipCamera(_ClipRecord):
     """A calibration of the full picture [px]; pixel (0, 0)'s centre lies at (0.5, 0.5)."""
 
     focal_px: Annotated[float, Field(gt=0)] | None = None
@@ -64,7 +72,7 @@ class ClipCamera(Record):
         return self
 
 
-class ClipExposure(Record):
+class ClipExposure(_ClipRecord):
     """When the shutter was open. At most one of the three lengths, or ``auto``: what the footage itself tells."""
 
     fps: Annotated[float, Field(gt=0)] | None = None
@@ -91,7 +99,7 @@ class ClipExposure(Record):
         return self.seconds
 
 
-class PersonChoice(Record):
+class PersonChoice(_ClipRecord):
     """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system.
 
     Everyone: each of them in turn, as if each had been chosen.
@@ -116,7 +124,7 @@ class PersonChoice(Record):
         return self
 
 
-class Clip(Record):
+class Clip(_ClipRecord):
     """The content of a clip.toml; ``Clip()`` knows nothing."""
 
     transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
@@ -144,16 +152,32 @@ def read_clip(path: Path) -> Clip:
     """Read a clip.toml; its paths become relative to the working folder.
 
     Raises:
-        InputError: the file is missing, no TOML, or holds an entry that is unknown or impossible.
+        InputError: the file is missing, no TOML, holds an entry that is unknown or impossible, or names a file that
+            does not lie in its folder.
     """
     clip = to_record(Clip, read_toml(path), str(path))
-    beside = path.parent
     camera, person, background = clip.camera, clip.person, clip.background
     if camera.calibration is not None:
-        camera = camera.model_copy(update={"calibration": beside / camera.calibration})
+        camera = camera.model_copy(update={"calibration": _beside(path, camera.calibration)})
     if person.track is not None:
-        person = person.model_copy(update={"track": beside / person.track})
+        person = person.model_copy(update={"track": _beside(path, person.track)})
     if background is not None and background not in BACKGROUND_WORDS:
-        background = str(beside / background)
-    video = beside / clip.video if clip.video is not None else None
+        background = str(_beside(path, Path(background)))
+    video = _beside(path, clip.video) if clip.video is not None else None
     return clip.model_copy(update={"camera": camera, "person": person, "background": background, "video": video})
+
+
+def _beside(clip: Path, name: Path) -> Path:
+    """A file that a clip.toml names. Raises InputError where it, or what a link leads to, lies elsewhere."""
+    place = clip.parent / name
+    try:
+        place.exists()  # a name that is too long is found out here
+        inside = place.resolve().is_relative_to(clip.parent.resolve())
+    except (OSError, ValueError, RuntimeError):  # a name that no file can have, or links in a circle
+        inside = False
+    if not inside:
+        raise InputError(
+            f"{clip}: names {str(name)[:200]!r}, which does not lie in its folder: put the file beside it, or give it "
+            "on the command line"
+        )
+    return place

@@ -11,10 +11,16 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 
+def _in_order(schema: dict[str, Any]) -> None:
+    """Forms show a record's fields in the order in which they are written here, whatever a database makes of it."""
+    for position, field in enumerate(schema.get("properties", {}).values()):
+        field["position"] = position
+
+
 class Record(BaseModel):
     """Frozen, and an unknown key is an error: a typo never passes silently."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra=_in_order)
 
 
 class BodyConfig(Record):

@@ -110,10 +110,10 @@ class TorchScriptNetwork(TorchNetwork):
 
     def __init__(self, path: Path, settings: Mapping[str, float | str]) -> None:
         """Raises InputError where torch cannot read it."""
-        _declare_roi_align(path)
         try:
+            _declare_roi_align(path)
             module = torch.jit.load(str(path), map_location="cpu").eval()
-        except (RuntimeError, ValueError, OSError) as error:
+        except Exception as error:  # a damaged file makes it raise nearly anything
             raise InputError(f"{path}: torch cannot read this TorchScript file ({_first_line(error)})") from None
         module.float()  # processors compute in half precision slowly or not at all
         for name, value in settings.items():
@@ -214,7 +214,7 @@ def holds_weights(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             members = {name.partition("/")[2] for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError):
+    except Exception:  # no archive, or a broken one
         with path.open("rb") as file:
             return file.read(len(_OLDER_TORCH)) == _OLDER_TORCH
     return "data.pkl" in members and not any(name.startswith("code/") for name in members)
@@ -226,7 +226,7 @@ def _check_torchscript(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = {name.partition("/")[2] for name in archive.namelist()}
-    except (zipfile.BadZipFile, OSError):
+    except Exception:  # see `holds_weights`
         raise InputError(f"{path} is a plain pickle or no network; for safety none is opened: {advice}") from None
     if "constants.pkl" not in members or not any(name.startswith("code/") for name in members):
         raise InputError(f"{path} holds weights or a pickled model but no network that runs by itself: {advice}")

@@ -1,6 +1,7 @@
 """TOML into frozen records, with errors that name the entry and the fix."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +14,10 @@ from hfb.errors import InputError
 
 RecordT = TypeVar("RecordT", bound=BaseModel)
 
+_BYTE_LIMIT = 1 << 20
+_LONGEST_NAME = 32  # parts; what the parser does with a.b.c... grows with the square of their number
+_SHOWN = 80
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file.
@@ -21,15 +26,24 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: the file is missing or no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > _BYTE_LIMIT:
+            raise InputError(f"{path} is too large for a TOML file of options; give another file")
+        text = path.read_text(encoding="utf-8")
+        if any(part.count(".") > _LONGEST_NAME for part in re.split(r"[=,{}\[\]\n]", text)):
+            raise InputError(f"{path} has a name of more than {_LONGEST_NAME} parts; no option has")
+        return tomllib.loads(text)
+    except InputError:
+        raise
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a TOML file: it is not text in UTF-8") from error
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path} is not valid TOML: brackets within brackets without end") from error
+    except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+        raise InputError(f"{path} is not valid TOML: {str(error)[:_SHOWN]}") from error
 
 
 def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> RecordT:
@@ -54,7 +68,7 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _sentence(error: ErrorDetails, record: type[BaseModel]) -> str:
-    name = ".".join(str(part) for part in error["loc"])
+    name = ".".join(str(part) for part in error["loc"])[:_SHOWN]
     if error["type"] == "extra_forbidden":
         known = _names(record)
         close = difflib.get_close_matches(name, known, n=1) or [k for k in known if k.endswith("." + name)][:1]
@@ -63,7 +77,12 @@ def _sentence(error: ErrorDetails, record: type[BaseModel]) -> str:
     if not name:
         return reason
     given = error["input"]
-    return f"{name}: {reason}" + ("" if isinstance(given, dict) else f" (given: {given!r})")
+    return f"{name}: {reason}" + ("" if isinstance(given, dict) else f" (given: {_in_short(given)})")
+
+
+def _in_short(given: Any) -> str:
+    text = repr(given)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def _names(record: type[BaseModel], prefix: str = "") -> list[str]:

@@ -47,7 +47,7 @@ class Ledger:
         try:
             content = json.loads(path.read_bytes())
             self._entries = {name: Entry.model_validate(entry) for name, entry in content.items()}
-        except (FileNotFoundError, ValueError, AttributeError, ValidationError):
+        except (FileNotFoundError, ValueError, AttributeError, ValidationError, RecursionError):
             pass  # none yet, or a damaged one: finished clips are found again in their folders, at once
 
     def entry(self, name: str, stamp: str) -> Entry | None:
@@ -87,7 +87,15 @@ class Ledger:
 
 
 def stamp_of(files: Sequence[Path], options: Mapping[str, object]) -> tuple[str, float]:
-    """What tells a clip from a changed one, and when the latest of its files was written [s since 1970]."""
-    facts = [(str(path), path.stat()) for path in files]
-    content = [[name, one.st_size, one.st_mtime_ns] for name, one in facts]
-    return digest([content, dict(options)]), max((one.st_mtime for _, one in facts), default=0.0)
+    """What tells a clip from a changed one, and when the latest of its files was written [s since 1970].
+
+    A file that has just gone counts as one of size -1.
+    """
+    content: list[tuple[str, int, int]] = []
+    for path in files:
+        try:
+            facts = path.stat()
+            content.append((str(path), facts.st_size, facts.st_mtime_ns))
+        except OSError:
+            content.append((str(path), -1, 0))
+    return digest([content, dict(options)]), max((written for _, _, written in content), default=0) / 1e9

@@ -26,12 +26,19 @@ class ClipPlace:
     Attributes:
         source: what `hfb video` would be given. clip: its clip.toml, where it has one.
         files: everything that belongs to it, as far as the folder tells.
+        stray: one of these that is a link to a place outside of the folder.
     """
 
     name: str
     source: Path
     clip: Path | None
     files: tuple[Path, ...]
+    stray: Path | None = None
+
+    def check(self) -> None:
+        """Raises InputError where a file lies elsewhere: who may put clips into a folder may not see other files."""
+        if self.stray is not None:
+            raise InputError(f"{self.stray} is a link that leads out of the folder of clips: put the file itself there")
 
 
 def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
@@ -47,16 +54,24 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
         raise InputError(f"{folder} is no folder: give one that holds clips")
     results = out.resolve()
     places = {}
+    ground = folder.resolve()
+
+    def place(name: str, source: Path, clip: Path | None, files: tuple[Path, ...]) -> ClipPlace:
+        beside = plate_beside((source,)) if source.is_file() else None
+        named = (source, *files, beside) if beside else (source, *files)
+        stray = next((one for one in named if not one.resolve().is_relative_to(ground)), None)
+        return ClipPlace(name, source, clip, files, stray)
+
     for path in sorted(folder.iterdir(), key=_natural):
         if path.resolve() == results or path.name.startswith("."):
             continue
         if path.is_file() and path.suffix.lower() in VIDEOS:
             sidecar = path.with_suffix(".toml")
             files: tuple[Path, ...] = (path, sidecar) if sidecar.exists() else (path,)
-            places[path.stem] = ClipPlace(path.stem, path, sidecar if sidecar.exists() else None, files)
+            places[path.stem] = place(path.stem, path, sidecar if sidecar.exists() else None, files)
         elif path.is_dir() and (path / CLIP_FILE).exists():
             files = tuple(sorted(one for one in path.rglob("*") if one.is_file()))
-            places[path.name] = ClipPlace(path.name, path, path / CLIP_FILE, files)
+            places[path.name] = place(path.name, path, path / CLIP_FILE, files)
     return tuple(places.values())
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
+from hfb.initialize.networks import NETWORKS, network_path
 from hfb.initialize.readers.beside import companions
-from tasks.handles import FileHandle
+from tasks.handles import FileHandle, sha256_of
 
 _OWN_MATTING = ("bgmv2", "rvm")
 
@@ -65,3 +67,19 @@ def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> I
         return config
     sampling = networks[1].path if config.mesh_sampling is not None else None
     return config.model_copy(update={"weights": networks[0].path, "mesh_sampling": sampling})
+
+
+def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None:
+    """Whoever computes has the same pose networks as who asked: without them the first body would be another.
+
+    Raises:
+        InputError: they are missing here, or others.
+    """
+    if config.method not in ("auto", "mediapipe"):
+        return
+    here = [sha256_of(path) for network in NETWORKS if (path := network_path(network)) is not None]
+    if here != [file.sha256 for file in networks]:
+        raise InputError(
+            f"the pose networks on {socket.gethostname()} are not those of the machine that asked: `hfb models fetch` "
+            "on both, or --init.method matte"
+        )

@@ -8,17 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar, cast
 
 from pydantic import BaseModel
 
 from hfb.config import Record
 
+T = TypeVar("T")
+
 
 class StaleFile(Exception):
     """A file that a handle names is gone, or no longer what it was."""
+
+
+Stamp = tuple[int, int, int, int, int]
+_read: dict[Path, tuple[Stamp, str]] = {}
+"""sha256 of the files that this process has read, and the stamp that each had then."""
 
 
 class FileHandle(Record):
@@ -31,6 +39,22 @@ class FileHandle(Record):
     def of(cls, path: Path, **facts: Any) -> Self:
         """The handle of a file as it is now."""
         return cls(path=path.resolve(), sha256=sha256_of(path), **facts)
+
+    def check(self) -> Stamp:
+        """Raises StaleFile as `verify`; a file that was not touched since this process read it is not read again.
+
+        Returns:
+            what would be another if it were touched.
+        """
+        try:
+            stamp = _stamp(self.path)
+            known = _read.get(self.path)
+            actual = known[1] if known is not None and known[0] == stamp else sha256_of(self.path)
+        except OSError as error:
+            raise StaleFile(f"{self.path} is gone") from error
+        if actual != self.sha256:
+            raise StaleFile(f"{self.path} is no longer what it was")
+        return stamp
 
     def verify(self) -> None:
         """Raises StaleFile unless the file is still what it was."""
@@ -97,8 +121,33 @@ class ScoresHandle(FileHandle):
 
 def sha256_of(path: Path) -> str:
     """The sha256 of a file's content."""
+    before = _stamp(path)
     with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if _stamp(path) == before:
+        _read[path] = before, found
+    return found
+
+
+def _stamp(path: Path) -> Stamp:
+    """Any write or replacement changes it: the time of the last change is the kernel's, nobody can set it."""
+    facts = path.stat()
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
+
+
+@contextmanager
+def unchanged(*values: object) -> Iterator[None]:
+    """What is read inside is what the handles name, from the beginning to the end.
+
+    Raises:
+        StaleFile: a file is gone or no longer what it was, before the work or after it.
+    """
+    files = list(files_in(values))
+    stamps = [file.check() for file in files]
+    yield
+    for file, stamp in zip(files, stamps, strict=True):
+        if file.check()[:-1] != stamp[:-1]:  # a further link to it, as backups make, changes but the last one
+            raise StaleFile(f"{file.path} was replaced while it was read")
 
 
 def files_in(value: object) -> Iterator[FileHandle]:
@@ -111,6 +160,19 @@ def files_in(value: object) -> Iterator[FileHandle]:
     elif isinstance(value, tuple | list):
         for one in value:
             yield from files_in(one)
+
+
+def with_files(value: T, change: Callable[[FileHandle], FileHandle]) -> T:
+    """The same handle, or sequence of handles, with every file that it names changed."""
+    changed: Any = value
+    if isinstance(value, FileHandle):
+        changed = change(value)
+    elif isinstance(value, BaseModel):
+        parts = {name: getattr(value, name) for name in type(value).model_fields}
+        changed = value.model_copy(update={name: with_files(part, change) for name, part in parts.items()})
+    elif isinstance(value, tuple | list):
+        changed = type(value)(with_files(one, change) for one in value)
+    return cast(T, changed)
 
 
 def digest(value: object) -> str:

@@ -37,6 +37,8 @@ def input_file(path: Path) -> FileHandle:
     Raises:
         InputError: it is not there, or cannot be read.
     """
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!r} is no name of a file")
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the file itself")
     try:

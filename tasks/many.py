@@ -68,6 +68,8 @@ def run_all(
                 call, future = waiting.popleft()
                 outcomes.append(_outcome(step, call, future))
                 reused += outcomes[-1].reused
+                if (error := outcomes[-1].error) is not None:
+                    progress.fail(type(error).__name__)
                 if on_outcome is not None:
                     on_outcome(len(outcomes) - 1, outcomes[-1])
                 progress.advance(len(outcomes), len(calls), _pace(began, len(outcomes), reused, len(calls)))

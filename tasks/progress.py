@@ -44,8 +44,18 @@ class Display(Protocol):
     def running(self) -> AbstractContextManager[object]: ...
 
 
+class Listener(Protocol):
+    """Who hears of every step beside the display. Any thread may call."""
+
+    def begin(self, shown: Shown) -> None: ...
+    def update(self, shown: Shown) -> None: ...
+    def end(self, shown: Shown, failed: bool) -> None: ...
+    def fail(self, step: str, reason: str) -> None: ...
+
+
 # One for the whole process, not one per context: threads that libraries start log too, and nothing is to be swallowed.
 _displays: list[Display] = []
+_listeners: list[Listener] = []
 _step: ContextVar[tuple[Shown, Display | None] | None] = ContextVar("step", default=None)
 
 
@@ -66,19 +76,29 @@ def showing(display: Display) -> Iterator[None]:
 
 
 @contextmanager
+def listened(listener: Listener) -> Iterator[None]:
+    """Somebody hears of the steps inside."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
+
+
+@contextmanager
 def step(label: str) -> Iterator[Shown]:
     """One step of a run, from here to the end of the block."""
     display, shown = _display(), Shown(label)
     token = _step.set((shown, display))
-    if display is not None:
-        display.begin(shown)
+    for one in _audience(display):
+        one.begin(shown)
     failed = True
     try:
         yield shown
         failed = False
     finally:
-        if display is not None:
-            display.end(shown, failed)
+        for one in _audience(display):
+            one.end(shown, failed)
         _step.reset(token)
 
 
@@ -88,8 +108,15 @@ def advance(done: int, total: int, note: str = "") -> None:
     if current is not None:
         shown, display = current
         shown.done, shown.total, shown.note = done, total, note
-        if display is not None:
-            display.update(shown)
+        for one in _audience(display):
+            one.update(shown)
+
+
+def fail(reason: str) -> None:
+    """One of the current step's inputs failed; the step goes on."""
+    current = _step.get()
+    for listener in _listeners:
+        listener.fail(current[0].label if current else "", reason)
 
 
 def say(line: str) -> None:
@@ -97,6 +124,10 @@ def say(line: str) -> None:
     display = _display()
     if display is not None:
         display.say(line)
+
+
+def _audience(display: Display | None) -> list[Display | Listener]:
+    return [*([display] if display is not None else []), *_listeners]
 
 
 def _display() -> Display | None:

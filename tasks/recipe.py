@@ -93,7 +93,7 @@ def read_recipe(path: Path, run: str) -> Recipe:
         if path.stat().st_size > _LIMIT_BYTES:
             raise ValueError("too large")
         content = json.loads(path.read_bytes())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"the recipe of run {run} is damaged ({error}); repeat the run's own command") from None
     if not isinstance(content, dict) or content.get("format") != 1:
         raise InputError(f"the recipe of run {run} is of another version of hfb: check that version out to repeat it")

@@ -12,6 +12,7 @@ from urllib.request import urlopen
 import platformdirs
 
 from hfb.errors import InputError
+from tasks.secrets import without_login
 
 LOCAL_PORT = 5000
 LOCAL_PAGES = f"http://127.0.0.1:{LOCAL_PORT}"
@@ -37,7 +38,7 @@ def check_store(uri: str) -> None:
     if not on_server(uri):
         return
     try:
-        with urlopen(f"{uri.rstrip('/')}/health", timeout=_HEALTH_TIMEOUT_S):
+        with urlopen(f"{without_login(uri).rstrip('/')}/health", timeout=_HEALTH_TIMEOUT_S):
             return
     except HTTPError as error:
         if error.code in (401, 403):  # a server that asks for a login is there
@@ -45,7 +46,8 @@ def check_store(uri: str) -> None:
         reason = f"answers {error.code}"
     except (URLError, OSError) as error:
         reason = f"does not answer ({getattr(error, 'reason', error)})"
-    raise InputError(f"the MLflow server at {uri} {reason}: start it, or unset MLFLOW_TRACKING_URI to record locally")
+    shown = without_login(uri)
+    raise InputError(f"the MLflow server at {shown} {reason}: start it, or unset MLFLOW_TRACKING_URI to record locally")
 
 
 def on_server(uri: str) -> bool:
@@ -61,7 +63,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     """
     uri = tracking_uri()
     if on_server(uri):
-        raise InputError(f"runs are recorded on a server that has pages of its own: open {uri}")
+        raise InputError(f"runs are recorded on a server that has pages of its own: open {without_login(uri)}")
     make_folder(uri)
     return [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",

@@ -13,6 +13,7 @@ from typing import Any
 
 from hfb.errors import InputError
 from tasks import tracking
+from tasks.secrets import without_secrets
 from tasks.store_place import tracking_uri
 
 _SHORTEST_PREFIX, _ID_LENGTH = 4, 32
@@ -63,8 +64,9 @@ def readable_store() -> Iterator[None]:
     try:
         yield
     except tracking.StoreLost as lost:
+        place = without_secrets(tracking_uri())
         raise InputError(
-            f"the runs in {tracking_uri()} cannot be read ({lost}): set MLFLOW_TRACKING_URI to where they are"
+            f"the runs in {place} cannot be read ({lost}): set MLFLOW_TRACKING_URI to where they are"
         ) from lost
 
 
@@ -99,7 +101,7 @@ def _found(words: str) -> Any:
         several = ", ".join(sorted(run.info.run_id for run in found)[:4])
         raise InputError(f"{len(found)} runs begin with {words} ({several} ...): give more of the id")
     if not found:
-        raise InputError(f"there is no run {words} in {tracking_uri()}{_NAMED_DIFFERENTLY}")
+        raise InputError(f"there is no run {words} in {without_secrets(tracking_uri())}{_NAMED_DIFFERENTLY}")
     return found[0]
 
 
@@ -123,7 +125,7 @@ def _id_in(folder: Path) -> str:
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
         raise InputError(f"{folder} has no result.json: give the folder of a finished result, or a run's id") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read ({error}): give the run's id") from None
     found = content.get("mlflow_run_id") if isinstance(content, dict) else None
     if not isinstance(found, str):

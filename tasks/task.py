@@ -5,6 +5,9 @@ Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file
 not see an edit in a called library. A task therefore takes handles and the records of options that matter to
 it, never the whole configuration; the folder it writes to does not count.
 
+Files that a task is given are what their handles say before it works and after it: a clip that is replaced while it is
+read leaves no result under the old one's key.
+
 Results are kept as JSON, since a handle is a few lines. A cache hit alone does not notice that the file behind
 a handle is gone or damaged, so every result's files are verified, and a stale one is made again.
 """
@@ -28,7 +31,7 @@ from prefect.states import State
 import hfb
 import tasks
 from tasks import progress, repetition
-from tasks.handles import StaleFile, digest, files_in
+from tasks.handles import StaleFile, digest, files_in, unchanged
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -60,8 +63,13 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
     """
 
     def decorate(function: Callable[P, R]) -> Step[P, R]:
+        @functools.wraps(function)
+        def of_what_was_given(*args: P.args, **kwargs: P.kwargs) -> R:
+            with unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
+                return function(*args, **kwargs)
+
         caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
-        step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(function)
+        step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(of_what_was_given)
 
         def again(*args: P.args, **kwargs: P.kwargs) -> State[R]:
             return cast(State[R], step.with_options(refresh_cache=True)(*args, **kwargs, return_state=True))

@@ -21,6 +21,7 @@ from tasks import repetition
 from tasks.environment import environment
 from tasks.handles import digest
 from tasks.ownership import is_abandoned, owner
+from tasks.secrets import without_login, without_secrets
 from tasks.store_place import LOCAL_PAGES, make_folder, on_server, tracking_uri
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def store_losses() -> Iterator[None]:
         yield
     except (MlflowException, SQLAlchemyError, OSError) as error:  # requests' errors are OSErrors
         reason = str(error).strip().splitlines()
-        raise StoreLost(reason[0] if reason else type(error).__name__) from error
+        raise StoreLost(without_secrets(reason[0] if reason else type(error).__name__)) from error
 
 
 def open_store() -> None:
@@ -187,8 +188,12 @@ def log_dict(run: Run, content: Mapping[str, Any], name: str) -> None:
 
 
 def link(run: Run) -> str:
-    """The page of a run; a local store has pages while `hfb runs` is up."""
-    base = run.uri.rstrip("/") if on_server(run.uri) else LOCAL_PAGES
+    """The page of a run; a local store has pages while `hfb runs` is up.
+
+    ``HFB_MLFLOW_PAGES``: where people find a server that workers see under another address.
+    """
+    base = os.environ.get("HFB_MLFLOW_PAGES") or (run.uri if on_server(run.uri) else LOCAL_PAGES)
+    base = without_login(base).rstrip("/")
     return f"{base}/#/experiments/{run.experiment_id}/runs/{run.run_id}?workflowType=machine_learning"
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,7 +14,7 @@ import numpy as np
 from hfb.clip import Clip, PersonChoice
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.media.atomic import write_bytes_atomic
-from tasks.handles import FileHandle
+from tasks.handles import FileHandle, unchanged
 from tasks.prepare import calibration
 from tasks.task import task
 from tasks.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
@@ -78,6 +80,22 @@ def load_footage(handle: FootageHandle) -> Footage:
     return Footage(**_numbers(json.loads(handle.path.read_bytes())["footage"]))
 
 
+@contextmanager
+def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> Iterator[Footage]:
+    """What the pictures of a clip are read with, of which frames `start` to `stop` are wanted.
+
+    Raises:
+        StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
+    """
+    footage = load_footage(handle)
+    given = tuple(FileHandle(**one) for one in json.loads(handle.path.read_bytes())["given"])
+    if len(given) > 1:
+        last = footage.count if stop is None else stop
+        given = given[footage.first + start * footage.average : footage.first + last * footage.average]
+    with unchanged(given):
+        yield footage
+
+
 def load_timing(handle: FootageHandle) -> Timing:
     """The clock of a clip."""
     from hfb.media.timing import Timing
@@ -107,7 +125,8 @@ def _look_at_clip(
     lens = clip_lens(given, paths[0].name, footage.height, footage.width)
     footage = footage.through(lens)
     timing = settle_timing(footage, clip.exposure, exposure)
-    content = {"footage": _plain(footage), "timing": _plain(timing)}
+    given_files = [file.model_dump(mode="json") for file in video]
+    content = {"footage": _plain(footage), "timing": _plain(timing), "given": given_files}
     path, size = folder / "footage.json", (footage.height, footage.width)
     write_bytes_atomic(path, json.dumps(content).encode())
     return FootageHandle.of(
@@ -135,7 +154,8 @@ def _find_background(
         where: Path | Literal["median", "still"] = given.path
     else:
         where = "still" if how == "still" else "median"
-    picture, source = find_plate(load_footage(footage), where)
+    with reading(footage) as pictures:
+        picture, source = find_plate(pictures, where)
     path = folder / "plate.png"
     write_png(path, picture, bits=footage.bits)
     return PlateHandle.of(path, source=source)
@@ -151,7 +171,8 @@ def _find_person(
         found = read_track(track.path, choice.id, footage.count)
         others = len(read_track_names(track.path, footage.count)) - 1
     else:
-        tracks = find_tracks(load_footage(footage).frames(), read_picture_srgb(plate.path))
+        with reading(footage) as pictures:
+            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
         found, others = choose_track(tracks, choice), len(tracks) - 1
     boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
     return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
@@ -168,7 +189,8 @@ def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle
             for name in read_track_names(track.path, footage.count)
         ]
     else:
-        seen = find_tracks(load_footage(footage).frames(), read_picture_srgb(plate.path))
+        with reading(footage) as pictures:
+            seen = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
         chosen = list(choose_everyone(seen))
     people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
     return PeopleHandle(people=tuple(people))

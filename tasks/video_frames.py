@@ -6,11 +6,11 @@ from pathlib import Path
 
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from tasks.given_networks import with_matting_network, with_pose_network
+from tasks.given_networks import check_networks, with_matting_network, with_pose_network
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
 from tasks.task import task
 from tasks.video_handles import BodyFound, FootageHandle, FramesHandle, MatteHandle
-from tasks.workers import compute
+from tasks.workers import compute, spread
 
 _Box = tuple[float, float, float, float]
 
@@ -40,7 +40,7 @@ def find_matte(
     """
     if box is None:
         return MatteHandle(file=None, reason="nobody differs from the background")
-    return compute(_matte, still, number, box, alone, with_matting_network(config, network), folder)
+    return spread(_matte, still, number, box, alone, config, network, folder)
 
 
 @task("first bodies")
@@ -58,7 +58,7 @@ def find_key_body(
     Args:
         networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
     """
-    return compute(_key_body, still, number, matte, body, with_pose_network(config, networks), folder)
+    return spread(_key_body, still, number, matte, body, config, networks, folder)
 
 
 @task("first bodies between")
@@ -71,18 +71,18 @@ def find_body_between(
     folder: Path,
 ) -> BodyFound:
     """The first body of another frame, from the bodies of the key frames around it."""
-    return compute(_body_between, still, number, matte, known, body, folder)
+    return spread(_body_between, still, number, matte, known, body, folder)
 
 
 def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> FramesHandle:
     from hfb.media.pictures import write_png
-    from tasks.video_clip import load_footage
+    from tasks.video_clip import reading
 
-    pictures = load_footage(footage)
     paths = []
-    for number, frame in enumerate(pictures.frames(start, stop), start):
-        paths.append(folder / f"frame_{number:06d}.png")
-        write_png(paths[-1], frame, bits=footage.bits)
+    with reading(footage, start, stop) as pictures:
+        for number, frame in enumerate(pictures.frames(start, stop), start):
+            paths.append(folder / f"frame_{number:06d}.png")
+            write_png(paths[-1], frame, bits=footage.bits)
     if len(paths) != stop - start:
         raise InputError(
             f"frame {start + len(paths)} can no longer be read: the footage has changed; run the same command again"
@@ -91,8 +91,14 @@ def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> Fra
 
 
 def _matte(
-    still: ClipHandle, number: int, box: _Box, alone: bool, config: MattingConfig, folder: Path
-) -> MatteHandle:  # fmt: skip
+    still: ClipHandle,
+    number: int,
+    box: _Box,
+    alone: bool,
+    config: MattingConfig,
+    network: FileHandle | None,
+    folder: Path,
+) -> MatteHandle:
     import numpy as np
 
     from hfb.initialize.tracks import keep_person, surroundings
@@ -105,7 +111,7 @@ def _matte(
     near = np.s_[:, :] if alone else surroundings(np.asarray(box), *frame.shape[:2])
     alpha = np.zeros(frame.shape[:2], np.float32)
     try:
-        alpha[near] = make_matting(config)(frame[near], plate[near])
+        alpha[near] = make_matting(with_matting_network(config, network))(frame[near], plate[near])
         alpha = keep_person(alpha, np.asarray(box))
     except InputError as error:
         return MatteHandle(file=None, reason=str(error))
@@ -115,15 +121,23 @@ def _matte(
 
 
 def _key_body(
-    still: ClipHandle, number: int, matte: FileHandle, body: FileHandle | None, config: InitConfig, folder: Path
+    still: ClipHandle,
+    number: int,
+    matte: FileHandle,
+    body: FileHandle | None,
+    config: InitConfig,
+    networks: tuple[FileHandle, ...],
+    folder: Path,
 ) -> BodyFound:
     from hfb.initialize.clip_bodies import front_doubt
     from hfb.initialize.initializer import make_initializer
     from tasks.scene import load_chosen_body, load_observation
 
+    check_networks(config, networks)
+    initializer = make_initializer(with_pose_network(config, networks))
     seen, model = load_observation(still, (matte,)), load_chosen_body(body)
     try:
-        found = make_initializer(config)(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
+        found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
         doubt = front_doubt(seen, found, model)
     except InputError as error:
         return BodyFound(first=None, reason=str(error))

@@ -11,7 +11,7 @@ from hfb.errors import InputError
 from tasks.handles import ClipHandle, FileHandle
 from tasks.task import task
 from tasks.video_handles import FrameScoresHandle
-from tasks.workers import compute
+from tasks.workers import compute, spread
 
 if TYPE_CHECKING:
     from hfb.motion.sampled import SampledMotion
@@ -34,7 +34,7 @@ def score_frames(
     Args:
         clip, mattes: of the frames ``numbers`` alone.
     """
-    return compute(_score_frames, clip, numbers, mattes, motion, person, body, config)
+    return spread(_score_frames, clip, numbers, mattes, motion, person, body, config)
 
 
 @task("errors")

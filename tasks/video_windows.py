@@ -16,7 +16,7 @@ from tasks.video_handles import (
     JoinedHandle,
     WindowHandle,
 )
-from tasks.workers import compute
+from tasks.workers import compute, spread
 
 
 @task("fronts and backs")
@@ -58,7 +58,10 @@ def fit_clip_window(
     Args:
         clip, mattes, firsts: of the window's frames alone.
     """
-    return compute(_fit_window, clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder)
+    return spread(
+        _fit_window, clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder,
+        gpu=config.rasterizer == "cuda",
+    )  # fmt: skip
 
 
 @task("person")

@@ -20,16 +20,19 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from tasks.engine import Engine, WorkerLost
+from tasks.structured_log import WithIds, about, ids_now
+
+if TYPE_CHECKING:
+    from tasks.clusters import Cluster
 
 P = ParamSpec("P")
 R = TypeVar("R")
 _ATTEMPTS = 3
+_log = logging.getLogger(__name__)
 _LAST_WORDS_S = 0.5
-
-
-class WorkerLost(Exception):
-    """A worker process died, more than once, over the same computation."""
 
 
 class Stopped(Exception):
@@ -43,7 +46,7 @@ class _Pool:
         self.count = count
         self._lock = threading.Lock()
         self._closed = False
-        self.busy_s, self.shared_s, self.shared_busy_s = 0.0, 0.0, 0.0
+        self.busy_s = 0.0
         self._executor = self._started()
 
     def _started(self) -> ProcessPoolExecutor:
@@ -57,9 +60,10 @@ class _Pool:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                result, seconds = executor.submit(_timed, function, args, kwargs).result()
+                result, seconds = executor.submit(_timed, ids_now(), function, args, kwargs).result()
                 with self._lock:
                     self.busy_s += seconds
+                _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
                 return result
             except BrokenProcessPool:
                 self._replace(executor)
@@ -67,7 +71,9 @@ class _Pool:
                 if not self._closed:
                     raise
                 raise Stopped from None
-        raise WorkerLost(f"a worker process died {_ATTEMPTS} times over this; was there enough memory?")
+        raise WorkerLost(
+            f"a worker process died {_ATTEMPTS} times over this; was there enough memory? Give fewer --workers"
+        )
 
     def _replace(self, broken: ProcessPoolExecutor) -> None:
         with self._lock:
@@ -110,47 +116,67 @@ class _Records:
         self._thread.join(_LAST_WORDS_S)
 
 
+class _Shared:
+    """How long steps over many inputs took, and how busy the workers were in them."""
+
+    def __init__(self) -> None:
+        self.seconds, self.busy_s = 0.0, 0.0
+
+
 _pool: _Pool | None = None
+_cluster: Cluster | None = None
+_threads = 1
+_shared = _Shared()
 
 
 @contextmanager
-def workers(count: int, apart: bool = False) -> Iterator[None]:
-    """Computations inside run in this many processes.
+def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
+    """Computations inside run where the engine says; a number is one of processes.
 
     Args:
         apart: a single worker is a process too, which can be stopped, and whose memory is not this process's;
             otherwise one means this process itself.
+
+    Raises:
+        InputError: a cluster cannot be used.
     """
-    global _pool
-    if count < 2 and not apart:
-        yield
-        return
-    _pool = _Pool(count)
+    global _pool, _cluster, _threads, _shared
+    engine = Engine(count=engine) if isinstance(engine, int) else engine
+    _shared = _Shared()
     try:
+        if engine.remote:
+            from tasks.clusters import Cluster
+
+            _cluster = Cluster(engine)
+        if engine.kind == "threads":
+            _threads = engine.count
+        elif engine.count > 1 or apart:
+            _pool = _Pool(engine.count)
         yield
     finally:
-        pool, _pool = _pool, None
-        pool.close()
+        stop_computing()
+        _pool, _cluster, _threads = None, None, 1
 
 
 def worker_count() -> int:
-    """How many processes compute."""
-    return _pool.count if _pool else 1
+    """How many compute at a time."""
+    crew = _cluster or _pool
+    return crew.count if crew else _threads
 
 
 @contextmanager
 def shared_out() -> Iterator[None]:
     """What is computed inside is one step over many inputs, meant to keep every worker busy."""
-    pool = _pool
-    if pool is None:
+    crew = _cluster or _pool
+    if crew is None:
         yield
         return
-    began, busy_s = time.monotonic(), pool.busy_s
+    began, busy_s = time.monotonic(), crew.busy_s
     try:
         yield
     finally:
-        pool.shared_s += time.monotonic() - began
-        pool.shared_busy_s += pool.busy_s - busy_s
+        _shared.seconds += time.monotonic() - began
+        _shared.busy_s += crew.busy_s - busy_s
 
 
 def busy_share() -> float | None:
@@ -158,19 +184,19 @@ def busy_share() -> float | None:
 
     What is missing of 1 is the cost of orchestration, and the wait for the last of each step.
     """
-    if _pool is None or not _pool.shared_s:
-        return None
-    return round(_pool.shared_busy_s / (_pool.count * _pool.shared_s), 4)
+    return round(_shared.busy_s / (worker_count() * _shared.seconds), 4) if _shared.seconds else None
 
 
 def stop_computing() -> None:
     """End what computes right now: a flow that was interrupted must not wait for it. Its tasks fail with Stopped."""
+    if _cluster:
+        _cluster.close()
     if _pool:
         _pool.close()
 
 
 def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-    """The function's result, from a worker process where there are some.
+    """The function's result, from a worker process of this machine where there are some.
 
     Raises:
         WorkerLost: the process that computed it died, three times.
@@ -178,16 +204,36 @@ def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
     return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
 
 
-def _timed(function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, float]:
+def spread(function: Callable[..., R], *args: Any, gpu: bool = False) -> R:
+    """As `compute`, for one of many inputs: from a cluster's worker where there is one.
+
+    Such a function takes handles, plain values and one folder, reads nothing but the handles' files, and names no file
+    but those that it writes into the folder.
+
+    Args:
+        gpu: a worker with a GPU that nobody else uses at the time is needed.
+
+    Raises:
+        WorkerLost: see `compute`; or the cluster can no longer be reached.
+    """
+    return _cluster.run(function, args, gpu) if _cluster else compute(function, *args)
+
+
+def _timed(
+    ids: dict[str, Any], function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> tuple[R, float]:  # fmt: skip
     began = time.monotonic()
-    return function(*args, **kwargs), time.monotonic() - began
+    with about(ids):
+        return function(*args, **kwargs), time.monotonic() - began
 
 
 def _begin(records: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     records.cancel_join_thread()  # nobody waits for a worker's last words
     logging.captureWarnings(True)
-    logging.getLogger().addHandler(logging.handlers.QueueHandler(records))
+    handler = logging.handlers.QueueHandler(records)
+    handler.addFilter(WithIds())
+    logging.getLogger().addHandler(handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import torch
 

@@ -17,6 +17,7 @@ import pytest
 from flows.options import add_config_flags, run_config
 from hfb.config import RunConfig
 from hfb.datasets.clip_making import MadeClip, make_clip
+from tasks.engine import Engine
 from tests.orchestration import _session_folder, mlflow_rows, orchestrated
 
 FRAMES = 12
@@ -49,7 +50,12 @@ def small_clip(frames: int = FRAMES, leaves: tuple[int, int] | None = None, vide
 
 
 def run_clip(
-    source: Path, out: Path, *more: str, workers: int = 2, truth: Path | None = None, background: str | None = None
+    source: Path,
+    out: Path,
+    *more: str,
+    workers: Engine | int = 2,
+    truth: Path | None = None,
+    background: str | None = None,
 ) -> dict[str, Any]:
     """`hfb video` of the small options in this process."""
     from flows.video import run_video

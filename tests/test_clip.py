@@ -96,3 +96,36 @@ def test_no_file_and_no_text(tmp_path: Path) -> None:
     (tmp_path / "clip.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not text in UTF-8"):
         read_clip(tmp_path / "clip.toml")
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        'video = "../walk.mp4"', 'video = "/etc/passwd"', 'background = "../../plate.png"', 'video = "link.mp4"',
+        'video = "a\\u0000b"', '[camera]\ncalibration = "/etc/calib.toml"', '[person]\ntrack = "down/../../t.csv"',
+        'video = "loop"',
+    ],
+)  # fmt: skip
+def test_files_that_lie_elsewhere_are_refused(tmp_path: Path, entry: str) -> None:
+    folder = tmp_path / "clip"
+    folder.mkdir()
+    (tmp_path / "walk.mp4").touch()
+    (folder / "link.mp4").symlink_to(tmp_path / "walk.mp4")
+    (folder / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match="does not lie in its folder") as caught:
+        read_clip(write(folder, entry))
+    assert "\n" not in str(caught.value)
+
+
+def test_links_that_stay_and_folders_below_are_fine(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "walk.mp4").touch()
+    (tmp_path / "link.mp4").symlink_to(Path("below") / "walk.mp4")
+    assert read_clip(write(tmp_path, 'video = "link.mp4"')).video == tmp_path / "link.mp4"
+    assert read_clip(write(tmp_path, 'video = "below/walk.mp4"')).video == tmp_path / "below" / "walk.mp4"
+
+
+@pytest.mark.parametrize("text", ["fps = inf", "fps = nan", "seconds = inf"])
+def test_numbers_are_finite(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match="finite number"):
+        read_clip(write(tmp_path, f"[exposure]\n{text}"))

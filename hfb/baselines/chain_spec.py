@@ -136,5 +136,9 @@ def _absolute(table: dict[str, Any], folder: Path) -> dict[str, Any]:
     for key in ("deblurrer", "pictures", "estimator", "poses"):
         value = content.get(key)
         if isinstance(value, str) and not (key == "estimator" and value in _BUILT_IN):
-            content[key] = (folder / value).resolve()
+            try:
+                content[key] = (folder / value).resolve()
+                content[key].exists()  # a name that is too long is found out here
+            except (OSError, ValueError, RuntimeError):  # a name that no file can have
+                raise InputError(f"{key} {value[:80]!r} is no name of a file") from None
     return content

@@ -1,6 +1,5 @@
 """Another system's results for a case: an .npz with poses, joints or meshes of its sub-frames."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from hfb.baselines.estimators import regress_joints
 from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.initialize.joint_layouts import joints_as_24
+from hfb.media.array_files import read_arrays
 from hfb.shapes import Array, Float
 
 _LIMIT_BYTES = 256 << 20
@@ -62,17 +62,10 @@ def _estimate(kind: str, value: Array, place: Array | None, body: Body, path: Pa
 def _read(path: Path) -> dict[str, Float[Array, "..."]]:
     """The known members; sizes are looked at first and no pickle is opened."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            sizes = {info.filename.removesuffix(".npy"): info.file_size for info in archive.infolist()}
-        if sum(size for name, size in sizes.items() if name in _KNOWN) > _LIMIT_BYTES:
-            raise InputError(f"{path}: more than {_LIMIT_BYTES >> 20} MiB of poses for one case; is it the right file?")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in _KNOWN if name in file}
+        arrays = read_arrays(path, _KNOWN, _LIMIT_BYTES)
     except FileNotFoundError:
         raise InputError(f"there are no poses at {path}; give one .npz per case") from None
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError, MemoryError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as an .npz of plain arrays ({error})") from None
     for name, array in arrays.items():
         if array.dtype.kind not in "fiu" or array.ndim < 2:

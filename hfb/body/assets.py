@@ -12,12 +12,13 @@ from hfb.body.mesh import make_mesh
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.body.smpl_file import read_smpl
+from hfb.media.array_files import read_arrays
 
 
 @lru_cache(maxsize=1)
 def _embedded() -> Body:
-    with resources.as_file(resources.files("hfb.body") / "data" / "default_body.npz") as path, np.load(path) as file:
-        arrays = dict(file)
+    with resources.as_file(resources.files("hfb.body") / "data" / "default_body.npz") as path:
+        arrays = read_arrays(path)
     about = json.loads(str(arrays["about"]))
     template = torch.from_numpy(arrays["template"].astype(np.float64))
     directions = torch.from_numpy(arrays["shape_directions"].astype(np.float64))

@@ -20,7 +20,7 @@ from hfb.errors import InputError
 from hfb.shapes import Array, Shaped
 
 _NUMERIC = {"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"}
-_MAX_ENTRIES = 1 << 27  # 1 GiB of float64
+_MAX_ENTRIES = 1 << 26  # 0.5 GB of float64
 
 
 def to_array(value: Any) -> Shaped[Array, "..."]:
@@ -29,6 +29,15 @@ def to_array(value: Any) -> Shaped[Array, "..."]:
     Raises:
         InputError: it stands for none.
     """
+    try:
+        return _array_of(value)
+    except InputError:
+        raise
+    except Exception as error:  # what a hostile file combines is not foreseeable
+        raise InputError(f"its arrays cannot be put together ({type(error).__name__})") from error
+
+
+def _array_of(value: Any) -> Shaped[Array, "..."]:
     match value:
         case NumpyArray():
             return _numpy_array(value)

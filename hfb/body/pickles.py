@@ -21,6 +21,7 @@ from hfb.body.placeholders import (
     SparseMatrix,
     TorchStorage,
     TorchTensor,
+    check_keys,
 )
 from hfb.errors import InputError
 
@@ -31,6 +32,7 @@ _STORAGES = {
     "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
 }  # fmt: skip
 _MAX_ITEM_BYTES = 1 << 16
+_MAX_STEPS = 4_000_000
 
 
 def _reconstruct(*_arguments: Any) -> NumpyArray:
@@ -82,7 +84,10 @@ def _saved_by_torch(data: Any = b"") -> Any:
     """A file of torch within the pickle, as tensors outside torch.save are kept."""
     from hfb.body.torch_files import load_torch  # it needs this module
 
-    return load_torch(raw_bytes(data))
+    inner = raw_bytes(data)
+    if inner[:2] == b"PK":  # torch writes its older kind there; archives within archives are bombs
+        raise InputError("it holds an archive within itself")
+    return load_torch(inner)
 
 
 _ALLOWED: dict[str, Any] = {
@@ -128,6 +133,7 @@ class Bytes(io.BytesIO):
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self._whole = memoryview(data)
+        self.steps_left = _MAX_STEPS
 
     def view(self, size: int) -> memoryview:
         """The next bytes.
@@ -151,6 +157,24 @@ class _Unpickler(_PythonUnpickler):
         super().__init__(stream, encoding="latin1")
         self._stream = stream
         self._outside = outside
+
+    def load(self) -> Any:
+        """As the base class, for so many steps: each takes a byte of the file and half a microsecond."""
+        self._unframer = pickle._Unframer(self._file_read, self._file_readline)  # type: ignore[attr-defined]
+        self.read, self.readinto = self._unframer.read, self._unframer.readinto
+        self.readline = self._unframer.readline
+        self.metastack: list[list[Any]] = []
+        self.stack: list[Any] = []
+        self.proto = 0
+        self.append = self.stack.append
+        read, dispatch, stream = self.read, self.dispatch, self._stream
+        try:
+            while stream.steps_left > 0:
+                stream.steps_left -= 1
+                dispatch[read(1)[0]](self)
+        except pickle._Stop as stop:  # type: ignore[attr-defined]
+            return stop.value
+        raise InputError("it takes millions of steps to read, as no file of arrays does")
 
     def find_class(self, module: str, name: str) -> Any:
         module = {"__builtin__": "builtins", "copy_reg": "copyreg"}.get(module, module)
@@ -197,6 +221,21 @@ class _Unpickler(_PythonUnpickler):
             size *= side
         array.data = self._stream.view(size)
 
+    def load_setitem(self) -> None:
+        """As the base class, for keys that cannot be made to collide."""
+        check_keys(self.stack[-2:-1])
+        super().load_setitem()
+
+    def load_setitems(self) -> None:
+        """As the base class, see `load_setitem`."""
+        check_keys(self.stack[::2])
+        super().load_setitems()
+
+    def load_dict(self) -> None:
+        """As the base class, see `load_setitem`."""
+        check_keys(self.stack[::2])
+        super().load_dict()
+
     def load_bytearray8(self) -> None:
         """As the base class, but never allocating more than the file holds."""
         size = int.from_bytes(self.read(8), "little")
@@ -206,6 +245,9 @@ class _Unpickler(_PythonUnpickler):
         self.append(data)
 
     dispatch[pickle.BUILD[0]] = load_build
+    dispatch[pickle.SETITEM[0]] = load_setitem
+    dispatch[pickle.SETITEMS[0]] = load_setitems
+    dispatch[pickle.DICT[0]] = load_dict
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
 

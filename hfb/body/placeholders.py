@@ -1,8 +1,11 @@
 """What stands for the objects of a pickle: nothing but the values they were made with."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from hfb.errors import InputError
+
+_MAX_KEY = 1 << 60
 
 
 class Placeholder:
@@ -90,4 +93,20 @@ class PlainDict(dict[Any, Any]):
     """Stands for OrderedDict and defaultdict; attributes that hang on it are dropped."""
 
     def __init__(self, *arguments: Any) -> None:
-        super().__init__(arguments[0] if arguments and isinstance(arguments[0], list) else ())
+        super().__init__(())
+        if arguments and isinstance(arguments[0], list):
+            check_keys([pair[0] for pair in arguments[0]])
+            self.update(arguments[0])
+
+
+def check_keys(keys: Sequence[Any]) -> None:
+    """Texts and numbers: large integers, floats and tuples can be chosen so that a dictionary's time is quadratic.
+
+    Raises:
+        InputError: a key is something else.
+    """
+    for key in keys:
+        if not isinstance(key, str | bytes | Placeholder | type | None) and not (
+            isinstance(key, int) and abs(key) < _MAX_KEY
+        ):
+            raise InputError(f"it holds a dictionary with a {type(key).__name__} for a key")

@@ -78,5 +78,5 @@ def load_case(folder: Path) -> Case:
     try:
         facts = json.loads((folder / "case.json").read_text(encoding="utf-8"))
         return Case(folder, int(facts["number"]), int(facts["frames"]), float(facts["blur_rate"]), facts)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(f"{folder} is no case folder ({error}); make a set with `hfb synth`") from None

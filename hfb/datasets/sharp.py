@@ -8,6 +8,7 @@ import numpy as np
 from hfb.datasets.case import Case
 from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.pictures import picture_size
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.shapes import Array, Float
 
@@ -48,9 +49,11 @@ def load_sharp(case: Case, frame: int) -> Float[Array, "8 H W 4"]:
     try:
         left, top, width, height = (int(value) for value in case.facts["sharp"][frame])
         size = int(case.facts["camera"]["height"]), int(case.facts["camera"]["width"])
+        picture_size(path)
         levels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, KeyError, IndexError, TypeError, ValueError, cv2.error) as error:
-        raise InputError(f"{path} is no strip of sub-frames ({error}); make the set again with `hfb synth`") from None
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path} is no strip of sub-frames ({reason}); make the set again with `hfb synth`") from None
     inside = min(left, top) >= 0 and left + width <= size[1] and top + height <= size[0]
     if levels is None or not inside or levels.shape != (height, SHARP_SUBFRAMES * width, 4):
         raise InputError(f"{path} is damaged or of another case; make the set again with `hfb synth`")

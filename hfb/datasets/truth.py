@@ -4,7 +4,6 @@ A synthetic case knows the whole motion and every silhouette (`Truth`); real vid
 (`JointTruth`). The file's members tell which it is.
 """
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion, motion_arrays, write_arrays
+from hfb.media.array_files import names_in, read_arrays
 from hfb.motion.sampled import SampledMotion
 from hfb.shapes import Array, Bool, Float, Int
 
@@ -60,10 +60,13 @@ def load_truth(path: Path) -> Truth:
         InputError: not a truth file.
     """
     motion, betas_space = load_motion(path)
-    with np.load(path, allow_pickle=False) as file:
-        if "silhouettes" not in file:
-            raise InputError(f"{path} holds a motion but no true silhouettes; make a case with `hfb demo`")
-        bits = np.unpackbits(file["silhouettes"], axis=-1, count=int(file["silhouette_width"]))
+    try:
+        found = read_arrays(path, ("silhouettes", "silhouette_width"))
+        bits = np.unpackbits(found["silhouettes"], axis=-1, count=int(found["silhouette_width"]))
+    except KeyError:
+        raise InputError(f"{path} holds a motion but no true silhouettes; make a case with `hfb demo`") from None
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{path} is not a truth file of hfb ({error}); make the case again") from None
     return Truth(motion, bits.astype(bool), betas_space)
 
 
@@ -85,17 +88,17 @@ def load_joint_truth(path: Path) -> JointTruth:
         InputError: missing, damaged, or its members do not fit each other.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            truth = JointTruth(
-                joints=np.asarray(file["joints"], np.float64),
-                smpl_joints=np.asarray(file["smpl_joints"], np.int64),
-                times_s=np.asarray(file["times_s"], np.float64),
-                frame_index=np.asarray(file["frame_index"], np.int64),
-                names=tuple(str(name) for name in np.atleast_1d(file["names"])),
-            )
+        found = read_arrays(path)
+        truth = JointTruth(
+            joints=np.asarray(found["joints"], np.float64),
+            smpl_joints=np.asarray(found["smpl_joints"], np.int64),
+            times_s=np.asarray(found["times_s"], np.float64),
+            frame_index=np.asarray(found["frame_index"], np.int64),
+            names=tuple(str(name) for name in np.atleast_1d(found["names"])),
+        )
     except FileNotFoundError:
         raise InputError(f"there is no truth file at {path}") from None
-    except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path} is not a truth file of hfb ({error}); make the case again") from None
     wrong = _what_does_not_fit(truth)
     if wrong:
@@ -110,11 +113,10 @@ def load_truth_of(path: Path) -> Truth | JointTruth:
         InputError: neither kind.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            joints_alone = "smpl_joints" in file
+        joints_alone = "smpl_joints" in names_in(path)
     except FileNotFoundError:
         raise InputError(f"there is no truth file at {path}") from None
-    except (ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} is not a truth file of hfb ({error}); make the case again") from None
     return load_joint_truth(path) if joints_alone else load_truth(path)
 

@@ -1,19 +1,19 @@
 """motion.npz: the lossless result, readable by numpy alone."""
 
 import io
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.array_files import read_arrays
 from hfb.media.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
 from hfb.shapes import Array
 
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
-_LIMIT_BYTES = 1 << 30
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
@@ -45,13 +45,30 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
         InputError: not a motion file, or a damaged one.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _LIMIT_BYTES:
-                raise ValueError("unpacked it would be larger than 1 GiB")
-        with np.load(path, allow_pickle=False) as file:
-            names = (*_ARRAYS, *(name for name in _OPTIONAL if name in file.files))
-            return SampledMotion(**{name: file[name] for name in names}), str(file["betas_space"])
+        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, "betas_space"))
+        _check(found)
+        names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
+        return SampledMotion(**{name: found[name] for name in names}), str(found["betas_space"])
     except FileNotFoundError:
         raise InputError(f"there is no motion file at {path}") from None
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path} is not a motion file of hfb ({error}); make one with `hfb fit`") from None
+
+
+def _check(found: Mapping[str, Array]) -> None:
+    """Raises ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
+    rows = len(found["poses"]) if found["poses"].ndim else 0
+    shapes = {
+        "poses": (rows, 72), "trans": (rows, 3), "betas": (10,), "joints": (rows, 24, 3), "times_s": (rows,),
+        "frame_index": (rows,), "K": (3, 3), "joint_radius_mm": (rows, 24),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if name in _OPTIONAL and name not in found:
+            continue
+        array = found[name]
+        if array.shape != shape or array.dtype.kind not in ("iu" if name == "frame_index" else "f"):
+            raise ValueError(f"its {name} is {array.dtype} {array.shape}, not numbers {shape}")
+        if name not in _OPTIONAL and not np.isfinite(array).all():
+            raise ValueError(f"its {name} is not finite")
+    if not rows or found["frame_index"].min() < 0:
+        raise ValueError("it has no instant, or a frame before the first")

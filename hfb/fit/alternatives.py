@@ -1,6 +1,5 @@
 """Motions that explain the pictures too: what was weighed, how likely each is, and what that leaves unknown."""
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
+from hfb.media.array_files import read_arrays
 from hfb.priors.motion_columns import LIMBS
 from hfb.shapes import Array, Bool, Float
 
@@ -153,13 +153,13 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         InputError: no such file, or another one.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            read = {name: file[name] for name in _ARRAYS}
-            scores = dict(zip(file["score_names"].tolist(), file["scores"].T, strict=True))
-            features = dict(zip(file["feature_names"].tolist(), file["features"].astype(np.float64), strict=True))
+        found = read_arrays(path)
+        read = {name: found[name] for name in _ARRAYS}
+        scores = dict(zip(found["score_names"].tolist(), found["scores"].T, strict=True))
+        features = dict(zip(found["feature_names"].tolist(), found["features"].astype(np.float64), strict=True))
     except FileNotFoundError:
         raise InputError(f"there is no file of alternatives at {path}; `hfb fit` leaves one") from None
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path} holds no alternatives of hfb ({error}); make one with `hfb fit`") from None
     read |= {name: read[name].astype(np.float64) for name in ("poses", "trans", "joints")}
     return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores}), features

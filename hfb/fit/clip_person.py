@@ -1,6 +1,5 @@
 """One person for a whole clip: shape and texture that every window holds on to."""
 
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from hfb.body.model import Body, bone_length
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
 from hfb.initialize.first_body import FirstBody
+from hfb.media.array_files import read_arrays
 from hfb.shapes import Float, Tensor
 
 
@@ -46,11 +46,11 @@ def load_person(path: Path) -> ClipPerson:
         InputError: missing, damaged, or of other shapes.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            betas, texture = file["betas"], file["texture"]
+        found = read_arrays(path, ("betas", "texture"))
+        betas, texture = found["betas"].astype(np.float64), found["texture"].astype(np.float64)
     except FileNotFoundError:
         raise InputError(f"there is no person at {path}") from None
-    except (KeyError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path} is not a person of hfb ({error}); delete it to have it made again") from None
     square = texture.ndim == 3 and texture.shape[0] == texture.shape[1] and texture.shape[2] == 3
     if betas.shape != (10,) or not square or not (np.isfinite(betas).all() and np.isfinite(texture).all()):

@@ -5,7 +5,6 @@ grows in proportion to the frames.
 """
 
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +19,7 @@ from hfb.export.motion_file import write_arrays
 from hfb.fit.clip_person import ClipPerson, as_person
 from hfb.fit.loop import Progress, fit
 from hfb.initialize.first_body import FirstBody
+from hfb.media.array_files import read_arrays
 from hfb.motion.trajectory import Trajectory
 from hfb.observation import Observation
 from hfb.priors.motion_prior import MotionPrior
@@ -173,8 +173,7 @@ def load_window(path: Path) -> WindowFit:
         InputError: missing, damaged, or not a window's result.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
+        content = read_arrays(path)
         motion = Trajectory(
             torch.from_numpy(content["rotation"]),
             torch.from_numpy(content["translation"]),
@@ -196,5 +195,5 @@ def load_window(path: Path) -> WindowFit:
         )
     except FileNotFoundError:
         raise InputError(f"there is no window's result at {path}") from None
-    except (KeyError, ValueError, TypeError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path} is not a window's result of hfb ({error}); delete it to have it made again") from None

@@ -51,7 +51,11 @@ def load_first_body(path: Path) -> FirstBody:
     except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path} is not a first body of hfb ({error})") from None
     for name, shape in _NUMBERS.items():
-        if numbers[name].shape != shape or numbers[name].dtype.kind not in "fiu" or not np.isfinite(numbers[name]).all():
+        if (
+            numbers[name].shape != shape
+            or numbers[name].dtype.kind not in "fiu"
+            or not np.isfinite(numbers[name]).all()
+        ):
             raise InputError(f"{path} is not a first body of hfb: {name} must be {shape} finite numbers")
     tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
     return FirstBody(**tensors, source=source)

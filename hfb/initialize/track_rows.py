@@ -1,7 +1,8 @@
 """Boxes of people out of other systems' files, row by row."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ _COLUMNS = {
     "height": ("height", "h", "bb_height"),
 }
 
-_BYTE_LIMIT = 64 << 20
+_BYTE_LIMIT = 16 << 20
 
 TrackRow = tuple[int, str, Float[Array, "4"]]
 """Frame from 0, whose, and left, top, right, bottom [px]."""
@@ -41,7 +42,7 @@ def read_rows(path: Path) -> list[TrackRow]:
         raise InputError(f"{path}: no such file; check person.track.") from None
     except (OSError, ValueError, KeyError, IndexError, OverflowError, csv.Error) as error:
         raise InputError(
-            f"{path}: is no file of tracks ({error}); give columns frame, id, left, top, width, height."
+            f"{path}: is no file of tracks ({str(error)[:120]}); give columns frame, id, left, top, width, height."
         ) from None
 
 
@@ -57,16 +58,20 @@ def _rows_of_npz(path: Path) -> list[TrackRow]:
 def _rows_of_csv(path: Path) -> list[TrackRow]:
     """Columns by their names, or MOTChallenge's without a head. Raises csv.Error, ValueError or IndexError."""
     with path.open(newline="", encoding="utf-8-sig") as file:
-        lines = [line for line in csv.reader(file) if line]
-    head = [word.strip().lower() for word in lines[0]]
+        return _rows(line for line in csv.reader(file) if line)
+
+
+def _rows(lines: Iterator[list[str]]) -> list[TrackRow]:
+    first = next(lines, [""])
+    head = [word.strip().lower() for word in first]
     if head[0].replace(".", "", 1).lstrip("-").isdigit():
-        return [(int(float(line[0])) - 1, _name(line[1]), _sized(line, 2, 3, 4, 5)) for line in lines]
+        return [(int(float(line[0])) - 1, _name(line[1]), _sized(line, 2, 3, 4, 5)) for line in chain([first], lines)]
     column = {key: next((head.index(word) for word in words if word in head), -1) for key, words in _COLUMNS.items()}
     missing = [key for key in ("frame", "id", "left", "top") if column[key] < 0]
     if missing:
         raise ValueError(f"no column {missing[0]}")
     rows = []
-    for line in lines[1:]:
+    for line in lines:
         if column["right"] >= 0 and column["bottom"] >= 0:
             box = np.array([float(line[column[key]]) for key in ("left", "top", "right", "bottom")])
         else:

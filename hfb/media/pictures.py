@@ -1,7 +1,6 @@
 """Still pictures in and out: float32 RGB in [0, 1], sRGB as stored, upright."""
 
 import io
-import struct
 import warnings
 from pathlib import Path
 
@@ -13,8 +12,10 @@ from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
 from hfb.shapes import Array, Float, Shaped
 
-PIXEL_LIMIT = 100_000_000
-_BYTE_LIMIT = 1 << 30
+PIXEL_LIMIT = 64_000_000
+"""Of a picture, or a frame of a video: as float32 RGB 0.77 GB, with its decoder's copies below 2 GB."""
+
+_BYTE_LIMIT = 512 << 20
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
 _KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"
 _ORIENTATION_TAG, _BITS_TAG = 0x0112, 258
@@ -30,14 +31,25 @@ def read_picture_srgb(path: Path) -> Float[Array, "H W 3"]:
         InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
     """
     data = _read_bytes(Path(path))
+    try:
+        pixels, full = _decoded(path, data)
+    except InputError:
+        raise
+    except Exception as error:  # what metadata and colour tables of a damaged file lead to is not foreseeable
+        raise _damaged(path, error) from None
+    picture = np.array(pixels, np.float32, order="C")
+    picture /= np.float32(full)
+    return picture
+
+
+def _decoded(path: Path, data: bytes) -> tuple[Shaped[Array, "H W 3"], int]:
+    """(levels, the highest of them)."""
     image = _open(path, data)
     if _bits_per_channel(image, data) > 8:
-        pixels, full = _decode_deep(path, data, image.getexif().get(_ORIENTATION_TAG, 1)), 65535
-    elif image.mode in ("I", "F"):
+        return _decode_deep(path, data, image.getexif().get(_ORIENTATION_TAG, 1)), 65535
+    if image.mode in ("I", "F"):
         raise InputError(f"{path}: its pixels are 32-bit numbers, not a photograph; save it with 8 or 16 bits.")
-    else:
-        pixels, full = np.asarray(ImageOps.exif_transpose(image).convert("RGB")), 255
-    return np.ascontiguousarray(pixels, np.float32) / np.float32(full)
+    return np.asarray(ImageOps.exif_transpose(image).convert("RGB")), 255
 
 
 def picture_size(path: Path) -> tuple[int, int, int]:
@@ -56,7 +68,7 @@ def picture_size(path: Path) -> tuple[int, int, int]:
                 width, height = image.size
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path.") from None
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError, struct.error):
+    except Exception:  # Pillow raises nearly anything on a damaged file
         raise InputError(f"{path}: is not a picture; give {_KINDS}.") from None
     return (width, height, 16 if deep else 8) if turned else (height, width, 16 if deep else 8)
 
@@ -64,10 +76,12 @@ def picture_size(path: Path) -> tuple[int, int, int]:
 def recorded_exposure(path: Path) -> tuple[float, str] | None:
     """(seconds, where it stands) of a photograph that tells its exposure time (EXIF); None without."""
     try:
-        with Image.open(path, formats=_FORMATS) as image:
-            seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=_FORMATS) as image:
+                seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
         value = float(seconds) if seconds is not None else 0.0
-    except (OSError, SyntaxError, ValueError, TypeError, ZeroDivisionError, struct.error):
+    except Exception:  # metadata that cannot be read tells nothing
         return None
     return (value, f"the EXIF entry ExposureTime of {path.name}") if 0 < value < 10 else None
 
@@ -130,9 +144,14 @@ def _open(path: Path, data: bytes) -> Image.Image:
         raise InputError(f"{path}: is not a picture; give {_KINDS}.") from None
     except Image.DecompressionBombError:
         raise _too_large(path, "it") from None
-    except (OSError, SyntaxError, ValueError, struct.error, EOFError, MemoryError) as error:
-        raise InputError(f"{path}: the picture is truncated or damaged ({error}); export or copy it again.") from None
+    except Exception as error:  # decoders raise nearly anything
+        raise _damaged(path, error) from None
     return image
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    reason = " ".join(str(error).split())[:120] or type(error).__name__
+    return InputError(f"{path}: the picture is truncated or damaged ({reason}); export or copy it again.")
 
 
 def _too_large(path: Path, what: str) -> InputError:

@@ -10,6 +10,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.video_file import open_video
 from hfb.media.video_index import upright
 from hfb.photometry import srgb_to_linear
 from hfb.shapes import Array, Float, Shaped
@@ -81,9 +82,7 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
         raise InputError(f"{path}: no such file; check the path.")
     decoded = 0
     try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: holds no video stream; give a video file.")
+        with open_video(path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             for index, frame in enumerate(container.decode(stream)):
@@ -91,7 +90,7 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
                 if stop is not None and index >= stop:
                     return
                 if index >= start:
-                    yield upright(frame)
+                    yield upright(frame, path)
     except av.FFmpegError as error:
         if decoded <= start:  # a damaged tail is no reason to lose the frames before it
             raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None

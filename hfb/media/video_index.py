@@ -9,7 +9,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.media.pictures import PIXEL_LIMIT
+from hfb.media.video_file import FRAME_LIMIT, check_size, open_video
 from hfb.shapes import Array, Float, Int, Shaped
 
 _HDR = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer characteristics
@@ -44,7 +44,7 @@ class VideoIndex:
         """Frames `start` to `stop` as stored in [0, 1], upright; ends early where the file does."""
         levels = np.arange(256, dtype=np.float32) / np.float32(255)
         for frame in self._decoded(start, stop):
-            pixels = upright(frame)
+            pixels = upright(frame, self.path)
             yield levels[pixels] if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
@@ -56,7 +56,7 @@ class VideoIndex:
             wanted = set(group.tolist())
             for number, frame in enumerate(self._decoded(int(group[0]), int(group[-1]) + 1), int(group[0])):
                 if number in wanted:
-                    pixels = upright(frame)
+                    pixels = upright(frame, self.path)
                     yield levels[pixels] if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
 
     def look_through(self, start: int, stop: int, on_progress: Callable[[int, int], None] | None = None) -> int:
@@ -104,7 +104,7 @@ class VideoIndex:
     def _from(self, stamp: int | None) -> Iterator[tuple[int, av.VideoFrame]]:
         """(time stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
-            with av.open(str(self.path)) as container:
+            with open_video(self.path) as container:
                 stream = container.streams.video[0]
                 stream.thread_type = "AUTO"
                 if stamp is not None:
@@ -123,11 +123,8 @@ def index_video(path: Path) -> VideoIndex:
         InputError: no video, no frame, high dynamic range, or an absurd size.
     """
     try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: holds no video stream; give a video file.")
+        with open_video(path) as container:
             stream = container.streams.video[0]
-            _check_size(path, stream.codec_context.width, stream.codec_context.height)
             base = float(stream.time_base or 0)
             stated_count, rate = stream.frames, float(stream.average_rate or stream.base_rate or 0)
             stated_s = (container.duration or 0) / av.time_base
@@ -135,13 +132,18 @@ def index_video(path: Path) -> VideoIndex:
             stamps, keys, damaged = _stamps(container, stream)
     except av.FFmpegError as error:
         raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
+    if len(stamps) > FRAME_LIMIT:
+        raise InputError(f"{path}: has over {FRAME_LIMIT} frames; cut it into shorter videos.")
+    if not stamps:
+        raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
     first = _first_frame(path)
-    shape = upright(first).shape
-    if len(set(stamps)) < len(stamps) or base <= 0 or not stamps:
+    shape = upright(first, path).shape
+    if len(set(stamps)) < len(stamps) or base <= 0:
         stamps, keys, base = list(range(len(stamps))), [], 1 / (rate or 30.0)
     ordered = np.array(sorted(stamps), np.int64)
     usual_s = float(np.median(np.diff(ordered))) * base if len(ordered) > 1 else stated_s
-    missing = max(stated_count - len(ordered), round((stated_s - float(ordered[-1]) * base) / usual_s) - 1)
+    at_end = (stated_s - float(ordered[-1]) * base) / usual_s if usual_s > 0 else 1.0
+    missing = max(stated_count - len(ordered), round(at_end) - 1)
     loss = None
     if damaged or stated_count > len(ordered) or missing > _ROUNDING_FRAMES:
         lost = f"about {missing} frames at its end" if missing > 0 else "its end"
@@ -152,9 +154,16 @@ def index_video(path: Path) -> VideoIndex:
     )  # fmt: skip
 
 
-def upright(frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
-    """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned as players show them."""
-    pixels = frame.to_ndarray(format="rgb48le" if _deep(frame) else "rgb24")
+def upright(frame: av.VideoFrame, path: Path) -> Shaped[Array, "H W 3"]:
+    """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned as players show them.
+
+    Raises:
+        InputError: the frame is damaged; `path` is the video's, for the message.
+    """
+    try:
+        pixels = frame.to_ndarray(format="rgb48le" if _deep(frame) else "rgb24")
+    except (av.FFmpegError, ValueError, MemoryError):
+        raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
     # The container's display matrix turns counterclockwise; players apply it, the decoder does not.
     return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90) % 4))
 
@@ -175,6 +184,8 @@ def _stamps(container: av.container.InputContainer, stream: av.VideoStream) -> t
                 return stamps, keys, True
             stamp = packet.pts if packet.pts is not None else packet.dts
             stamps.append(len(stamps) if stamp is None else int(stamp))
+            if len(stamps) > FRAME_LIMIT:
+                break
             if packet.is_keyframe and packet.pts is not None:
                 keys.append(int(packet.pts))
     except av.FFmpegError:
@@ -184,9 +195,9 @@ def _stamps(container: av.container.InputContainer, stream: av.VideoStream) -> t
 
 def _first_frame(path: Path) -> av.VideoFrame:
     try:
-        with av.open(str(path)) as container:
+        with open_video(path) as container:
             for frame in container.decode(container.streams.video[0]):
-                _check_size(path, frame.width, frame.height)
+                check_size(path, frame.width, frame.height)
                 if int(frame.color_trc) in _HDR:
                     kind = _HDR[int(frame.color_trc)]
                     raise InputError(f"{path}: is high dynamic range video ({kind}); convert it to BT.709 first.")
@@ -194,11 +205,6 @@ def _first_frame(path: Path) -> av.VideoFrame:
     except av.FFmpegError as error:
         raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
     raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
-
-
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > PIXEL_LIMIT:
-        raise InputError(f"{path}: {width} x {height} pixels are over the limit; make the video smaller.")
 
 
 def _recorded_exposure(metadata: dict[str, str]) -> tuple[float, str] | None:

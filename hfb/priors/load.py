@@ -14,6 +14,7 @@ from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 from hfb.body.pickled_arrays import to_array
 from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
+from hfb.media.array_files import UNPACKED_LIMIT, read_arrays
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
 from hfb.priors.mixture import LIMITS_KEY, MixturePrior, shipped_mixture
@@ -65,13 +66,15 @@ def _numbers(values: object, path: Path) -> Float[Array, "..."]:
 
 def _read(path: Path) -> Mapping[str, object]:
     """A file's arrays by name, whatever container they are in."""
+    if path.stat().st_size > UNPACKED_LIMIT:
+        raise InputError(f"{path}: is larger than {UNPACKED_LIMIT >> 20} MB, no pose prior is; {_ACCEPTED}")
     with path.open("rb") as file:
         head = file.read(32)
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
                 is_torch = any(name.endswith("data.pkl") for name in archive.namelist())
-            return _read_torch(path) if is_torch else _read_npz(path)
+            return _read_torch(path) if is_torch else read_arrays(path)
         if head.startswith(_LEGACY_TORCH):
             return _read_torch(path)
         if head[8:9] == b"{":
@@ -79,11 +82,6 @@ def _read(path: Path) -> Mapping[str, object]:
     except Exception as error:  # damaged files make these readers raise nearly anything
         raise InputError(f"{path}: this file is damaged, or holds more than arrays; {_ACCEPTED}") from error
     return _read_pickle(path)
-
-
-def _read_npz(path: Path) -> Mapping[str, object]:
-    with np.load(path, allow_pickle=False) as arrays:
-        return dict(arrays)
 
 
 class _Ignored:

@@ -52,7 +52,12 @@ def read_networks(path: Path) -> tuple[Discriminator, Corrector]:
             tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118 (no mapping)
     except Exception as error:  # damaged files make this reader raise nearly anything
         raise InputError(f"{path}: this file is damaged, or no safetensors file; {_AGAIN}") from error
-    networks = make_networks(_sizes(metadata, path))
+    sizes = _sizes(metadata, path)
+    with torch.device("meta"):  # sizes that a file merely announces take no memory
+        announced = sum(one.numel() for network in make_networks(sizes) for one in network.state_dict().values())
+    if announced != sum(one.numel() for one in tensors.values()):
+        raise InputError(f"{path}: this motion prior's weights do not fit its sizes; {_AGAIN}")
+    networks = make_networks(sizes)
     for part, network in zip(("discriminator", "corrector"), networks, strict=True):
         state = {name.removeprefix(f"{part}."): one for name, one in tensors.items() if name.startswith(f"{part}.")}
         if not all(torch.isfinite(one).all() for one in state.values()):

@@ -73,5 +73,5 @@ def test_what_would_fill_the_memory_is_refused(tmp_path: Path) -> None:
         for _ in range(65):
             member.write(bytes(1 << 24))
     assert path.stat().st_size < 2 << 20
-    with pytest.raises(InputError, match="larger than 1 GiB"):
+    with pytest.raises(InputError, match="larger than 512 MB"):
         load_motion(path)

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -58,14 +59,19 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
     assert not re.findall(r'(?:src|href)="(?!data:|http://127\.0\.0\.1:5000/)', page)
 
 
-def test_the_deployment_is_what_prefect_reads() -> None:
-    import yaml
-    from prefect.flows import load_flow_from_entrypoint
+def test_times_that_cannot_be_are_not_believed(store: Path, tmp_path: Path) -> None:
+    """A clock that was put back, and a file from a machine whose clock is ahead."""
+    (tmp_path / "clips").mkdir()
+    clip = tmp_path / "clips" / "broken.mp4"
+    clip.write_text("no video")
+    os.utime(clip, (4_000_000_000, 4_000_000_000))
+    config = small_config().model_dump(mode="json")
+    began = time.monotonic()
+    assert batch(tmp_path / "clips", tmp_path / "out", config, workers=1)["set_aside"] == 1
+    assert time.monotonic() - began >= 3, "it may still be on its way"
 
-    root = Path(__file__).parents[2]
-    (deployment,) = yaml.safe_load((root / "infra" / "watched_folder" / "prefect.yaml").read_text())["deployments"]
-    file, _, name = deployment["entrypoint"].partition(":")
-    flow = load_flow_from_entrypoint(f"{root / file}:{name}")
-    assert flow.name == "batch"
-    assert set(deployment["parameters"]) <= set(flow.parameters.properties)
-    assert deployment["concurrency_limit"] == {"limit": 1, "collision_strategy": "CANCEL_NEW"}
+    ledger = json.loads((tmp_path / "out" / "batch.json").read_text())
+    ledger["broken"] |= {"status": "failed", "due": 4_000_000_000.0}
+    (tmp_path / "out" / "batch.json").write_text(json.dumps(ledger))
+    assert batch(tmp_path / "clips", tmp_path / "out", config, workers=1)["set_aside"] == 1
+    assert time.monotonic() - began < 60

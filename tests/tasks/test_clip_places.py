@@ -64,3 +64,19 @@ def test_clips_of_a_folder(tmp_path: Path) -> None:
     assert set(places[3].files) == {tmp_path / "c" / "clip.toml", tmp_path / "c" / "frames" / "0.png"}
     with pytest.raises(InputError, match="is no folder"):
         find_clips(tmp_path / "b.mp4", tmp_path / "out")
+
+
+def test_what_leads_out_of_the_folder_is_refused(tmp_path: Path) -> None:
+    touch(tmp_path / "secret.mp4", tmp_path / "secret.png", tmp_path / "clips" / "good" / "clip.toml")
+    touch(tmp_path / "clips" / "plated.mp4", tmp_path / "clips" / "good" / "frames" / "0.png")
+    (tmp_path / "clips" / "linked.mp4").symlink_to(tmp_path / "secret.mp4")
+    (tmp_path / "clips" / "plated_plate.png").symlink_to(tmp_path / "secret.png")
+    (tmp_path / "clips" / "inside.mp4").symlink_to(tmp_path / "clips" / "plated.mp4")
+    (tmp_path / "clips" / "hidden").mkdir()
+    (tmp_path / "clips" / "hidden" / "clip.toml").touch()
+    (tmp_path / "clips" / "hidden" / "0.png").symlink_to(tmp_path / "secret.png")
+    places = {place.name: place for place in find_clips(tmp_path / "clips", tmp_path / "out")}
+    assert sorted(name for name, place in places.items() if place.stray) == ["hidden", "linked", "plated"]
+    with pytest.raises(InputError, match="leads out of the folder of clips"):
+        places["linked"].check()
+    places["good"].check()

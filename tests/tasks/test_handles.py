@@ -6,7 +6,7 @@ import pytest
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in
+from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in, unchanged
 from tasks.inputs import Inputs, input_file, input_hashes
 
 
@@ -69,3 +69,28 @@ def test_inputs_by_role(file: Path, tmp_path: Path) -> None:
         input_file(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
         input_file(tmp_path / "none")
+
+
+def test_what_is_replaced_while_it_is_read_is_seen(file: Path, tmp_path: Path) -> None:
+    handle = FileHandle.of(file)
+    with unchanged(handle, [handle], 3):
+        pass
+    with pytest.raises(StaleFile, match="no longer what it was"), unchanged(handle):
+        file.write_bytes(b"Content")
+    with pytest.raises(StaleFile, match="no longer what it was"), unchanged(handle):
+        pytest.fail("what is read is not what was given")
+    file.write_bytes(b"content")
+    with unchanged(handle):  # the same content again is the same input
+        (tmp_path / "backup").hardlink_to(file)
+    other = tmp_path / "other"
+    other.write_bytes(b"content")
+    with pytest.raises(StaleFile, match="replaced while it was read"), unchanged(handle):
+        other.replace(file)
+    with pytest.raises(StaleFile, match="is gone"), unchanged(handle):
+        file.unlink()
+
+
+def test_a_file_that_nobody_touched_is_read_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    handle = FileHandle.of(file)
+    monkeypatch.setattr("tasks.handles.sha256_of", lambda path: pytest.fail(f"{path} is read again"))
+    handle.check()

@@ -1,5 +1,6 @@
 """BVH files: a skeleton and its joint angles over time, as text."""
 
+import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,10 @@ from hfb.datasets.motions.quaternions import multiply, rotate
 from hfb.errors import InputError
 from hfb.shapes import Array, Float
 
-_MAX_BYTES = 256 << 20
+_MAX_BYTES, _MAX_HEAD = 64 << 20, 4 << 20
 _MAX_JOINTS = 1000
 _MAX_FPS = 10_000
+_MAX_TURNS = 1 << 22  # frames x joints: a joint without channels takes no byte of the table, yet a place in memory
 _POSITIONS = {"xposition": 0, "yposition": 1, "zposition": 2}
 _ROTATIONS = {"xrotation": 0, "yrotation": 1, "zrotation": 2}
 
@@ -88,10 +90,14 @@ def _parse(text: str) -> BvhMotion:
     if separator is None:
         raise InputError("it has no MOTION part (cut off?)")
     head, motion = text[: separator.start()], text[separator.start() :]
+    if len(head) > _MAX_HEAD:
+        raise InputError(f"its skeleton has more than {_MAX_HEAD >> 20} MB of text")
     joints = _Hierarchy(head).joints
     first_line = head.count("\n") + 1
     counts = [len(joint.channels or ()) for joint in joints]
     values, fps = _read_motion(motion, sum(counts), first_line)
+    if len(values) * len(joints) > _MAX_TURNS:
+        raise InputError(f"{len(values)} frames of {len(joints)} joints are too many at once, cut it into shorter ones")
     rotations = np.zeros((len(values), len(joints), 4))
     offsets = np.array([joint.offset for joint in joints], dtype=np.float64)
     places = np.repeat(offsets[None], len(values), 0)
@@ -236,7 +242,7 @@ def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array,
 def _why(text: str, frames: int, columns: int, first_line: int) -> str:
     """What is wrong with the table of values: the first line that shows it."""
     rows = 0
-    for number, row in enumerate(text.splitlines(), first_line):
+    for number, row in enumerate(io.StringIO(text), first_line):
         words = row.split()
         if not words:
             continue

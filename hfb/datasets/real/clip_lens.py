@@ -1,6 +1,7 @@
 """The lens that clip.toml names: out of Pose2Sim's Calib.toml, cameras.json, or a calibration as OpenCV writes it."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from hfb.errors import InputError
 from hfb.media.lens import Lens
 from hfb.shapes import Array
 
-_BYTE_LIMIT = 1 << 20
+_BYTE_LIMIT, _MOST_ROWS = 1 << 20, 100
+_DEEPEST = 32  # OpenCV's parsers call themselves for every bracket or tag until the stack is used up
 _MATRIX = ("camera_matrix", "cameraMatrix", "K", "mtx", "intrinsic_matrix", "intrinsics")
 _DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "distortion", "dist", "D")
 _WIDTH, _HEIGHT = ("image_width", "imageWidth", "width"), ("image_height", "imageHeight", "height")
@@ -92,7 +94,7 @@ def _array(entries: dict[str, Any], names: tuple[str, ...]) -> Array | None:
         if value is not None:
             try:
                 return np.array(value, np.float64)
-            except (ValueError, TypeError):
+            except (ValueError, TypeError, OverflowError):
                 return None
     return None
 
@@ -119,6 +121,11 @@ def _json(path: Path) -> dict[str, Any]:
 def _storage(path: Path) -> dict[str, Any]:
     """The entries of OpenCV's own YAML or XML that matter."""
     text = _text(path)
+    sides = re.findall(r"(?:rows|cols)[^\w-]{1,8}(-?\d+)", text)
+    if any(len(side) > 3 or not 0 < int(side) < _MOST_ROWS for side in sides):
+        raise InputError(f"{path}: announces a matrix of a size that no calibration has; export it again.")
+    if _depth(text) > _DEEPEST:
+        raise InputError(f"{path}: is no calibration as OpenCV writes it: it nests without end; export it again.")
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         entries: dict[str, Any] = {}
@@ -134,3 +141,12 @@ def _storage(path: Path) -> dict[str, Any]:
     except (cv2.error, SystemError):
         raise InputError(f"{path}: is no calibration as OpenCV writes it; export it again.") from None
     return {name: value for name, value in entries.items() if value is not None}
+
+
+def _depth(text: str) -> int:
+    """How many brackets, tags or steps of indentation lie within each other, at most."""
+    deepest, depth = max((len(line) - len(line.lstrip()) for line in text.splitlines()), default=0) // 4, 0
+    for found in re.finditer(r"[\[{]|[\]}]|</|/>|<\w", text):
+        depth += 1 if found[0] in "[{" or found[0][-1].isalnum() else -1
+        deepest = max(deepest, depth)
+    return deepest

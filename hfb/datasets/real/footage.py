@@ -16,6 +16,7 @@ from hfb.clip import Clip, read_clip
 from hfb.errors import InputError
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
+from hfb.media.video_file import open_video
 from hfb.photometry import as_srgb, srgb_to_linear
 from hfb.shapes import Array, Bool, Float
 
@@ -161,9 +162,7 @@ def _clip_beside(path: Path, stem: str) -> Clip:
 def _timing(path: Path) -> tuple[float, Bool[Array, "n"]]:
     """(frames per second, which frames are followed by a regular interval), from the container's time stamps."""
     try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: holds no video stream; give a video file.")
+        with open_video(path) as container:
             stream = container.streams.video[0]
             stated = float(stream.average_rate or 0)
             base = float(stream.time_base or 0)
@@ -181,5 +180,7 @@ def _timing(path: Path) -> tuple[float, Bool[Array, "n"]]:
     intervals = np.diff(np.sort(np.array(stamps)))
     usual = float(np.median(intervals))
     steady = np.abs(intervals - usual) <= _JITTER * usual
+    if not usual > 0:
+        raise InputError(f"{path}: most of its frames have the same time stamp; convert it to H.264 in an .mp4 file.")
     fps = 1 / float(intervals[steady].mean())
     return (stated if abs(stated - fps) < 0.01 * fps else fps), steady

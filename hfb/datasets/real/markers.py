@@ -6,7 +6,6 @@ and heels, for which SMPL has no joint at the same place.
 """
 
 import math
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,9 +13,11 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
+from hfb.media.array_files import read_arrays
 from hfb.shapes import Array, Float, Int
 
-_FILE_LIMIT = 256 << 20
+_FILE_LIMIT = 64 << 20
+_MAX_NUMBERS = 1 << 25  # a line that is cut off stands for as many gaps as there are markers
 _UNITS_M = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 _SIDES = {"left": "left", "right": "right", "l": "left", "r": "right"}
@@ -80,17 +81,12 @@ def read_joints_npz(path: Path) -> Markers:
     """
     fix = "give frames (F,), names (M,) and xyz (F, M, 3) in metres"
     try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _FILE_LIMIT:
-                raise InputError(f"{path}: unpacked it has over {_FILE_LIMIT >> 20} MiB; {fix}.")
-        with np.load(path, allow_pickle=False) as file:
-            frames, names, xyz = (file[name] for name in ("frames", "names", "xyz"))
-    except InputError:
-        raise
+        found = read_arrays(path, ("frames", "names", "xyz"), _FILE_LIMIT)
+        frames, names, xyz = (found[name] for name in ("frames", "names", "xyz"))
     except KeyError as error:
-        raise InputError(f"{path}: {error.args[0]}; {fix}.") from None
-    except Exception as error:  # a broken archive makes zipfile and numpy raise nearly anything
-        raise InputError(f"{path}: can't be read as joints ({type(error).__name__}); {fix}.") from None
+        raise InputError(f"{path}: has no {error.args[0]}; {fix}.") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: can't be read as joints ({error}); {fix}.") from None
     if frames.dtype.kind not in "iu" or names.dtype.kind not in "US" or xyz.dtype.kind != "f":
         raise InputError(f"{path}: holds other kinds of values; {fix}.")
     if names.ndim != 1 or xyz.shape != (frames.size, names.size, 3) or frames.shape != (frames.size,):
@@ -119,6 +115,8 @@ def read_trc(path: Path) -> Markers:
     names = tuple(cell.strip() for cell in lines[3].split("\t")[2:] if cell.strip())
     if len(names) != count:
         raise InputError(f"{path}: NumMarkers says {count:g} and line 4 names {len(names)} markers; export it again.")
+    if len(lines) * 3 * len(names) > _MAX_NUMBERS:
+        raise InputError(f"{path}: {len(lines)} lines of {len(names)} markers are too many at once; cut it into parts.")
     times, points = [], []
     for number, line in enumerate(lines[5:], start=6):
         if line.strip():
@@ -165,7 +163,7 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
         time_s = float(cells[1])
         point = np.array([float(cell) if cell else math.nan for cell in cells[2:]]).reshape(markers, 3)
     except ValueError as error:
-        raise InputError(f"{path}: line {number} holds something that is no number ({error}).") from None
+        raise InputError(f"{path}: line {number} holds something that is no number ({str(error)[:80]}).") from None
     if not math.isfinite(time_s) or not 0 <= time_s < 1e6:
         raise InputError(f"{path}: line {number} has the time {cells[1]}; times are seconds from 0.")
     return time_s, point

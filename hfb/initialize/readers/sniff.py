@@ -37,9 +37,10 @@ def read_tracks(files: Sequence[Path], height: int, width: int) -> tuple[PoseTra
                 return tuple(tidy(track).at_size(height, width) for track in tracks if len(track))
     except InputError as error:
         raise InputError(f"{path} cannot be used: {error}") from error
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise InputError(f"{path} cannot be used: it is damaged, or of an unknown version ({error!r})") from error
-    held = ", ".join(list(named(content))[:12]) or type(content).__name__
+    except Exception as error:  # what a damaged or hostile file combines is not foreseeable
+        reason = repr(error)[:120]
+        raise InputError(f"{path} cannot be used: it is damaged, or of an unknown version ({reason})") from error
+    held = ", ".join(list(named(content))[:12])[:120] or type(content).__name__
     raise InputError(f"{path} is no result that hfb knows (it holds {held}); known are {', '.join(SYSTEMS)}")
 
 

@@ -1,0 +1,231 @@
+"""The chains as a server starts them: the deployments of infra/prefect.yaml; their parameters are the form on its page.
+
+Each does what the command of that name does, with the files and folders of the machine that the worker runs on. What
+went wrong is the flow run's message; nothing is asked, and nothing is kept in a terminal's words.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from prefect import flow
+from pydantic import Field
+
+from flows import batch as every_clip
+from flows import fit_image, judging, people, train_prior
+from flows.benchmark import run_benchmark
+from flows.reaper import end_abandoned_flow_runs, mark_owner
+from flows.train_prior import TrainingPlan
+from flows.trouble import told_plainly
+from flows.workplace import check_writable
+from hfb.config import RunConfig, preset
+from hfb.toml_file import merged, to_record
+from tasks import tracking
+from tasks.displays import shown_somewhere
+from tasks.engine import engine_of
+from tasks.metrics import served
+from tasks.store_place import check_store, tracking_uri
+from tasks.video_inputs import take_video_inputs
+
+Count = Annotated[int, Field(ge=1)]
+Workers = Count | str  # as --workers
+Natural = Annotated[int, Field(ge=0)]
+
+
+class Options(RunConfig):
+    """The options of the method, as `hfb fit --help` tells them; of `fit` only what is unlike the preset."""
+
+    fit: dict[str, Any] = Field(  # type: ignore[assignment]  # a form would fill in one preset's values for the other
+        {}, description='what is unlike the preset, such as {"subframes": 12}; {"rasterizer": "cuda"} draws on a GPU'
+    )
+
+    def config(self) -> RunConfig:
+        """The configuration that these options and their preset make together; raises InputError."""
+        return to_record(RunConfig, merged(preset(self.preset).model_dump(), self.model_dump()), "options")
+
+
+_BEST = Options()
+
+
+@flow(name="fit", persist_result=False, on_running=[mark_owner])
+def fit(
+    frames: Annotated[list[Path], Field(min_length=1)],
+    background: Path,
+    out: Path,
+    clip: Path | None = None,
+    options: Options = _BEST,
+) -> dict[str, Any]:
+    """Blurred pictures of a static camera to a moving body, as `hfb fit`.
+
+    Args:
+        frames: blurred pictures, in their order; several are one problem.
+        background: the same view without the person.
+        out: the folder for the results; made where there is none.
+        clip: a clip.toml with camera and exposure of the recording.
+        options: options of the method.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+        Unavailable: the disk is full, or a server went away; what is finished is kept.
+    """
+    config = options.config()
+    with _on_a_worker(out):
+        return fit_image.fit_image.fn(frames, background, out, config, clip)
+
+
+@flow(name="clip", persist_result=False, on_running=[mark_owner])
+def video(
+    source: Path,
+    out: Path,
+    background: str | None = None,
+    clip: Path | None = None,
+    everyone: bool = False,
+    workers: Workers = 1,
+    store: str | None = None,
+    options: Options = _BEST,
+) -> dict[str, Any]:
+    """A blurred video of a static camera to one continuous motion, as `hfb video`. Run again, it goes on.
+
+    Args:
+        source: a video, a folder of its frames, or a folder with a clip.toml.
+        out: the folder for the results; made where there is none.
+        background: a picture of the view without the person, or the word median or still.
+        clip: camera, exposure, time range and person; else the clip.toml in the folder.
+        everyone: each person who is seen, one after the other.
+        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
+        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
+        options: options of the method.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+        Unavailable: the disk is full, or a server went away; what is finished is kept.
+    """
+    config = options.config()
+    with _on_a_worker(out):
+        inputs = take_video_inputs(source, config, clip, background, None, everyone)
+        return people.run_clip(inputs, out, config, engine_of(workers, store))
+
+
+@flow(name="batch", persist_result=False, on_running=[mark_owner])
+def batch(
+    folder: Path,
+    out: Path,
+    workers: Workers = 1,
+    store: str | None = None,
+    attempts: Count = 3,
+    wait_s: Annotated[float, Field(gt=0)] = 60.0,
+    again: bool = False,
+    options: Options = _BEST,
+) -> dict[str, Any]:
+    """Every clip of a folder, once; failures again later, hopeless ones set aside. As `hfb batch`.
+
+    Args:
+        folder: NAME.mp4 with NAME.toml, and folders NAME/ with a clip.toml.
+        out: the folder for the results, NAME/ each; summary.html in it tells of all.
+        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
+        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
+        attempts: failures after which a clip is set aside.
+        wait_s: seconds before a second attempt, doubled for each further.
+        again: take clips that were set aside once more.
+        options: options of the method.
+
+    Returns:
+        how many clips there are and what became of them, and where the page is.
+
+    Raises:
+        InputError: the folder cannot be read or ``out`` not be written, or another process works on it.
+    """
+    config = options.config()
+    with _on_a_worker(out):
+        content = config.model_dump(mode="json")
+        return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
+
+
+@flow(name="methods", persist_result=False, on_running=[mark_owner])
+def benchmark(
+    out: Path,
+    set: Literal["bt-amass", "bc-cape", "b-aist"] = "bt-amass",
+    count: Count = 20,
+    frames: Count = 1,
+    methods: Annotated[list[str], Field(min_length=1)] = ["best", "paper", "static"],  # noqa: B006 (as a form shows it)
+    start: Literal["simulated", "estimated"] | None = None,
+    seed: Natural = 0,
+    motions: Path | None = None,
+    videos: Path | None = None,
+    average: Annotated[int, Field(ge=2)] = 9,
+    body: Path | None = None,
+    fill: Literal["paper", "even", "natural"] = "paper",
+    chains: Path | None = None,
+    workers: Count = 1,
+) -> dict[str, Any]:
+    """Methods against cases of known truth: tables, plots, a page. As `hfb benchmark`. Run again, it goes on.
+
+    Args:
+        out: the folder for cases, answers and tables; made where there is none.
+        set: which set.
+        count: how many cases.
+        frames: blurred frames per case.
+        methods: names as in `hfb benchmark --help`.
+        start: what all methods start from; left empty, what suits the set.
+        seed: of everything that is random.
+        motions: a folder with AMASS, BVH, CAPE or hfb's own motion files; left empty, the built-in ones.
+        videos: of b-aist, a folder with videos of a static camera.
+        average: of b-aist, frames per exposure.
+        body: a SMPL file, for the truth and the fit; left empty, the embedded body.
+        fill: how many cases each interval of blur gets.
+        chains: a file with deblur-then-estimate chains.
+        workers: processes that compute; changes no digit.
+
+    Returns:
+        the content of result.json.
+
+    Raises:
+        InputError: something given cannot be used, or not one case is left.
+    """
+    with _on_a_worker(out):
+        given = argparse.Namespace(
+            set=set, count=count, methods=",".join(methods), start=start, seed=seed, motions=motions, videos=videos,
+            average=average, body=body, fill=fill, chains=chains, backgrounds=None, textures=None, size=None,
+            easy=False,
+        )  # fmt: skip
+        return run_benchmark(judging.plan_of(given, frames), out, workers)
+
+
+@flow(name="train-prior", persist_result=False, on_running=[mark_owner])
+def train(plan: TrainingPlan, out: Path) -> dict[str, Any]:
+    """Learn from motion capture how people move, or stand, as `hfb train-prior`. Run again, it goes on.
+
+    Args:
+        plan: the recordings, and how to learn from them.
+        out: the file for the weights, NAME.safetensors.
+
+    Returns:
+        what the prior knows, and where it is.
+
+    Raises:
+        InputError: something given cannot be used; ``out`` is then as it was.
+    """
+    with _on_a_worker(out.parent):
+        return train_prior.train_prior.fn(plan, out)
+
+
+@contextmanager
+def _on_a_worker(out: Path) -> Iterator[None]:
+    """What `flows.running` sets up around a command; a store that does not answer is told before anything is done."""
+    check_writable(out)
+    check_store(tracking_uri())
+    with suppress(Exception):  # tidying up after killed runs must not stop this one
+        tracking.open_store()
+        end_abandoned_flow_runs()
+    with served(), shown_somewhere(), told_plainly(out):
+        yield

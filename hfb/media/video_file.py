@@ -1,0 +1,45 @@
+"""Opening a video: the file alone, as a container that hfb knows, with frames of a bounded size."""
+
+from pathlib import Path
+
+import av
+
+from hfb.errors import InputError
+from hfb.media.pictures import PIXEL_LIMIT
+
+FRAME_LIMIT = 1_000_000
+"""Frames of one video: nine hours at 30 per second."""
+
+# FFmpeg goes by content: a playlist that is called walk.mp4 names other files, or addresses, and it would open them.
+_CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,asf,mxf,gif,flv,ogg"
+
+
+def open_video(path: Path) -> av.container.InputContainer:
+    """A container whose frames may be decoded; to be closed.
+
+    Raises:
+        InputError: it holds no video stream, or frames of an absurd size.
+        av.FFmpegError: no video.
+    """
+    # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
+    name = f"file:{path.absolute()}"
+    options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
+    container = av.open(name, options=options, metadata_errors="replace")
+    try:
+        if not container.streams.video:
+            raise InputError(f"{path}: holds no video stream; give a video file.")
+        codec = container.streams.video[0].codec_context
+        if codec is None:
+            raise InputError(f"{path}: holds video of an unknown kind; convert it to H.264.")
+        check_size(path, codec.width, codec.height)
+        codec.options = {**codec.options, "max_pixels": str(PIXEL_LIMIT)}
+        return container
+    except BaseException:
+        container.close()
+        raise
+
+
+def check_size(path: Path, width: int, height: int) -> None:
+    """Raises InputError where a frame is too large."""
+    if width * height > PIXEL_LIMIT:
+        raise InputError(f"{path}: {width} x {height} pixels are over the limit; make the video smaller.")

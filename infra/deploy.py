@@ -1,0 +1,173 @@
+"""Put hfb on a Prefect server: work pool, queues, the deployments of prefect.yaml, and an end for runs that died.
+
+Done again it changes what is there to what is written here, and adds nothing. What it looks at:
+
+    PREFECT_API_URL, PREFECT_API_AUTH_STRING     the server
+    HFB_POOL [hfb], HFB_POOL_TYPE [process]      process, docker or kubernetes: how a worker starts a flow run
+    HFB_IMAGE, HFB_VOLUMES, HFB_NETWORK          of docker: what a run is started in; HFB_VOLUMES is A:B,C:D
+    HFB_NAMESPACE [hfb]                          of kubernetes: where jobs are made
+    HFB_DATA [/data]                             where workers see clips and results
+    HFB_GPUS [1]                                 GPUs of all workers together: so many runs of the queue `gpu` at once
+    MLFLOW_AUTH_ADMIN_PASSWORD                   where it is given: MLFLOW_TRACKING_USERNAME gets an account there
+    MLFLOW_S3_ENDPOINT_URL, AWS_...              where they are given: the bucket `mlflow` is made there
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import subprocess
+import sys
+import time
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import anyio
+from prefect.client.orchestration import SyncPrefectClient, get_client
+from prefect.client.schemas.actions import WorkPoolCreate
+from prefect.client.schemas.objects import StateType
+from prefect.events.actions import ChangeFlowRunState
+from prefect.events.schemas.automations import AutomationCore, EventTrigger, Posture
+from prefect.events.schemas.events import ResourceSpecification
+from prefect.exceptions import ObjectNotFound
+from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
+
+_HERE = Path(__file__).parent
+_BEAT = "prefect.flow-run.heartbeat"
+_ENDS = ("Completed", "Failed", "Cancelled", "Crashed", "Paused", "Suspended")
+_WITHOUT_BEAT_S = 90  # three beats of PREFECT_FLOWS_HEARTBEAT_FREQUENCY=30
+_PATIENCE_S = 180
+_BUCKET = "mlflow"
+_PASSED_ON = ("MLFLOW_TRACKING_URI", "MLFLOW_TRACKING_USERNAME", "MLFLOW_TRACKING_PASSWORD_FILE")
+_PASSED_ON += ("PREFECT_FLOWS_HEARTBEAT_FREQUENCY", "HFB_MLFLOW_PAGES")
+
+
+def main() -> None:
+    """Everything, in the order in which one needs the other."""
+    os.environ.setdefault("HFB_POOL", "hfb")
+    data = Path(os.environ.setdefault("HFB_DATA", "/data"))
+    if data.is_dir():  # the watched folder is looked at from now on
+        (data / "clips").mkdir(exist_ok=True)
+    with get_client(sync_client=True) as client:
+        _wait_for(client)
+        _make_pool(client, os.environ["HFB_POOL"], os.environ.get("HFB_POOL_TYPE", "process"))
+        _limit_gpus(client, os.environ["HFB_POOL"], int(os.environ.get("HFB_GPUS", "1")))
+        _end_dead_runs(client)
+    prefect = [sys.executable, "-m", "prefect", "--no-prompt"]
+    subprocess.run([*prefect, "deploy", "--prefect-file", str(_HERE / "prefect.yaml"), "--all"], check=True)
+    if os.environ.get("MLFLOW_S3_ENDPOINT_URL"):
+        _make_bucket(os.environ["MLFLOW_S3_ENDPOINT_URL"])
+    if os.environ.get("MLFLOW_AUTH_ADMIN_PASSWORD"):
+        _make_account(os.environ["MLFLOW_TRACKING_URI"])
+
+
+def _wait_for(client: SyncPrefectClient) -> None:
+    began = time.monotonic()
+    while (trouble := client.api_healthcheck()) is not None:
+        if time.monotonic() - began > _PATIENCE_S:
+            sys.exit(f"the Prefect server at {client.api_url} does not answer: {trouble}")
+        time.sleep(2)
+
+
+def _make_pool(client: SyncPrefectClient, name: str, kind: str) -> None:
+    template: dict[str, Any] | None = anyio.run(get_default_base_job_template_for_infrastructure_type, kind)
+    if template is None:
+        sys.exit(
+            f"there is no work pool of type {kind} here: process, or docker and kubernetes with hfb[team] installed"
+        )
+    if kind != "process":
+        _set_defaults(template, kind)
+    pool = WorkPoolCreate(name=name, type=kind, base_job_template=template, description="flow runs of hfb")
+    client.create_work_pool(pool, overwrite=True)
+
+
+def _set_defaults(template: dict[str, Any], kind: str) -> None:
+    """What a container needs: image, settings (secrets come from files in it), and the folder with the clips."""
+    known = template["variables"]["properties"]
+    given: dict[str, Any] = {
+        "image": os.environ["HFB_IMAGE"],
+        "image_pull_policy": "IfNotPresent",
+        "env": {name: os.environ[name] for name in _PASSED_ON if name in os.environ},
+    }
+    if kind == "docker":
+        given["volumes"] = [one for one in os.environ.get("HFB_VOLUMES", "").split(",") if one]
+        given["networks"] = [one for one in os.environ.get("HFB_NETWORK", "").split(",") if one]
+        given["auto_remove"] = True
+    else:
+        pod = template["job_configuration"]["job_manifest"]["spec"]["template"]["spec"]
+        _mount(pod, "data", "/data", {"persistentVolumeClaim": {"claimName": "data"}})
+        read = [{"key": one, "path": one} for one in ("prefect_auth", "mlflow_worker")]
+        _mount(pod, "secrets", "/run/secrets", {"secret": {"secretName": "hfb", "items": read}})
+        given["namespace"] = os.environ.get("HFB_NAMESPACE", "hfb")
+        pod["securityContext"] = {"runAsNonRoot": True, "runAsUser": 1000, "fsGroup": 1000}
+    for name, value in given.items():
+        known[name]["default"] = value
+
+
+def _mount(pod: dict[str, Any], name: str, path: str, source: dict[str, Any]) -> None:
+    pod.setdefault("volumes", []).append({"name": name, **source})
+    pod["containers"][0].setdefault("volumeMounts", []).append({"name": name, "mountPath": path})
+
+
+def _limit_gpus(client: SyncPrefectClient, pool: str, gpus: int) -> None:
+    """One fit per GPU: the queue gives out no more runs than there are GPUs, and each GPU's worker takes one."""
+    try:
+        queue = client.read_work_queue_by_name("gpu", work_pool_name=pool)
+    except ObjectNotFound:
+        queue = client.create_work_queue("gpu", work_pool_name=pool, description="runs that draw on a GPU")
+    client.update_work_queue(queue.id, concurrency_limit=gpus)
+
+
+def _end_dead_runs(client: SyncPrefectClient) -> None:
+    """Crashed for a run that was heard of once and then neither beats nor ends: its worker or its machine is gone."""
+    dead = AutomationCore(
+        name="hfb: end runs that died",
+        description=f"a flow run without a heartbeat for {_WITHOUT_BEAT_S} s is Crashed; started again, it goes on",
+        trigger=EventTrigger(
+            after={_BEAT},
+            expect={_BEAT, *(f"prefect.flow-run.{end}" for end in _ENDS)},
+            match=ResourceSpecification({"prefect.resource.id": ["prefect.flow-run.*"]}),
+            for_each={"prefect.resource.id"},
+            posture=Posture.Proactive,
+            threshold=1,
+            within=timedelta(seconds=_WITHOUT_BEAT_S),
+        ),
+        actions=[ChangeFlowRunState(state=StateType.CRASHED, message="no heartbeat: its worker or machine is gone")],
+    )
+    for old in client.read_automations_by_name(dead.name):
+        client.delete_automation(old.id)
+    client.create_automation(dead)
+
+
+def _make_bucket(store: str) -> None:
+    import boto3
+
+    s3 = boto3.client("s3", endpoint_url=store)
+    if _BUCKET not in {one["Name"] for one in s3.list_buckets()["Buckets"]}:
+        s3.create_bucket(Bucket=_BUCKET)
+
+
+def _make_account(mlflow: str) -> None:
+    """An account for the workers; the administrator's password stays here."""
+    person = {"username": os.environ["MLFLOW_TRACKING_USERNAME"], "password": os.environ["MLFLOW_TRACKING_PASSWORD"]}
+    admin = f"{os.environ.get('MLFLOW_AUTH_ADMIN_USERNAME', 'admin')}:{os.environ['MLFLOW_AUTH_ADMIN_PASSWORD']}"
+    headers = {
+        "Authorization": f"Basic {base64.b64encode(admin.encode()).decode()}",
+        "Content-Type": "application/json",
+    }
+    url = f"{mlflow.rstrip('/')}/api/2.0/mlflow/users/create"
+    try:
+        with urlopen(Request(url, json.dumps(person).encode(), headers), timeout=30):
+            return
+    except HTTPError as error:
+        reason = error.read().decode(errors="replace")
+        if "RESOURCE_ALREADY_EXISTS" not in reason:
+            sys.exit(f"{url} answers {error.code}: {reason[:200]}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,4 @@
+-- Beside the one that the image makes by itself.
+CREATE DATABASE prefect;
+CREATE DATABASE mlflow;
+CREATE DATABASE mlflow_auth;

@@ -1,0 +1,62 @@
+"""Results of tasks in a folder of their own, and none read that is not exactly of our kind.
+
+Prefect believes a record's own word on how it is to be read, pickle included: whoever hands over a result's folder
+could have code run by the next start in it. Ours are JSON of our own handles.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from prefect.serializers import JSONSerializer
+from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
+
+_NAME = "hfb-"  # of a task's record: `tasks.task.cache_key`; failures and flows leave others, which nobody reads again
+_OURS = ("tasks.", "hfb.")
+_BYTE_LIMIT = 64 << 20
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def records_in(folder: Path) -> Iterator[None]:
+    """Results of tasks stay with the files that they name: no other folder takes them for its own."""
+    place = folder / "records"
+    drop_foreign(place)
+    with temporary_settings({PREFECT_LOCAL_STORAGE_PATH: place}):
+        yield
+
+
+def drop_foreign(place: Path) -> int:
+    """Remove every record that is not one of ours; what it stood for is made again. Returns how many there were."""
+    foreign = [path for path in place.iterdir() if not _is_ours(path)] if place.is_dir() else []
+    for path in foreign:
+        if path.is_file() or path.is_symlink():
+            path.unlink(missing_ok=True)
+            _log.info("%s: no record of ours, removed", path)
+    return len(foreign)
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        if not path.name.startswith(_NAME) or path.is_symlink() or path.stat().st_size > _BYTE_LIMIT:
+            return False
+        record = json.loads(path.read_bytes())
+        if record["metadata"]["serializer"] != JSONSerializer().model_dump(mode="json"):
+            return False
+        json.loads(record["result"], object_hook=_only_handles)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return False
+    return True
+
+
+def _only_handles(content: dict[str, Any]) -> dict[str, Any]:
+    """Raises ValueError for anything that Prefect would make into an object of somebody else's class."""
+    kind = content.get("__class__")
+    if "__exc_type__" in content or (kind is not None and not str(kind).startswith(_OURS)):
+        raise ValueError("not a handle")
+    return content

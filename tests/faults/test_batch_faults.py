@@ -1,0 +1,72 @@
+"""A batch whose clips or schedule misbehave; `python -m tests.faults.team_faults` takes its servers away, by hand."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from hfb.config import CameraConfig, ExposureConfig
+from tasks.handles import StaleFile
+from tasks.video_clip import look_at_clip, reading
+from tasks.video_inputs import take_video_inputs
+from tests.faults.team_faults import COMPARED, Batch, unfinished
+from tests.orchestration import prefect_api
+from tests.small_clips import LONGER, run_clip, small_clip, small_config
+
+_FRAMES = 3
+
+
+def undisturbed(clip: Path, out: Path) -> dict[str, bytes]:
+    """The results of a clip, by the names that `Batch.bytes` gives them."""
+    run_clip(clip, out, *LONGER, workers=1)
+    return {f"clip0/{name}": (out / name).read_bytes() for name in COMPARED}
+
+
+def replace_pictures(clip: Path) -> None:
+    """The pictures in the opposite order: somebody copies another clip over one that is worked on."""
+    pictures = sorted((clip / "frames").iterdir())
+    contents = [path.read_bytes() for path in pictures]
+    for path, content in zip(pictures, reversed(contents), strict=True):
+        path.with_suffix(".new").write_bytes(content)
+        path.with_suffix(".new").replace(path)
+
+
+def test_a_clip_that_is_replaced_while_a_second_schedule_starts(store: Path, tmp_path: Path) -> None:
+    batch = Batch(tmp_path / "batch", 1, _FRAMES, prefect_api())
+    shutil.copytree(batch.folder / "clips" / "clip0", tmp_path / "replaced")
+    replace_pictures(tmp_path / "replaced")
+    expected = undisturbed(tmp_path / "replaced", tmp_path / "undisturbed")
+
+    process = batch.start()
+    batch.until("frame_*.png", process)
+    replace_pictures(batch.folder / "clips" / "clip0")
+    second = batch.start()
+    told, _ = second.communicate(timeout=120)
+    assert second.returncode == 2
+    assert "another hfb is working in" in json.loads(told.splitlines()[-1])["error"]
+
+    ended = batch.finish(process)
+    assert (ended["done"], ended["starts"]) == (1, 1)
+    assert batch.bytes() == expected
+    states = [status for _, status in batch.runs()]
+    assert states.count("FINISHED") in (1, 2), "the clip as it was may have been finished, and is another one"
+    assert set(states) <= {"FINISHED", "FAILED"}
+    assert unfinished(prefect_api()) == []
+
+
+def test_no_result_is_kept_of_a_clip_that_changed(tmp_path: Path) -> None:
+    clip = tmp_path / "clip"
+    shutil.copytree(small_clip(_FRAMES).truth.parent, clip)
+    inputs = take_video_inputs(clip, small_config())
+    seen = look_at_clip.fn(inputs, 1, CameraConfig(), ExposureConfig(), tmp_path)
+    with reading(seen) as footage:
+        assert len(list(footage.frames())) == _FRAMES
+    with reading(seen, 0, 1):  # only its own pictures matter to a step
+        os.utime(inputs.video[2].path, (1, 1))
+    with pytest.raises(StaleFile, match="no longer what it was"), reading(seen) as footage:  # noqa: PT012
+        next(footage.frames())
+        replace_pictures(clip)
+    with pytest.raises(StaleFile, match="no longer what it was"), reading(seen):
+        pytest.fail("these are another clip's pictures")

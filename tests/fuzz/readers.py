@@ -1,0 +1,99 @@
+"""What hfb does with a file of each kind before it believes anything of it."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from hfb.baselines.chain_spec import read_chains
+from hfb.baselines.stored_poses import read_estimates
+from hfb.body.assets import load_default_body
+from hfb.body.smpl_file import read_smpl
+from hfb.clip import ClipCamera, read_clip
+from hfb.config import RunConfig
+from hfb.datasets.case import Case, load_case
+from hfb.datasets.motions.folder import FolderMotions
+from hfb.datasets.real.calibration import read_calibration
+from hfb.datasets.real.clip_lens import clip_lens
+from hfb.datasets.real.footage import _timing
+from hfb.datasets.real.markers import read_joints_npz, read_trc
+from hfb.datasets.sharp import load_sharp
+from hfb.datasets.truth import load_truth_of
+from hfb.export.motion_file import load_motion
+from hfb.initialize.first_body import load_first_body
+from hfb.initialize.network_body import read_samplings
+from hfb.initialize.readers.sniff import read_tracks
+from hfb.initialize.tracks import read_track, read_track_names
+from hfb.matting.external import weights_of
+from hfb.media.footage import open_footage
+from hfb.media.pictures import picture_size, read_matte, read_picture_srgb, recorded_exposure
+from hfb.media.video import read_frames
+from hfb.networks import load_network
+from hfb.priors.load import load_pose_prior
+from hfb.priors.motion_weights import read_networks
+from hfb.toml_file import read_toml, to_record
+from tasks.batch_ledger import Ledger
+from tasks.clip_places import resolve_source
+from tasks.recipe import read_recipe
+from tasks.stored_runs import _id_in
+
+_SHARP = {"sharp": [[0, 0, 32, 24]], "camera": {"height": 48, "width": 64}}
+_body = lru_cache(maxsize=1)(load_default_body)
+
+
+def _footage(path: Path) -> None:
+    footage = open_footage(path)
+    for _ in footage.frames(0, min(3, footage.count)):
+        pass
+    for _ in footage.chosen(sorted({0, footage.count - 1})):
+        pass
+
+
+def _frames(path: Path) -> None:
+    for _ in islice(read_frames(path), 3):
+        pass
+
+
+def _motions(path: Path) -> None:
+    source = FolderMotions(path.parent)
+    for number in range(len(source.names())):
+        source.load(number)
+
+
+def _markers(path: Path) -> Any:
+    return read_trc(path) if path.suffix == ".trc" else read_joints_npz(path)
+
+
+def _lens(path: Path) -> Any:
+    return clip_lens(ClipCamera(calibration=path), "cam01_walk.mp4", 480, 640)
+
+
+READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
+    "picture": (read_picture_srgb, picture_size, recorded_exposure, read_matte),
+    "sharp": (lambda path: load_sharp(Case(path.parent, 1, 1, 0.0, _SHARP), 0),),
+    "video": (_footage, _frames, _timing),
+    "clip": (read_clip, lambda path: resolve_source(path, None)),
+    "options": (lambda path: to_record(RunConfig, read_toml(path), str(path)),),
+    "calibration": (read_calibration, _lens),
+    "tracks": (lambda path: read_track(path, None, 12), lambda path: read_track_names(path, 12)),
+    "chains": (read_chains,),
+    "markers": (_markers,),
+    "motion": (load_motion,),
+    "motions": (_motions,),
+    "first body": (load_first_body,),
+    "truth": (load_truth_of,),
+    "stored poses": (lambda path: read_estimates(path, 1, _body()),),
+    "result": (lambda path: read_tracks([path], 480, 640),),
+    "body": (read_smpl,),
+    "sampling": (read_samplings,),
+    "pose prior": (load_pose_prior,),
+    "motion prior": (read_networks,),
+    "weights": (weights_of,),
+    "network": (load_network,),
+    "recipe": (lambda path: read_recipe(path, "abcd"),),
+    "ledger": (Ledger,),
+    "own result": (lambda path: _id_in(path.parent),),
+    "case": (lambda path: load_case(path.parent),),
+}
+"""Kind of file -> everything that opens one."""

@@ -1,0 +1,285 @@
+"""Prefect and MLflow for a team, run for real: the settings of infra/ on PostgreSQL, behind the proxy.
+
+Without credentials nothing answers but the login; with them a flow of infra/prefect.yaml runs end to end.
+"""
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+import uuid
+from base64 import b64encode
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from tests.infra.team import ROOT, Team, free_of, missing, pg_environment, psql, stop, team
+from tests.orchestration import Problem
+
+pytestmark = pytest.mark.skipif(missing() is not None, reason=missing() or "")
+_TINY = {
+    "init": {"method": "matte"},
+    "fit": {"stages": [{"size_px": 32, "iterations": 3}], "subframes": 2, "texture_px": 16},
+    "export": {"formats": [], "films": [], "report": False},
+}
+_OPEN = {("GET", "/api/health"), ("GET", "/api/ready")}
+_METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
+
+
+@pytest.fixture(scope="module")
+def here() -> Iterator[Team]:
+    with team() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def anybody(here: Team) -> Iterator[httpx.Client]:
+    """Somebody who knows the address and nothing else."""
+    with httpx.Client(verify=here.tls(), timeout=60) as client:
+        yield client
+
+
+def _prefect_routes(here: Team) -> list[tuple[str, str]]:
+    """Every method and path that the server itself knows, with made-up names in them."""
+    inside = f"http://{here.addresses['prefect']}:4200"
+    login = httpx.BasicAuth(*here.secret("prefect_auth").split(":"))
+    paths = httpx.get(f"{inside}/api/openapi.json", auth=login, timeout=60).json()["paths"]
+    return [(method.upper(), "/api" + _filled(path)) for path, methods in paths.items() for method in methods]
+
+
+def _filled(path: str) -> str:
+    return "/".join(str(uuid.UUID(int=7)) if "{" in part or "<" in part else part for part in path.split("/"))
+
+
+def _mlflow_routes() -> list[tuple[str, str]]:
+    """Every method and path of MLflow's two applications, those of accounts among them."""
+    told = subprocess.run(
+        [sys.executable, "-c", _TELL_ROUTES], capture_output=True, text=True, check=True,
+        env={"PATH": "", "MLFLOW_DISABLE_TELEMETRY": "true"},
+    )  # fmt: skip
+    return [(method, _filled(path)) for method, path in json.loads(told.stdout.splitlines()[-1])]
+
+
+_TELL_ROUTES = """
+import json
+from mlflow.server import app
+from mlflow.server.auth import routes
+from mlflow.server.fastapi_app import create_fastapi_app
+told = [(method, rule.rule) for rule in app.url_map.iter_rules() for method in rule.methods]
+for one in create_fastapi_app(app).routes:
+    told += [(method, one.path) for method in getattr(one, "methods", None) or ()]
+told += [(method, path) for name, path in vars(routes).items() if name.isupper() for method in ("GET", "POST", "PATCH")]
+print(json.dumps(sorted({one for one in told if one[0] in ("GET", "POST", "PUT", "PATCH", "DELETE")})))
+"""
+
+
+def _codes(anybody: httpx.Client, base: str, routes: list[tuple[str, str]]) -> dict[tuple[str, str], int]:
+    def ask(route: tuple[str, str]) -> int:
+        return anybody.request(route[0], base + route[1]).status_code
+
+    with ThreadPoolExecutor(4) as threads:
+        return dict(zip(routes, threads.map(ask, routes), strict=True))
+
+
+def test_without_credentials_prefect_only_says_that_it_is_there(here: Team, anybody: httpx.Client) -> None:
+    routes = _prefect_routes(here)
+    assert len(routes) > 150
+    codes = _codes(anybody, here.url("prefect"), routes)
+    # 403: what changes something asks for the page's own token before it asks who somebody is.
+    assert {route for route, code in codes.items() if code != (401 if route[0] == "GET" else 403)} == _OPEN
+    wrong = httpx.BasicAuth("hfb", "guess")
+    assert anybody.get(f"{here.url('prefect')}/api/admin/version", auth=wrong).status_code == 401
+    for listing in ("/docs", "/redoc", "/openapi.json", "/api/docs", "/api/openapi.json"):
+        assert anybody.get(here.url("prefect") + listing).status_code in (401, 404)
+    page = anybody.get(here.url("prefect"), follow_redirects=True)
+    assert page.status_code == 200  # the login
+    assert "<script" in page.text
+
+
+@pytest.mark.parametrize(
+    "path", ["/api/events/in", "/api/events/out", "/api/logs/out", "/api/task_runs/subscriptions/scheduled"]
+)
+def test_without_credentials_no_socket_says_a_word(here: Team, path: str) -> None:
+    from websockets.exceptions import ConnectionClosed, InvalidStatus
+    from websockets.sync.client import connect
+
+    url = here.url("prefect").replace("https", "wss") + path
+    for protocols, said in ((None, None), (["prefect"], None), (["prefect"], {"type": "auth", "token": "guess"})):
+        try:
+            with connect(url, ssl=here.tls(), subprotocols=protocols, open_timeout=60) as socket:
+                socket.send(json.dumps(said or {"type": "subscribe", "keys": ["x"], "filter": {}}))
+                answer = json.loads(socket.recv(timeout=60))
+                assert answer.get("type") not in ("auth_success", "event", "log"), answer
+        except (InvalidStatus, ConnectionClosed):
+            continue
+
+
+def test_without_credentials_mlflow_only_says_that_it_is_there(here: Team, anybody: httpx.Client) -> None:
+    routes = _mlflow_routes()
+    assert len(routes) > 200
+    codes = _codes(anybody, here.url("mlflow"), [*routes, ("GET", "/static-files/index.html"), ("GET", "/")])
+    assert {route for route, code in codes.items() if code != 401} == {("GET", "/health")}
+    wrong = anybody.get(f"{here.url('mlflow')}/version", auth=httpx.BasicAuth("admin", "guess"))
+    assert wrong.status_code == 401
+    assert wrong.headers["www-authenticate"].startswith("Basic")
+
+
+def test_only_under_its_own_name_and_only_encrypted(here: Team, anybody: httpx.Client) -> None:
+    for service, port in (("prefect", 4200), ("mlflow", 5000)):
+        assert anybody.get(f"{here.url(service)}/health", headers={"Host": "evil.example"}).status_code == 421
+        plain = anybody.get(f"http://{here.addresses['proxy']}:{port}/")
+        assert plain.status_code == 400
+    admin = httpx.BasicAuth("admin", here.secret("mlflow_admin"))
+    inside = f"http://{here.addresses['mlflow']}:5000/api/2.0/mlflow/users/current"
+    assert anybody.get(inside, auth=admin).status_code == 200
+    assert anybody.get(inside, auth=admin, headers={"Host": "evil.example"}).status_code == 403
+    assert free_of(here.addresses["proxy"], 5432)
+    assert free_of(here.addresses["proxy"], 8333)
+
+
+@pytest.fixture(scope="module")
+def deployed(here: Team) -> dict[str, str]:
+    """What infra/deploy.py puts on the server; the settings of a worker."""
+    data = here.folder / "data"
+    data.mkdir()
+    settings = here.settings("worker.env", "store.env") | {
+        "HFB_DATA": str(data), "HFB_MLFLOW_PAGES": here.url("mlflow"),
+        "MLFLOW_AUTH_ADMIN_PASSWORD_FILE": str(here.folder / "secrets" / "mlflow_admin"),
+    }  # fmt: skip
+    process = here.run([sys.executable, str(ROOT / "infra" / "deploy.py")], settings, "setup")
+    assert process.wait(240) == 0, here.log("setup")
+    return settings
+
+
+@contextmanager
+def _api(here: Team) -> Iterator[httpx.Client]:
+    """Somebody with the login, from outside."""
+    login = httpx.BasicAuth(*here.secret("prefect_auth").split(":"))
+    with httpx.Client(base_url=f"{here.url('prefect')}/api", auth=login, verify=here.tls(), timeout=60) as client:
+        token = client.get("/csrf-token", params={"client": "test"}).json()["token"]
+        client.headers.update({"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": "test"})
+        yield client
+
+
+def _started(api: httpx.Client, name: str, parameters: dict[str, Any]) -> str:
+    deployment = api.get(f"/deployments/name/{name}").json()["id"]
+    made = api.post(
+        f"/deployments/{deployment}/create_flow_run", json={"parameters": parameters, "state": {"type": "SCHEDULED"}}
+    )
+    assert made.status_code == 201, made.text
+    return made.json()["id"]
+
+
+def _ended(api: httpx.Client, run: str, patience_s: float) -> dict[str, Any]:
+    until = time.monotonic() + patience_s
+    while (state := api.get(f"/flow_runs/{run}").json()["state"])["type"] not in (
+        "COMPLETED",
+        "FAILED",
+        "CRASHED",
+        "CANCELLED",
+    ):
+        assert time.monotonic() < until, state
+        time.sleep(0.5)
+    return state
+
+
+def test_with_credentials_a_flow_runs_end_to_end(here: Team, deployed: dict[str, str], problem: Problem) -> None:
+    out = here.folder / "data" / "result"
+    command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "hfb", "--work-queue", "default"]
+    worker = here.run(command, deployed, "worker")
+    try:
+        with _api(here) as api:
+            refused = api.post(
+                f"/deployments/{api.get('/deployments/name/fit/fit').json()['id']}/create_flow_run",
+                json={"parameters": {"frames": 3}},
+            )
+            assert refused.status_code == 409
+            given = {"frames": [str(problem.frame)], "background": str(problem.background), "out": str(out)}
+            run = _started(api, "fit/fit", given | {"options": _TINY})
+            state = _ended(api, run, 240)
+            assert state["type"] == "COMPLETED", (state, here.log("worker"))
+            looks = api.post("/flow_runs/filter", json={"deployments": {"name": {"any_": ["watched-folder"]}}}).json()
+            assert len(looks) > 1  # the schedule made them
+            automations = [one["name"] for one in api.post("/automations/filter", json={}).json()]
+            assert automations == ["hfb: end runs that died"]
+            queue = api.get("/work_pools/hfb/queues/gpu").json()
+            assert queue["concurrency_limit"] == 1
+    finally:
+        stop(worker)
+    with np.load(out / "motion.npz", allow_pickle=False) as motion:
+        assert motion["poses"].shape == (2, 72)
+    result = json.loads((out / "result.json").read_text())
+    assert result["mlflow_link"].startswith(here.url("mlflow"))
+    _is_recorded(here, result["mlflow_run_id"])
+
+
+def _is_recorded(here: Team, run: str) -> None:
+    """FINISHED in MLflow, its files in the store; whoever has no permission does not see it."""
+    worker = httpx.BasicAuth("worker", here.secret("mlflow_worker"))
+    with httpx.Client(base_url=here.url("mlflow"), auth=worker, verify=here.tls(), timeout=60) as mlflow:
+        told = mlflow.get("/api/2.0/mlflow/runs/get", params={"run_id": run}).json()["run"]
+        assert told["info"]["status"] == "FINISHED"
+        assert told["info"]["artifact_uri"].startswith("mlflow-artifacts:/")
+        files = mlflow.get("/api/2.0/mlflow/artifacts/list", params={"run_id": run}).json()["files"]
+        assert any("motion.npz" in one["path"] or one["is_dir"] for one in files)
+        shown = mlflow.get("/get-artifact", params={"run_id": run, "path": "result.json"})
+        assert shown.status_code == 200
+        admin = httpx.BasicAuth("admin", here.secret("mlflow_admin"))
+        person = {"username": "somebody", "password": "long enough to be one"}
+        assert mlflow.post("/api/2.0/mlflow/users/create", json=person, auth=admin).status_code == 200
+        strange = httpx.BasicAuth(*person.values())
+        assert mlflow.get("/api/2.0/mlflow/runs/get", params={"run_id": run}, auth=strange).status_code == 403
+        assert mlflow.post("/api/2.0/mlflow/users/create", json=person, auth=worker).status_code == 403
+
+
+def test_a_backup_brings_everything_back(here: Team, deployed: dict[str, str], tmp_path: Path) -> None:
+    """The store is moto's here, which keeps all in memory: a folder stands for its files."""
+    (here.folder / "files").mkdir()
+    (here.folder / "files" / "one").write_text("kept")
+    environment = pg_environment(here) | {
+        "IN_POSTGRES": "env",
+        "IN_STORE": "env",
+        "STORE_FOLDER": str(here.folder / "files"),
+    }
+
+    def script(name: str, folder: Path) -> subprocess.CompletedProcess[str]:
+        command = [str(ROOT / "infra" / "compose" / name), str(folder)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True)
+
+    def counted() -> list[str]:
+        queries = {"prefect": "select count(*) from deployment", "mlflow_auth": "select count(*) from users"}
+        asked = [psql(here, "--tuples-only", "--command", query, database=name) for name, query in queries.items()]
+        return [
+            subprocess.run(one, env=environment, capture_output=True, text=True, check=True).stdout for one in asked
+        ]
+
+    before = counted()
+    done = script("backup.sh", tmp_path / "backup")
+    assert done.returncode == 0, done.stderr
+    assert script("backup.sh", tmp_path / "backup").returncode == 2  # never over another
+    assert script("restore.sh", tmp_path).returncode == 2  # no backup
+    assert counted() == before
+    subprocess.run(psql(here, "--command", "delete from deployment", database="prefect"), env=environment, check=True)
+    shutil.rmtree(here.folder / "files")
+    (here.folder / "files").mkdir()
+    assert counted() != before
+    done = script("restore.sh", tmp_path / "backup")
+    assert done.returncode == 0, done.stderr
+    assert counted() == before
+    assert (here.folder / "files" / "one").read_text() == "kept"
+
+
+def test_the_key_of_the_proxy_is_no_secret_of_the_world(here: Team) -> None:
+    token = b64encode(here.secret("prefect_auth").encode()).decode()
+    for name in ("prefect", "mlflow", "proxy", "setup", "worker", "store"):
+        said = here.log(name)
+        for secret in ("postgres_password", "mlflow_admin", "mlflow_worker", "mlflow_flask_key", "store_key"):
+            assert here.secret(secret) not in said, name
+        assert token not in said, name

@@ -1,0 +1,89 @@
+"""Figures for Prometheus, scraped from a real endpoint while a real clip is made."""
+
+import json
+import re
+import socket
+import threading
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+from hfb.errors import InputError
+from tasks import progress
+from tasks.metrics import VARIABLE, served
+from tests.small_clips import run_clip, small_clip
+
+
+def scraped(port: int) -> dict[str, float]:
+    with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as page:
+        lines = page.read().decode().splitlines()
+    return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines if not line.startswith("#"))}
+
+
+@pytest.fixture
+def port(monkeypatch: pytest.MonkeyPatch) -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        found = int(probe.getsockname()[1])
+    monkeypatch.setenv(VARIABLE, str(found))
+    return found
+
+
+def test_a_clip(port: int, store: Path, tmp_path: Path) -> None:
+    with served():
+        run_clip(small_clip().truth.parent, tmp_path / "out", truth=small_clip().truth)
+        figures = scraped(port)
+    assert figures['hfb_done_total{step="mattes"}'] == 12
+    assert figures['hfb_done_total{step="windows"}'] == 11
+    assert figures['hfb_left{step="windows"}'] == 0
+    assert figures['hfb_step_seconds_count{outcome="done",step="join"}'] == 1
+    assert 0 < figures["hfb_workers_busy"] < 1
+    assert figures["process_resident_memory_bytes"] > 1e8
+    with pytest.raises(OSError, match="refused"):
+        scraped(port)  # ends with the run
+
+
+def test_the_dashboard_asks_for_what_is_served(port: int) -> None:
+    dashboard = json.loads((Path(__file__).parents[2] / "infra/observability/grafana.json").read_text())
+    asked = {
+        name
+        for panel in dashboard["panels"]
+        for target in panel["targets"]
+        for name in re.findall(r"(?:hfb|process)_\w+", target["expr"])
+    }
+    with served(), progress.step("mattes"), urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as page:
+        served_names = set(re.findall(r"# TYPE (\w+)", page.read().decode()))
+    plain = {name.removesuffix("_sum").removesuffix("_count") for name in asked}
+    assert plain <= served_names
+    assert len(plain) == 7
+
+
+def test_failures_by_reason(port: int) -> None:
+    with served(), progress.step("mattes"):
+        progress.advance(1, 3)
+        progress.fail("InputError")
+        progress.fail("InputError")
+        figures = scraped(port)
+    assert figures['hfb_failures_total{reason="InputError",step="mattes"}'] == 2
+    assert (figures['hfb_done_total{step="mattes"}'], figures['hfb_left{step="mattes"}']) == (1, 2)
+
+
+def test_several_at_once_take_the_next_port(port: int) -> None:
+    with served(), served(), progress.step("both"):
+        assert scraped(port)["process_resident_memory_bytes"] > 1e8
+        assert scraped(port + 1)["process_resident_memory_bytes"] > 1e8
+
+
+@pytest.mark.parametrize("place", ["everywhere", "0.0.0.0:", "70000", "-1"])
+def test_a_place_that_is_none(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, place)
+    with pytest.raises(InputError, match="is no place to serve figures: give a port"), served():
+        pass
+
+
+def test_nothing_is_served_unless_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    before = threading.active_count()
+    with served():
+        assert threading.active_count() == before

@@ -1,0 +1,73 @@
+"""A result's folder from elsewhere: its records are data, whatever they say of themselves."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prefect.filesystems import LocalFileSystem
+from prefect.results import ResultStore
+from prefect.serializers import JSONSerializer, PickleSerializer
+
+from tasks.handles import FileHandle
+from tasks.result_records import drop_foreign
+
+
+class Attack:
+    """Opened by pickle, it writes a file."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.target,)
+
+
+def store(folder: Path, serializer: Any) -> ResultStore:
+    """Where Prefect keeps a task's result."""
+    return ResultStore(
+        result_storage=LocalFileSystem(basepath=str(folder)), serializer=serializer, cache_result_in_memory=False
+    )
+
+
+def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> None:
+    attack = Attack(tmp_path / "attacked")
+    store(tmp_path / "records", PickleSerializer()).write(attack, key="hfb-find_matte-0")
+    ours = store(tmp_path / "records", JSONSerializer())
+    ours.read("hfb-find_matte-0")
+    assert attack.target.exists(), "Prefect no longer reads records so: the test shows nothing"
+    attack.target.unlink()
+
+    assert drop_foreign(tmp_path / "records") == 1
+    assert not (tmp_path / "records" / "hfb-find_matte-0").exists()
+    assert not attack.target.exists()
+
+
+def test_our_own_records_stay(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"1")
+    handle = FileHandle.of(tmp_path / "a")
+    ours = store(tmp_path / "records", JSONSerializer())
+    ours.write((handle, [handle], 3, None), key="hfb-find_matte-1")
+    assert drop_foreign(tmp_path / "records") == 0
+    assert ours.read("hfb-find_matte-1").result[0] == handle
+    assert drop_foreign(tmp_path / "none") == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"serializer": {"jsonlib": "os"}}, {"serializer": {"object_decoder": "os.system"}},
+        {"serializer": {"type": "compressed/pickle"}}, {"serializer": {"loads_kwargs": {"cls": "a"}}},
+        {"result": {"__class__": "subprocess.Popen", "data": ["touch", "x"]}},
+        {"result": {"__exc_type__": "builtins.SystemExit", "message": "0"}}, {"result": [{"__class__": 3}]},
+        {"name": "other"}, {"text": "{"}, {"text": "[" * 100_000}, {"text": '{"metadata": 3}'},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_whatever_is_not_exactly_ours_goes(tmp_path: Path, change: dict[str, Any]) -> None:
+    serializer = JSONSerializer().model_dump(mode="json") | change.get("serializer", {})
+    result = change.get("result", {"__class__": "tasks.handles.FileHandle", "data": {}})
+    record = {"metadata": {"serializer": serializer}, "result": json.dumps(result)}
+    (tmp_path / change.get("name", "hfb-x-1")).write_text(change.get("text", json.dumps(record)))
+    assert drop_foreign(tmp_path) == 1
+    assert not list(tmp_path.iterdir())
