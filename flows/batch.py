@@ -142,11 +142,8 @@ class _Rounds:
         except (Busy, Unavailable) as error:
             reason, kind = str(error), type(error).__name__
         except InputError as error:
-            reason, kind, hopeless = (
-                str(error),
-                "InputError",
-                True,
-            )  # only another file can mend it, and then it is a new clip
+            reason, kind = str(error), "InputError"
+            hopeless = True  # only another file can mend it, and then it is a new clip
         except Exception as error:
             _log.exception("%s", place.name)
             kind = type(error).__name__

@@ -18,12 +18,13 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv(LOG_VARIABLE, "json")
     root = logging.getLogger()
-    before, level = list(root.handlers), root.level
+    before, level = root.handlers, root.level
+    root.handlers = []  # of a log that other tests keep
     keep_log()
     yield log_path()
-    for handler in set(root.handlers) - set(before):
-        root.removeHandler(handler)
+    for handler in root.handlers:
         handler.close()
+    root.handlers = before
     root.setLevel(level)
     logging.captureWarnings(False)
 
