@@ -14,7 +14,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 help:
 	@echo "make demo    one blurred picture through the whole chain"
 	@echo "make test    the tests"
-	@echo "make check   formatting, lint, types and import contracts"
+	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files"
 	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
 	@echo "make up      Prefect, MLflow and a worker for a team, with a login; needs Docker (infra/compose/README.md)"
 	@echo "make down    end them; what they hold stays"
@@ -32,6 +32,7 @@ check: .venv/dev.stamp
 	@$(BIN)/ruff format --check --quiet .
 	@$(BIN)/mypy
 	@said=$$($(BIN)/lint-imports --no-logo) || { echo "$$said"; exit 1; }
+	@said=$$($(BIN)/python -m pytest tests/infra/test_files.py) || { echo "$$said"; exit 1; }
 
 test: .venv/dev.stamp
 	@$(BIN)/python -m pytest

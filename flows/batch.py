@@ -108,6 +108,8 @@ class _Rounds:
                     continue
                 wait_s = self._pause(entry) if entry is not None and not replaced else _STILL_S
             due.append(time.monotonic() + wait_s)
+        with suppress(Exception):  # those whose end a server took no word of; it may still be away
+            end_abandoned_flow_runs()
         self._write_page()
         return max(0.2, min(due) - time.monotonic()) if due else None
 

@@ -30,10 +30,11 @@ from tasks.cases import (
     see_case,
     set_name,
 )
+from tasks.engine import Engine
 from tasks.inputs import input_file, networks_at_hand
 from tasks.judge_case import judge_case
 from tasks.many import Outcome, run_all
-from tasks.workers import workers
+from tasks.workers import worker_count, workers
 
 
 class BenchmarkPlan(Record):
@@ -49,22 +50,25 @@ class BenchmarkPlan(Record):
 
 
 def run_benchmark(
-    plan: BenchmarkPlan, out: Path, worker_count: int, experiment: Experiment | None = None
+    plan: BenchmarkPlan, out: Path, engine: Engine | int, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    """See `_benchmark`; the number of workers is a property of the flow run."""
-    with workers(worker_count):
-        return _benchmark.with_options(task_runner=_threads(worker_count))(plan, out, experiment)
+    """See `_benchmark`; the engine changes nothing but the seconds.
+
+    Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+    """
+    with workers(engine):
+        return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
-def run_synthesis(spec: Spec, count: int, out: Path, worker_count: int) -> dict[str, Any]:
+def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
     """See `_synthesis`."""
-    with workers(worker_count):
-        return _synthesis.with_options(task_runner=_threads(worker_count))(spec, count, out)
+    with workers(engine):
+        return _synthesis.with_options(task_runner=_threads())(spec, count, out)
 
 
-def _threads(count: int) -> Any:  # Prefect's own types do not take its own runner
-    """One thread per worker process: a task waits while its process computes."""
-    return ThreadPoolTaskRunner(max_workers=count)
+def _threads() -> Any:  # Prefect's own types do not take its own runner
+    """One thread per worker: a task waits while its worker computes."""
+    return ThreadPoolTaskRunner(max_workers=worker_count())
 
 
 @flow(name="synthesis", persist_result=False, on_running=[mark_owner])

@@ -23,6 +23,7 @@ from flows.options import add_config_flags, run_config
 from flows.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
 from hfb.errors import InputError, ServerLost, Unavailable
+from tasks.engine import engine_of
 from tasks.secrets import without_secrets
 
 if TYPE_CHECKING:
@@ -207,12 +208,12 @@ def _synth(given: argparse.Namespace) -> None:
         clips.synth_clip(given)
         return
     spec = judging.set_spec(given, given.frames)
-    out = given.out or Path("runs") / f"{given.set}-cases"
+    out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
 
     def load() -> Chain:
         from flows.benchmark import run_synthesis
 
-        return when_ready(lambda: run_synthesis(spec, given.count, out, given.workers))
+        return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
 
     result = through_prefect(given, out, load)
     tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
@@ -239,12 +240,13 @@ def _benchmarked(
 ) -> dict[str, Any]:
     judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
     judging.set_spec(given, frames)
+    engine = engine_of(given.workers, given.store)
 
     def load() -> Chain:
         from flows.benchmark import run_benchmark
 
         plan = judging.plan_of(given, frames)
-        return when_ready(lambda: run_benchmark(plan, out, given.workers, experiment))
+        return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
 
     return through_prefect(given, out, load)
 

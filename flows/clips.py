@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.judging import cores, positive
+from flows.judging import add_worker_flags, positive
 from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
 from tasks.engine import engine_of
@@ -51,14 +51,7 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--window", metavar="K", dest="config:video.window", default=argparse.SUPPRESS, help="as --video.window")
     add("--average", metavar="K", dest="config:video.average", default=argparse.SUPPRESS, help="as --video.average")
-    add(
-        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
-        help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
-    )  # fmt: skip
-    add(
-        "--store", metavar="URL",
-        help="with a cluster whose workers do not see this machine's files: where they are shared, s3://bucket/prefix",
-    )  # fmt: skip
+    add_worker_flags(parser)
 
 
 def video(given: argparse.Namespace) -> None:

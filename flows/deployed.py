@@ -166,7 +166,8 @@ def benchmark(
     body: Path | None = None,
     fill: Literal["paper", "even", "natural"] = "paper",
     chains: Path | None = None,
-    workers: Count = 1,
+    workers: Workers = 1,
+    store: str | None = None,
 ) -> dict[str, Any]:
     """Methods against cases of known truth: tables, plots, a page. As `hfb benchmark`. Run again, it goes on.
 
@@ -184,7 +185,8 @@ def benchmark(
         body: a SMPL file, for the truth and the fit; left empty, the embedded body.
         fill: how many cases each interval of blur gets.
         chains: a file with deblur-then-estimate chains.
-        workers: processes that compute; changes no digit.
+        workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
+        store: with a cluster whose workers do not see this machine's files, where they are shared: s3://bucket/prefix.
 
     Returns:
         the content of result.json.
@@ -198,7 +200,7 @@ def benchmark(
             average=average, body=body, fill=fill, chains=chains, backgrounds=None, textures=None, size=None,
             easy=False,
         )  # fmt: skip
-        return run_benchmark(judging.plan_of(given, frames), out, workers)
+        return run_benchmark(judging.plan_of(given, frames), out, engine_of(workers, store))
 
 
 @flow(name="train-prior", persist_result=False, on_running=[mark_owner])

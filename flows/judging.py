@@ -40,7 +40,20 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
     add("--size", type=positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
     add("--easy", action="store_true", help="the fit's own mesh, no noise: for finding errors, never to be quoted")
-    add("--workers", type=positive, default=cores(), metavar="K", help="processes; changes no digit [all cores]")
+    add_worker_flags(parser)
+
+
+def add_worker_flags(parser: argparse.ArgumentParser) -> None:
+    """Who computes."""
+    parser.add_argument(
+        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--store",
+        metavar="URL",
+        help="with a cluster whose workers do not see this machine's files: where they are shared, s3://bucket/prefix",
+    )
 
 
 def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEFAULT_METHODS) -> None:

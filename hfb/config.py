@@ -137,6 +137,9 @@ class FitConfig(Record):
     )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
+    patience: int = Field(
+        0, ge=0, description="a stage ends after so many iterations that gain less than a thousandth; 0: never"
+    )
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
     directions: DirectionsConfig = DirectionsConfig()
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
@@ -245,8 +248,8 @@ _BEST = FitConfig(
     adam_epsilon=1e-4,
     stages=(
         Stage(size_px=64, iterations=60),
-        Stage(size_px=128, iterations=70),
-        Stage(size_px=256, iterations=70, cosine=True),
+        Stage(size_px=128, iterations=50),
+        Stage(size_px=256, iterations=50, cosine=True),
     ),
     matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further
     image_scales=3,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +16,12 @@ from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
 from tasks import progress
-from tasks.handles import ClipHandle, FileHandle
+from tasks.given_networks import check_networks
+from tasks.handles import ClipHandle, FileHandle, digest
 from tasks.matte import matte
 from tasks.prepare import prepare
 from tasks.task import task
-from tasks.workers import compute
+from tasks.workers import compute, spread
 
 Spec = SetSpec | RealSpec
 
@@ -43,8 +45,15 @@ class CaseHandle(Record):
     files: tuple[FileHandle, ...]
 
     def open(self) -> Case:
-        """The case where its files lie now."""
-        return load_case(self.files[0].path.parent)
+        """The case where its files lie now: in one folder, or one by one, as they come out of a shared store."""
+        folder = self.files[0].path.parent
+        if any(file.path.parent != folder for file in self.files):
+            folder = folder.parent / f"case-{digest(self)[:40]}"
+            folder.mkdir(exist_ok=True)
+            for file in self.files:
+                with suppress(FileExistsError):
+                    (folder / file.path.name).hardlink_to(file.path)
+        return load_case(folder)
 
 
 class ReadyHandle(Record):
@@ -119,7 +128,7 @@ def see_case(
     Raises:
         InputError: nothing differs from the background, or no person is found.
     """
-    return compute(_see, case, start, matting, init, body, folder / case_name(case.number))
+    return spread(_see, case, start, matting, init, networks, body, folder / case_name(case.number))
 
 
 def set_name(spec: Spec) -> str:
@@ -160,6 +169,7 @@ def _see(
     start: Literal["simulated", "estimated"],
     matting: MattingConfig,
     init: InitConfig,
+    networks: tuple[FileHandle, ...],
     body: FileHandle | None,
     folder: Path,
 ) -> ReadyHandle:
@@ -168,6 +178,8 @@ def _see(
     from hfb.initialize.first_body import load_first_body
     from tasks.scene import load_chosen_body, load_observation
 
+    if start == "estimated":
+        check_networks(init, networks)
     case = handle.open()
     # What a user has, and no more: pictures, plate, clip.toml.
     clip = prepare.fn(

@@ -20,7 +20,7 @@ from typing import Any, Protocol, TypeVar
 
 from hfb.errors import InputError
 from tasks.engine import Engine, WorkerLost
-from tasks.handles import FileHandle, with_files
+from tasks.handles import FileHandle, files_in, with_files
 from tasks.shared_store import shared_store
 from tasks.task import code_version
 
@@ -187,15 +187,19 @@ def _compute_away(store: str | None, code: str, function: Callable[..., R], args
     with _cache as cached, tempfile.TemporaryDirectory(prefix="hfb-") as made:
         folder = Path(made).resolve()
         there = shared_store(store)
-        here = there.take(args, lambda file: cached / f"{file.sha256}{file.path.suffix}")
+        here = there.take(args, lambda file: cached / file.sha256 / file.path.name)
         value = function(*(folder if isinstance(one, Path) else one for one in here))
         there.put(value)
-        value = with_files(value, lambda file: _within(file, folder))
+        given = {(file.sha256, file.path.name): file.path for file in files_in(args)}
+        value = with_files(value, lambda file: _as_called_there(file, folder, given))
     return value, time.monotonic() - began
 
 
-def _within(file: FileHandle, folder: Path) -> FileHandle:
-    return file.model_copy(update={"path": file.path.relative_to(folder)})
+def _as_called_there(file: FileHandle, folder: Path, given: dict[tuple[str, str], Path]) -> FileHandle:
+    """By its place in the folder, or, of a file that was given, by the name that it has where it comes from."""
+    made = file.path.is_relative_to(folder)
+    path = file.path.relative_to(folder) if made else given[file.sha256, file.path.name]
+    return file.model_copy(update={"path": path})
 
 
 class _Cache:
@@ -217,7 +221,7 @@ class _Cache:
         with self._lock:
             self._users -= 1
             assert self._folder is not None
-            if not self._users and sum(path.stat().st_size for path in self._folder.iterdir()) > _CACHE_BYTES:
+            if not self._users and sum(path.stat().st_size for path in self._folder.rglob("*")) > _CACHE_BYTES:
                 shutil.rmtree(self._folder)
                 self._folder.mkdir()
 

@@ -154,7 +154,7 @@ def files_in(value: object) -> Iterator[FileHandle]:
     """Every file that a handle, or a sequence of handles, names."""
     if isinstance(value, FileHandle):
         yield value
-    elif isinstance(value, BaseModel):
+    if isinstance(value, BaseModel):
         for name in type(value).model_fields:
             yield from files_in(getattr(value, name))
     elif isinstance(value, tuple | list):
@@ -165,11 +165,10 @@ def files_in(value: object) -> Iterator[FileHandle]:
 def with_files(value: T, change: Callable[[FileHandle], FileHandle]) -> T:
     """The same handle, or sequence of handles, with every file that it names changed."""
     changed: Any = value
-    if isinstance(value, FileHandle):
-        changed = change(value)
-    elif isinstance(value, BaseModel):
+    if isinstance(value, BaseModel):
         parts = {name: getattr(value, name) for name in type(value).model_fields}
         changed = value.model_copy(update={name: with_files(part, change) for name, part in parts.items()})
+        changed = change(changed) if isinstance(changed, FileHandle) else changed
     elif isinstance(value, tuple | list):
         changed = type(value)(with_files(one, change) for one in value)
     return cast(T, changed)

@@ -15,7 +15,7 @@ from tasks.cases import ReadyHandle
 from tasks.handles import FileHandle
 from tasks.scene import load_chosen_body, load_observation
 from tasks.task import task
-from tasks.workers import compute
+from tasks.workers import compute, spread
 
 
 class JudgedHandle(FileHandle):
@@ -38,7 +38,10 @@ def judge_case(ready: ReadyHandle, method: MethodSpec, body: FileHandle | None, 
 
     A method that cannot answer (a fit that diverges, a network that finds nobody) leaves a row that says why.
     """
-    return compute(_judge, ready, method, body, folder / method.name / f"case_{ready.case.number:04d}")
+    place = folder / method.name / f"case_{ready.case.number:04d}"
+    # a network or prior of the user's lies on this machine, where its path says
+    run = compute if method.digests else spread
+    return run(_judge, ready, method, body, place)
 
 
 def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder: Path) -> JudgedHandle:

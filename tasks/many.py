@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from prefect.futures import PrefectFuture
-from prefect.states import State
 
 from tasks import progress
-from tasks.handles import StaleFile
-from tasks.task import Step, verify
+from tasks.parcels import Kept, Parcel, parcels
+from tasks.task import Step
 from tasks.workers import shared_out, stop_computing, worker_count
 
-_log = logging.getLogger(__name__)
 R = TypeVar("R")
 
-# Submitted but not finished: enough to keep every worker busy, few enough that an interrupted run has
-# little to cancel and a server of ten thousand frames little to remember at once.
-_IN_FLIGHT = 16
+_SPARE = 2  # parcels that are looked up and checked while all workers compute
+_AHEAD = 2  # parcels per thread that wait or are done: an interrupted run has little to cancel, a server little to know
 
 
 @dataclass(frozen=True)
@@ -55,24 +52,28 @@ def run_all(
         on_outcome: called in the order of the calls with each one's number; what it raises ends the rest.
     """
     outcomes: list[Outcome[R]] = []
-    waiting: deque[tuple[tuple[Any, ...], PrefectFuture[R]]] = deque()
-    remaining = iter(calls)
+    waiting: deque[Parcel[R]] = deque()
+    crew = worker_count() + _SPARE
+    remaining = parcels(label, calls, crew)
     with progress.step(label) as shown, shared_out():
         began, reused = time.monotonic(), 0
         progress.advance(0, len(calls))
-        most = max(_IN_FLIGHT, 2 * worker_count())
         try:
             while len(outcomes) < len(calls):
-                while len(waiting) < most and (call := next(remaining, None)) is not None:
-                    waiting.append((call, step.submit(*call)))
-                call, future = waiting.popleft()
-                outcomes.append(_outcome(step, call, future))
-                reused += outcomes[-1].reused
-                if (error := outcomes[-1].error) is not None:
-                    progress.fail(type(error).__name__)
-                if on_outcome is not None:
-                    on_outcome(len(outcomes) - 1, outcomes[-1])
-                progress.advance(len(outcomes), len(calls), _pace(began, len(outcomes), reused, len(calls)))
+                while len(waiting) < _AHEAD * crew and (parcel := next(remaining, None)) is not None:
+                    _submit(step, parcel)
+                    waiting.append(parcel)
+                before = len(outcomes)
+                for call in waiting[0].outcomes:
+                    outcomes.append(_outcome(call))
+                    reused += outcomes[-1].reused
+                    if (error := outcomes[-1].error) is not None:
+                        progress.fail(type(error).__name__)
+                    if on_outcome is not None:
+                        on_outcome(len(outcomes) - 1, outcomes[-1])
+                    done = before + sum(one.done() for parcel in waiting for one in parcel.outcomes)
+                    progress.advance(done, len(calls), _pace(began, done, reused, len(calls)))
+                waiting.popleft()
         except BaseException:  # Ctrl-C and Prefect's own signals too: the task runner waits for what is computed
             stop_computing()
             raise
@@ -80,22 +81,26 @@ def run_all(
     return outcomes
 
 
-def _outcome(step: Step[..., R], call: tuple[Any, ...], future: PrefectFuture[R]) -> Outcome[R]:
-    future.wait()
-    outcome: Outcome[R] = _settled(future.state)
-    if outcome.result is None:
-        return outcome
-    try:
-        verify(outcome.result)
-        return outcome
-    except StaleFile as stale:
-        _log.warning("%s: made again, since %s", step.fn.__name__, stale)
-        return _settled(step.again(*call))
+def _submit(step: Step[..., R], parcel: Parcel[R]) -> None:
+    """Start a run; if it ends before its calls, as one does whose server went away, so have they."""
+
+    def ended(run: PrefectFuture[Any]) -> None:
+        if all(one.done() for one in parcel.outcomes):
+            return
+        try:
+            run.wait()
+            run.state.result()
+        except Exception as error:
+            parcel.give_up(error)
+        parcel.give_up(RuntimeError(f"{parcel}: the run ended before its calls"))
+
+    step.submit(parcel).add_done_callback(ended)
 
 
-def _settled(state: State[R]) -> Outcome[R]:
+def _outcome(call: Future[Kept[R]]) -> Outcome[R]:
     try:
-        return Outcome(state.result(), None, state.name == "Cached")
+        kept = call.result()
+        return Outcome(kept.result, None, kept.reused)
     except Exception as error:
         return Outcome(None, error)
 

@@ -7,11 +7,14 @@ dashboard of them.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
-import sys
+import shutil
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
     from wsgiref.simple_server import WSGIServer
 
     from prometheus_client import CollectorRegistry
+    from prometheus_client.core import GaugeMetricFamily
 
 VARIABLE = "HFB_METRICS"
 _THIS_MACHINE = "127.0.0.1"
 _NEIGHBOURS = 16
 _PORTS_END = 65536
+_PATIENCE_S = 3.0
 
 
 class Metrics:
@@ -93,7 +98,7 @@ def served() -> Iterator[None]:
     registry = CollectorRegistry()
     for collect in (ProcessCollector, PlatformCollector, GCCollector):
         collect(registry=registry)
-    _gpu_memory(registry)
+    registry.register(_Machine())
     started = _started(host or _THIS_MACHINE, int(port) if port.isdecimal() else -1, registry)
     try:
         with progress.listened(Metrics(registry)):
@@ -121,13 +126,40 @@ def _started(host: str, first: int, registry: CollectorRegistry) -> tuple[WSGISe
     return None
 
 
-def _gpu_memory(registry: CollectorRegistry) -> None:
-    from prometheus_client import Gauge
+class _Machine:
+    """Memory of the worker processes, and what GPUs do, looked up when somebody asks."""
 
-    gauge = Gauge("hfb_gpu_memory_bytes", "memory of the GPU that tensors hold", registry=registry)
-    gauge.set_function(_held_bytes)
+    def collect(self) -> Iterator[GaugeMetricFamily]:
+        from prometheus_client.core import GaugeMetricFamily
+
+        memory = GaugeMetricFamily("hfb_workers_memory_bytes", "memory of the worker processes of this machine")
+        memory.add_metric([], float(sum(map(_resident_bytes, multiprocessing.active_children()))))
+        yield memory
+        held = GaugeMetricFamily("hfb_gpu_memory_bytes", "memory of a GPU that is taken", labels=["gpu"])
+        busy = GaugeMetricFamily("hfb_gpu_busy", "share of the time in which a GPU works", labels=["gpu"])
+        for number, share, bytes_ in _gpus():
+            held.add_metric([number], bytes_)
+            busy.add_metric([number], share)
+        yield held
+        yield busy
 
 
-def _held_bytes() -> float:
-    torch = sys.modules.get("torch")  # not loaded yet: nothing is held
-    return float(torch.cuda.memory_allocated()) if torch is not None and torch.cuda.is_available() else 0.0
+def _resident_bytes(process: multiprocessing.process.BaseProcess) -> int:
+    try:
+        return int(Path(f"/proc/{process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, IndexError):  # it has ended, or this is no Linux
+        return 0
+
+
+def _gpus() -> list[tuple[str, float, float]]:
+    """(number, share of the time in which it works, bytes taken) of every GPU; none where the driver is not there."""
+    program = shutil.which("nvidia-smi")
+    if program is None:
+        return []
+    query = ["--query-gpu=index,utilization.gpu,memory.used", "--format=csv,noheader,nounits"]
+    try:
+        told = subprocess.run([program, *query], capture_output=True, text=True, timeout=_PATIENCE_S, check=True).stdout
+        rows = [line.split(",") for line in told.splitlines()]
+        return [(number.strip(), float(percent) / 100, float(mb) * (1 << 20)) for number, percent, mb in rows]
+    except (OSError, subprocess.SubprocessError, ValueError):  # a figure that is missing ends no run
+        return []

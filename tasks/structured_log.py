@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import UTC, datetime
@@ -21,13 +21,22 @@ _FRAME_PARAMETERS = ("number", "numbers", "frames")
 def ids_now() -> dict[str, Any]:
     """``flow_run``, ``task`` and ``frames`` of whoever asks; what is not known is left out."""
     contexts = sys.modules.get("prefect.context")
-    task = contexts.TaskRunContext.get() if contexts else None
+    if _given.get() or contexts is None:
+        return _given.get()
+    task = contexts.TaskRunContext.get()
     if task is not None:
-        frames = next((task.parameters[name] for name in _FRAME_PARAMETERS if name in task.parameters), None)
-        ids = {"flow_run": str(task.task_run.flow_run_id), "task": task.task.name}
-        return ids | ({"frames": _numbers(frames)} if _numbers(frames) else {})
-    flow = contexts.FlowRunContext.get() if contexts else None
-    return {"flow_run": str(flow.flow_run.id)} if flow is not None and flow.flow_run is not None else _given.get()
+        return ids_of(task.parameters)
+    flow = contexts.FlowRunContext.get()
+    return {"flow_run": str(flow.flow_run.id)} if flow is not None and flow.flow_run is not None else {}
+
+
+def ids_of(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """The ids of a call with these parameters, in the run of its task."""
+    contexts = sys.modules.get("prefect.context")
+    task = contexts.TaskRunContext.get() if contexts else None
+    ids = {"flow_run": str(task.task_run.flow_run_id), "task": task.task.name} if task is not None else {}
+    frames = _numbers(next((parameters[name] for name in _FRAME_PARAMETERS if name in parameters), None))
+    return ids | ({"frames": frames} if frames else {})
 
 
 def _numbers(value: object) -> list[int]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 import logging
 from collections.abc import Callable
 from importlib.metadata import version
@@ -26,12 +27,15 @@ import prefect
 from prefect.cache_policies import NO_CACHE
 from prefect.context import TaskRunContext
 from prefect.futures import PrefectFuture
-from prefect.states import State
+from prefect.results import get_result_store
+from prefect.states import Completed, State
 
 import hfb
 import tasks
 from tasks import progress, repetition
 from tasks.handles import StaleFile, digest, files_in, unchanged
+from tasks.parcels import Kept, Parcel
+from tasks.structured_log import about, ids_of
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -41,17 +45,15 @@ R = TypeVar("R")
 class Step(Protocol[P, R]):
     """A task of this project.
 
-    ``fn`` is the bare function, which needs no server. ``submit`` starts a run beside others (see tasks/many.py),
-    ``again`` one that takes no earlier result.
+    ``fn`` is the bare function, which needs no server. ``submit`` starts a run of several calls beside others (see
+    tasks/many.py).
     """
 
     fn: Callable[P, R]
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R: ...
 
-    def submit(self, *args: P.args, **kwargs: P.kwargs) -> PrefectFuture[R]: ...
-
-    def again(self, *args: P.args, **kwargs: P.kwargs) -> State[R]: ...
+    def submit(self, parcel: Parcel[R]) -> PrefectFuture[Any]: ...
 
 
 def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, R]]:
@@ -71,8 +73,13 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
         caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
         step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(of_what_was_given)
 
-        def again(*args: P.args, **kwargs: P.kwargs) -> State[R]:
-            return cast(State[R], step.with_options(refresh_cache=True)(*args, **kwargs, return_state=True))
+        def several(parcel: Parcel[R]) -> State[Any] | None:
+            all_reused = parcel.work(lambda call: _kept(function.__name__, of_what_was_given, call))
+            return Completed(name="Cached") if all_reused else None
+
+        together: Any = prefect.task(
+            name=function.__name__, task_run_name="{parcel}", cache_policy=NO_CACHE, result_serializer="json"
+        )(several)
 
         @functools.wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -85,11 +92,11 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
                 except StaleFile as stale:
                     _log.warning("%s: made again, since %s", label, stale)
                     shown.reused = False
-                    result = again(*args, **kwargs).result()
+                    result = step.with_options(refresh_cache=True)(*args, **kwargs)
                     verify(result)
                 return cast(R, result)
 
-        offered = {"fn": function, "submit": step.submit, "again": again}
+        offered = {"fn": function, "submit": together.submit}
         for name, member in offered.items():
             setattr(call, name, member)
         return cast(Step[P, R], call)
@@ -119,6 +126,29 @@ def code_version() -> str:
 
 def _cache_key(context: TaskRunContext, parameters: dict[str, Any]) -> str:
     return cache_key(context.task.name, parameters)
+
+
+def _kept(name: str, function: Callable[..., R], call: tuple[Any, ...]) -> Kept[R]:
+    """One of several calls: its earlier result, or a new one, which is kept as Prefect keeps a run's."""
+    given = inspect.signature(function).bind(*call)
+    given.apply_defaults()
+    key, records = cache_key(name, given.arguments), get_result_store()
+
+    def made() -> R:
+        result = function(*call)
+        records.write(result, key=key)
+        return result
+
+    with about(ids_of(given.arguments)):
+        reused = records.exists(key)
+        result = cast(R, records.read(key).result) if reused else made()
+        try:
+            verify(result)
+        except StaleFile as stale:
+            _log.warning("%s: made again, since %s", name, stale)
+            result, reused = made(), False
+            verify(result)
+    return Kept(result, reused)
 
 
 def verify(result: object) -> None:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import functools
 import json
+import logging
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,9 @@ from tasks.store_place import LOCAL_PAGES, make_folder, on_server, tracking_uri
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+_log = logging.getLogger(__name__)
 EXPERIMENT = "hfb"
+_SYSTEM = "MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING"
 _KEY_TAG = "hfb.key"
 RERUN_TAG = "hfb.rerun_of"
 _OWNER_TAG = "hfb.owner"
@@ -107,6 +110,24 @@ def recorded(run_id: str) -> Run:
     with store_losses():
         info = client().get_run(run_id).info
     return Run(tracking_uri(), info.experiment_id, run_id, info.start_time, info.status == "FINISHED")
+
+
+def watch_machine(run: Run) -> Callable[[], None]:
+    """MLflow's figures of the machine (processor, memory, network, GPU), ``system/...``, until the result is called.
+
+    A dozen points every ten seconds: only where MLflow's own variable asks for them.
+    """
+    if run.complete or os.environ.get(_SYSTEM, "").lower() not in ("1", "true"):
+        return lambda: None
+    from mlflow.system_metrics.system_metrics_monitor import SystemMetricsMonitor
+
+    try:
+        monitor = SystemMetricsMonitor(run.run_id, resume_logging=True, tracking_uri=run.uri)
+    except Exception as error:  # psutil is not there, or the store has gone: a run does not end for want of them
+        _log.warning("no system metrics: %s", without_secrets(str(error)))
+        return lambda: None
+    monitor.start()
+    return lambda: monitor.finish()
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,7 +78,7 @@ def load_footage(handle: FootageHandle) -> Footage:
     """What the pictures of a clip are read with."""
     from hfb.media.footage import Footage
 
-    return Footage(**_numbers(json.loads(handle.path.read_bytes())["footage"]))
+    return Footage(**_numbers(_content(handle.path, handle.sha256)["footage"]))
 
 
 @contextmanager
@@ -88,11 +89,11 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
         StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
     """
     footage = load_footage(handle)
-    given = tuple(FileHandle(**one) for one in json.loads(handle.path.read_bytes())["given"])
+    given = _content(handle.path, handle.sha256)["given"]
     if len(given) > 1:
         last = footage.count if stop is None else stop
         given = given[footage.first + start * footage.average : footage.first + last * footage.average]
-    with unchanged(given):
+    with unchanged(tuple(FileHandle(**one) for one in given)):
         yield footage
 
 
@@ -100,7 +101,13 @@ def load_timing(handle: FootageHandle) -> Timing:
     """The clock of a clip."""
     from hfb.media.timing import Timing
 
-    return Timing(**_numbers(json.loads(handle.path.read_bytes())["timing"]))
+    return Timing(**_numbers(_content(handle.path, handle.sha256)["timing"]))
+
+
+@functools.lru_cache(maxsize=1)
+def _content(path: Path, sha256: str) -> dict[str, Any]:
+    """Of footage.json; a folder of ten thousand pictures makes it megabytes, which every sixteen frames ask for."""
+    return dict(json.loads(path.read_bytes()))
 
 
 def _look_at_clip(

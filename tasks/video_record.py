@@ -7,7 +7,7 @@ completes the record later.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ class ClipRecord:
         self._there: dict[str, set[int]] = {}
         self._waiting = 0
         self._reached = True
+        self._unwatch: Callable[[], None] = lambda: None
         self._try(self._open)
 
     def frames(self, metric: str, values: Mapping[int, float]) -> None:
@@ -51,6 +52,7 @@ class ClipRecord:
     def finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> RunHandle | None:
         """Everything that is still missing, and FINISHED; None where the store does not take it."""
         self._reached = True
+        self._unwatch()
         self._try(lambda: self._finish(files, result))
         if not self._reached or self._run is None:
             return None
@@ -58,6 +60,7 @@ class ClipRecord:
 
     def stop(self, status: str) -> None:
         """FAILED or KILLED: the clip is not finished; the same command goes on in the same run."""
+        self._unwatch()
         run = self._run
         if run is not None and self._reached:
             self._try(lambda: tracking.end_run(run, status))
@@ -69,6 +72,7 @@ class ClipRecord:
     def _open(self) -> None:
         tags = {"code": code_version(), "seed": str(self._config.seed), "preset": self._config.preset}
         self._run = tracking.begin_run(self._name, self._key, self._params, {**tags, COMMAND_TAG: "video"})
+        self._unwatch = tracking.watch_machine(self._run)
 
     def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
         """Points that the run does not have: an earlier start of the same command may have logged them."""

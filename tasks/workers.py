@@ -150,7 +150,7 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
             _cluster = Cluster(engine)
         if engine.kind == "threads":
             _threads = engine.count
-        elif engine.count > 1 or apart:
+        elif engine.count > 1 or apart or engine.remote:
             _pool = _Pool(engine.count)
         yield
     finally:

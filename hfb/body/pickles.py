@@ -32,7 +32,7 @@ _STORAGES = {
     "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
 }  # fmt: skip
 _MAX_ITEM_BYTES = 1 << 16
-_MAX_STEPS = 4_000_000
+_MAX_STEPS = 3_000_000
 
 
 def _reconstruct(*_arguments: Any) -> NumpyArray:

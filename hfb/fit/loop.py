@@ -31,6 +31,9 @@ from hfb.render.texture import fill_texture_gutter, texel_faces, visible_texels
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Array, Bool, Float, Tensor
 
+_GAIN = 1e-3
+"""Share by which the loss of a stage must fall to count as a gain."""
+
 Progress = Callable[[int, int, float], None]
 
 
@@ -144,20 +147,27 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
     stages = [stage for stage in config.stages if stage.iterations > 0]
     total = sum(stage.iterations for stage in stages)
     history: dict[str, list[float]] = {}
-    best, best_iteration, done, objective = variables.copy(), 0, 0, everywhere
+    best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
+    # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
+    optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
     for stage in stages:
         seen = everywhere.observation.resized(stage.size_px)
         visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)
-        best_loss = math.inf  # losses of different picture sizes do not compare
-        for loss, terms, iterate in _iterations(objective, variables, config, stage):
+        best_loss = told_loss = math.inf  # losses of different picture sizes do not compare
+        waited, ends = 0, done + stage.iterations
+        for loss, terms, iterate in _iterations(objective, variables, optimizer, config, stage):
             for name, value in {"total": loss, **terms}.items():
                 history.setdefault(name, []).append(value)
             if loss < best_loss:
                 best, best_loss, best_iteration = iterate(), loss, done
             done += 1
             if on_progress:
-                on_progress(done, total, loss)
+                on_progress(done + skipped, total, loss)
+            told_loss, waited = (loss, 0) if loss < (1 - _GAIN) * told_loss else (told_loss, waited + 1)
+            if 0 < config.patience <= waited:
+                skipped += ends - done
+                break
         _restore(variables, best)
     return _Descent(best, best_iteration, history, objective)
 
@@ -189,16 +199,15 @@ def _directed(
 
 
 def _iterations(
-    objective: Objective, variables: Variables, config: FitConfig, stage: Stage
+    objective: Objective, variables: Variables, optimizer: torch.optim.Adam, config: FitConfig, stage: Stage
 ) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
     """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
-    optimizer = torch.optim.Adam(variables.groups(config, stage), eps=config.adam_epsilon, fused=True)
-    base = [group["lr"] for group in optimizer.param_groups]
     for iteration in range(stage.iterations):
-        if stage.cosine:
-            share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2
-            for group, rate in zip(optimizer.param_groups, base, strict=True):
-                group["lr"] = rate * share
+        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2 if stage.cosine else 1.0
+        for group, now in zip(
+            optimizer.param_groups, variables.groups(config, stage.learning_rate * share), strict=True
+        ):
+            group["lr"] = now["lr"]
         optimizer.zero_grad()
         terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)
         loss = objective.total(terms)

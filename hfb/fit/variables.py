@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from hfb.body.model import Body, bone_length
-from hfb.config import FitConfig, Stage
+from hfb.config import FitConfig
 from hfb.fit.clip_person import ClipPerson
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.clock import next_opening
@@ -45,9 +45,8 @@ class Variables:
         with torch.no_grad():
             return Variables(self.motion(body), self.betas, self.texture).copy()
 
-    def groups(self, config: FitConfig, stage: Stage) -> list[dict]:
-        """Adam's parameter groups with their learning rates."""
-        rate = stage.learning_rate
+    def groups(self, config: FitConfig, rate: float) -> list[dict]:
+        """Adam's parameter groups with their learning rates, where motion has this one."""
         return [
             {"params": [self.trajectory.rotation, self.trajectory.translation], "lr": rate},
             {"params": [self.betas], "lr": rate * config.shape_rate},

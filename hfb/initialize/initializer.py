@@ -1,5 +1,6 @@
 """The static body that a fit starts from: by the pose networks where they are, else by the matte alone."""
 
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -146,7 +147,13 @@ def _searched(
     if shared < _WORTH_ANOTHER_LOOK:
         moving = search_swept(matte, camera, body, rasterizer)
         if moving.shared > shared + _CLEARLY_MOVING:
-            other = carried_along(first, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)
+            # At rest it fits the densest part alone, often at another distance: from there, and from where the path is.
+            starts = first, replace(first, translation=moving.first.translation)
+            tries = [
+                carried_along(start, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)
+                for start in starts
+            ]
+            other = max(tries, key=lambda one: one.shared)
             best = other if other.shared > moving.shared - _ABOUT_AS_GOOD else moving
             return best.first, best.shared, best.travel_m
     return first, shared, None

@@ -10,68 +10,86 @@ from hfb.losses.scales import image_over_scales, matte_over_scales
 from hfb.shapes import Array, Float, Tensor
 
 
+def _pixels(picture: Tensor) -> Array:
+    """(H W, channels) of (H, W, channels) or (H, W)."""
+    flat = picture.detach().contiguous().flatten(0, 1)
+    return (flat if flat.ndim == 2 else flat[:, None]).numpy()
+
+
 @torch.library.custom_op("hfb::compare_pictures", mutates_args=())
 def _compare(
     mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor, image_scales: int, matte_scales: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """(L_I, L_alpha, gradient of the first by `mean`, gradient of the second by its last channel).
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """(L_I, L_alpha, then for the way back: both gradients by what the coarser scales see, slopes at the finest).
 
-    A loss at no scale is zero, and its gradient empty.
+    A loss at no scale is zero.
     """
-    height, width, channels = mean.shape
-
-    def pixels(picture: Tensor) -> Array:
-        return picture.detach().contiguous().view(height * width, -1).numpy()
-
-    drawn, alpha = pixels(mean), pixels(matte)
-    of_image = mean.new_empty((height * width, 4) if image_scales > 0 else (0, 4))
-    of_matte = mean.new_empty(height * width if matte_scales > 0 else 0)
-    image = overlap = 0.0
+    size, image, overlap, slopes = mean.shape[:2], 0.0, 0.0, [0.0, 0.0, 0.0]
+    of_image, of_matte = mean.new_empty(0, 3), mean.new_empty(0, 1)
     if image_scales > 0:
-        table = kernels.levels(height, width, image_scales)
-        image = kernels.compare_images(drawn, pixels(plate), pixels(frame), alpha, table, of_image.numpy())
+        table = kernels.levels(*size, image_scales)
+        of_image = mean.new_empty(int(table[-1, 0]), 3)
+        pictures = _pixels(mean), _pixels(plate), _pixels(frame), _pixels(matte)
+        image, slopes[0] = kernels.compare_images(*pictures, *size, table, of_image.numpy())
     if matte_scales > 0:
-        table = kernels.levels(height, width, matte_scales)
-        overlap = kernels.compare_mattes(drawn, channels - 1, alpha, table, of_matte.numpy())
-    return mean.new_tensor(image), mean.new_tensor(overlap), of_image, of_matte
+        table = kernels.levels(*size, matte_scales)
+        of_matte = mean.new_empty(int(table[-1, 0]), 1)
+        overlap, *slopes[1:] = kernels.compare_mattes(_pixels(mean), _pixels(matte), *size, table, of_matte.numpy())
+    return (
+        mean.new_tensor(image),
+        mean.new_tensor(overlap),
+        of_image,
+        of_matte,
+        torch.tensor(slopes, dtype=torch.float64),
+    )
 
 
 @_compare.register_fake
 def _(
     mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor, image_scales: int, matte_scales: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    pixels = mean.shape[0] * mean.shape[1]
-    of_image = mean.new_empty((pixels, 4) if image_scales > 0 else (0, 4))
-    return mean.new_empty(()), mean.new_empty(()), of_image, mean.new_empty(pixels if matte_scales > 0 else 0)
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    def coarse_pixels(scales: int) -> int:
+        height, width, count = *mean.shape[:2], 0
+        for _ in range(scales - 1):
+            height, width = (height + 1) // 2, (width + 1) // 2
+            count = count + height * width
+        return count
+
+    of_image, of_matte = mean.new_empty(coarse_pixels(image_scales), 3), mean.new_empty(coarse_pixels(matte_scales), 1)
+    return mean.new_empty(()), mean.new_empty(()), of_image, of_matte, mean.new_empty(3, dtype=torch.float64)
 
 
 @torch.library.custom_op("hfb::compare_pictures_gradient", mutates_args=())
 def _gradient(
-    by_image: Tensor, by_matte: Tensor, of_image: Tensor, of_matte: Tensor, height: int, width: int, channels: int
-) -> Tensor:
+    by_image: Tensor, by_matte: Tensor, mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor,
+    of_image: Tensor, of_matte: Tensor, slopes: Tensor, image_scales: int,
+) -> Tensor:  # fmt: skip
     """Gradient of `mean` (H, W, C) from those of the two losses."""
-    gradient = of_matte.new_empty(height, width, channels)
-    kernels.weigh(
-        of_image.numpy(), of_matte.numpy(), by_image.item(), by_matte.item(), channels - 1,
-        gradient.view(-1, channels).numpy(),
+    gradient = mean.new_empty(mean.shape) if image_scales > 0 else mean.new_zeros(mean.shape)
+    pictures = (_pixels(plate), _pixels(frame)) if image_scales > 0 else (_pixels(matte.new_empty(0, 0, 3)),) * 2
+    kernels.gradient_of(
+        _pixels(mean), *pictures, _pixels(matte), *mean.shape[:2], slopes.numpy(), by_image.item(), by_matte.item(),
+        of_image.numpy(), of_matte.numpy(), _pixels(gradient),
     )  # fmt: skip
     return gradient
 
 
 @_gradient.register_fake
 def _(
-    by_image: Tensor, by_matte: Tensor, of_image: Tensor, of_matte: Tensor, height: int, width: int, channels: int
-) -> Tensor:
-    return of_matte.new_empty(height, width, channels)
+    by_image: Tensor, by_matte: Tensor, mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor,
+    of_image: Tensor, of_matte: Tensor, slopes: Tensor, image_scales: int,
+) -> Tensor:  # fmt: skip
+    return mean.new_empty(mean.shape)
 
 
 def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*output[2:])
-    ctx.size = inputs[0].shape
+    *pictures, ctx.image_scales, _ = inputs
+    ctx.save_for_backward(*pictures, *output[2:])
 
 
 def _backward(ctx, by_image, by_matte, *_):  # type: ignore[no-untyped-def]
-    return _gradient(by_image, by_matte, *ctx.saved_tensors, *ctx.size), None, None, None, None, None
+    gradient = _gradient(by_image, by_matte, *ctx.saved_tensors, ctx.image_scales)
+    return gradient, None, None, None, None, None
 
 
 _compare.register_autograd(_backward, setup_context=_keep)

@@ -12,8 +12,8 @@ from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
 from hfb.shapes import Array, Float, Shaped
 
-PIXEL_LIMIT = 64_000_000
-"""Of a picture, or a frame of a video: as float32 RGB 0.77 GB, with its decoder's copies below 2 GB."""
+PIXEL_LIMIT = 40_000_000
+"""Of a picture, or a frame of a video (8K has 33): as float32 RGB 0.5 GB, with a decoder's copies of 16 bits 1.5 GB."""
 
 _BYTE_LIMIT = 512 << 20
 _FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")

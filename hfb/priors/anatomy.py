@@ -20,6 +20,7 @@ from typing import NamedTuple
 import torch
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
+from hfb.priors.operators import anatomy
 from hfb.rotations import axis_angle_to_quaternion
 from hfb.shapes import Float, Int, Tensor
 
@@ -63,13 +64,13 @@ _JOINTS: dict[str, _Joint] = {
 
 @dataclass(frozen=True)
 class _Tables:
-    """The joints below the root, right ones mirrored; angles in radians, in the order twist, swing, swing."""
+    """The joints below the root, right ones mirrored, in the order twist, swing, swing.
+
+    angles: lowest, highest, mean and standard deviation [rad].
+    """
 
     order: Int[Tensor, "23 3"]
-    lowest: Float[Tensor, "23 3"]
-    highest: Float[Tensor, "23 3"]
-    mean: Float[Tensor, "23 3"]
-    spread: Float[Tensor, "23 3"]
+    angles: Float[Tensor, "4 23 3"]
 
 
 @lru_cache
@@ -86,7 +87,7 @@ def _tables(dtype: torch.dtype) -> _Tables:
         columns = [(*limits[k], mean[k], joint.spread[k]) for k in order]
         orders.append(order)
         rows.append([[radians(angle) for angle in column] for column in zip(*columns, strict=True)])
-    return _Tables(torch.tensor(orders), *torch.tensor(rows, dtype=torch.float64).to(dtype).unbind(1))
+    return _Tables(torch.tensor(orders), torch.tensor(rows, dtype=torch.float64).to(dtype).transpose(0, 1).contiguous())
 
 
 def twist_swing(
@@ -129,9 +130,17 @@ class AnatomicalPrior:
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """Both parts; see `PosePrior`."""
+        if axis_angle.device.type == "cpu":
+            tables = _tables(torch.float64)
+            return anatomy(axis_angle, tables.order, tables.angles, radians(_LIMIT_SCALE_DEG))[0]
+        return self.readable(axis_angle)
+
+    def readable(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
+        """The same in plain torch: what the compiled operator is tested against, and what other devices run."""
         tables = _tables(axis_angle.dtype)
         angles = twist_swing(axis_angle, tables.order)
-        distance = (angles - tables.mean) / tables.spread
+        _, _, mean, spread = tables.angles
+        distance = (angles - mean) / spread
         excess = _excess(angles, tables)
         return (distance * distance + excess * excess).sum((1, 2)) / 2
 
@@ -143,4 +152,5 @@ class AnatomicalPrior:
 
 def _excess(angles: Tensor, tables: _Tables) -> Tensor:
     """How far the angles lie outside their ranges, in units of the limits' softness."""
-    return (angles - angles.clamp(tables.lowest, tables.highest)) / radians(_LIMIT_SCALE_DEG)
+    lowest, highest, _, _ = tables.angles
+    return (angles - angles.clamp(lowest, highest)) / radians(_LIMIT_SCALE_DEG)

@@ -51,6 +51,11 @@ class Postgres:
         """What Prefect is told."""
         return f"postgresql+asyncpg://hfb@127.0.0.1:{self.port}/postgres"
 
+    @property
+    def pid(self) -> int:
+        """Of the process that the others of the cluster come from."""
+        return int((self._data / "postmaster.pid").read_text().split()[0])
+
     def start(self) -> None:
         """Return when it takes connections."""
         options = f"-p {self.port} -c listen_addresses=127.0.0.1 -c unix_socket_directories= -c fsync=off"
@@ -100,6 +105,12 @@ class PrefectProcess:
     def api(self) -> str:
         """PREFECT_API_URL."""
         return f"http://127.0.0.1:{self._port}/api"
+
+    @property
+    def pid(self) -> int:
+        """Of its first process."""
+        assert self._process is not None
+        return self._process.pid
 
     def start(self) -> None:
         """Return when it answers."""

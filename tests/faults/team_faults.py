@@ -6,7 +6,9 @@ Each fault begins with a fresh folder and ends with the same batch, whose result
 undisturbed one's; then MLflow is asked for its runs and Prefect for flow runs that nobody ends. Prints one JSON object.
 `postgres`: crashed and brought back twice. `server`: Prefect's server killed -9 and started again. `both`: the database
 and the server. `mlflow`: the tracking server away for a while (--away seconds). `flow`: the batch itself killed -9.
-`disk`: results on a tmpfs that is full half-way (needs the right to mount).
+`worker`: a process that computes killed -9, twice. `disk`: results on a tmpfs that is full half-way (needs the right to
+mount). `clock`: the clock of the batch and its workers jumps two days ahead and four back (needs the Debian package
+libfaketime); Prefect's server keeps the right time.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from typing import Any
 from tests.faults.servers import Postgres, PrefectProcess, free_port, postgres, prefect_server
 from tests.faults.test_video_faults import end, tracking_server
 from tests.orchestration import _migrated_store
-from tests.small_clips import LONGER, SMALL_OPTIONS, small_clip
+from tests.small_clips import LONGER, SMALL_OPTIONS, computing, small_clip
 
 COMPARED = ("motion.npz", "strip.png", "texture.png", "edges.json")
 _TERMINAL = {"COMPLETED", "FAILED", "CRASHED", "CANCELLED"}
@@ -170,6 +172,33 @@ def kill_flow(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: f
     return batch.finish()
 
 
+def kill_worker(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: float) -> dict[str, Any]:
+    """Who computes is killed."""
+    process = batch.start()
+    for pattern in ("frame_*.png", "window_*.npz"):
+        batch.until(pattern, process)
+        while not (found := computing(process.pid)):
+            time.sleep(0.05)
+        os.kill(found[0], signal.SIGKILL)
+    return batch.finish(process)
+
+
+def jump_clock(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: float) -> dict[str, Any]:
+    """The clock jumps ahead while frames are looked at, and back while windows are fitted."""
+    (library,) = Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1")
+    told = batch.folder / "clock"
+    told.write_text("+0")
+    batch.environment |= {
+        "LD_PRELOAD": str(library), "FAKETIME_TIMESTAMP_FILE": str(told), "FAKETIME_CACHE_DURATION": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1",
+    }  # fmt: skip
+    process = batch.start()
+    for pattern, offset in (("frame_*.png", "+2d"), ("window_*.npz", "-2d")):
+        batch.until(pattern, process)
+        told.write_text(offset)
+    return batch.finish(process)
+
+
 def lose_mlflow(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: float) -> dict[str, Any]:
     """The tracking server goes away for a while, in which clips end; their records are completed."""
     port = free_port()
@@ -221,8 +250,8 @@ def fill_disk(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: f
 
 
 FAULTS: dict[str, Callable[[Batch, Postgres, PrefectProcess, float], dict[str, Any]]] = {
-    "postgres": crash_postgres, "server": kill_server, "both": kill_both, "flow": kill_flow, "mlflow": lose_mlflow,
-    "disk": fill_disk,
+    "postgres": crash_postgres, "server": kill_server, "both": kill_both, "flow": kill_flow, "worker": kill_worker,
+    "mlflow": lose_mlflow, "disk": fill_disk, "clock": jump_clock,
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from uuid import UUID
 
 import pytest
 
@@ -70,3 +71,30 @@ def test_no_result_is_kept_of_a_clip_that_changed(tmp_path: Path) -> None:
         replace_pictures(clip)
     with pytest.raises(StaleFile, match="no longer what it was"), reading(seen):
         pytest.fail("these are another clip's pictures")
+
+
+def test_a_flow_run_whose_end_could_not_be_told(store: Path) -> None:
+    """What Prefect's server leaves Running when its database is away at the wrong moment."""
+    from prefect import flow, get_client
+    from prefect.runtime import flow_run
+    from prefect.states import Running
+
+    from flows.reaper import end_abandoned_flow_runs, mark_owner
+
+    def whole() -> str:
+        return str(flow_run.id)
+
+    def around() -> tuple[str, int]:
+        ended = flow(name="ended", persist_result=False, on_running=[mark_owner])(whole)()
+        with get_client(sync_client=True) as client:
+            client.set_flow_run_state(UUID(ended), Running(), force=True)
+        assert len(unfinished(prefect_api())) == 2
+        return ended, end_abandoned_flow_runs()
+
+    lost, count = flow(name="around", persist_result=False, on_running=[mark_owner])(around)()
+    assert count == 1
+    with get_client(sync_client=True) as client:
+        state = client.read_flow_run(UUID(lost)).state
+    assert state is not None
+    assert (state.name, state.message) == ("Crashed", "its end could not be told")
+    assert unfinished(prefect_api()) == []

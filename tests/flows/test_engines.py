@@ -1,12 +1,18 @@
 """The same clip on other engines: threads, and a real Dask cluster whose workers see nothing but a store."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from flows.benchmark import BenchmarkPlan, run_benchmark
+from hfb.baselines.method_spec import method_spec
+from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from tasks.engine import Engine, engine_of
+from tasks.handles import sha256_of
+from tests.flows.test_benchmark import TINY_TOML, contents, rows
 from tests.orchestration import mlflow_rows
 from tests.small_clips import assert_every_frame_once, finished, run_clip, small_clip
 
@@ -53,6 +59,24 @@ def test_dask_on_the_same_disk(scheduler: str, store: Path, tmp_path: Path) -> N
     made = small_clip()
     run_clip(made.truth.parent, tmp_path / "out", truth=made.truth, workers=engine_of(f"dask:{scheduler}"))
     assert_same_bytes(tmp_path / "out")
+
+
+def test_a_benchmark_with_a_store(scheduler: str, store: Path, tmp_path: Path) -> None:
+    (tmp_path / "tiny.toml").write_text(TINY_TOML)
+    methods = tuple(method_spec(name) for name in ("static", f"tiny={tmp_path / 'tiny.toml'}"))
+    # two frames of one camera: two files with the same content would be one file in the store
+    spec = SetSpec(set="bt-amass", size_px=64, seed=3, fill="even", frames=2)
+    plan = BenchmarkPlan(spec=spec, count=2, methods=methods, start="simulated")
+    run_benchmark(plan, tmp_path / "here", 2)
+    shutil.rmtree(tmp_path / "records")  # nothing is remembered
+    engine = engine_of(f"dask:{scheduler}", (tmp_path / "shared").as_uri())
+    run_benchmark(plan, tmp_path / "there", engine)
+    assert rows(tmp_path / "there") == rows(tmp_path / "here")
+    assert contents(tmp_path / "there") == contents(tmp_path / "here")
+    away = {path.name for path in (tmp_path / "shared").rglob("*") if path.is_file()}
+    motions = list((tmp_path / "there" / "methods").rglob("motion.npz"))
+    assert len(motions) == 4
+    assert {sha256_of(path) for path in motions} <= away, "they were not made by the cluster's workers"
 
 
 def test_a_cluster_that_is_not_there(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,7 +118,8 @@ def _listen(pool: Sequence[_Worker], report: Report) -> None:
         for one in pool:
             if one.number is not None:
                 ready.register(one.process.stdout, selectors.EVENT_READ, one)
-        answered = [key.data for key, _ in ready.select(timeout=1.0)]
+        # twice: somebody who stops this process for a while and lets it go on ends the first wait without a look
+        answered = [key.data for key, _ in ready.select(timeout=1.0) or ready.select(timeout=0)]
     for one in pool:
         line = one.process.stdout.readline() if one in answered else ""
         if line:

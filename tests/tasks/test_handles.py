@@ -6,8 +6,9 @@ import pytest
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in, unchanged
+from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in, unchanged, with_files
 from tasks.inputs import Inputs, input_file, input_hashes
+from tasks.judge_case import JudgedHandle
 
 
 @pytest.fixture
@@ -54,6 +55,17 @@ def test_every_file_is_found(file: Path) -> None:
     assert len(list(files_in(fit_of(file)))) == 4
     assert list(files_in(Inputs(frames=(one, one), background=one, body=one))) == [one] * 4
     assert list(files_in(3)) == []
+    judged = JudgedHandle.of(file, motion=one)  # a file that goes with others
+    assert list(files_in(judged)) == [judged, one]
+
+
+def test_every_file_is_moved(file: Path) -> None:
+    def away(one: FileHandle) -> FileHandle:
+        return one.model_copy(update={"path": Path("/away") / one.path.name})
+
+    one, there = FileHandle.of(file), Path("/away/a.bin")
+    moved = with_files((JudgedHandle.of(file, motion=one), [one], 3), away)
+    assert (moved[0].path, moved[0].motion.path, moved[1][0].path, moved[2]) == (there, there, there, 3)
 
 
 def test_handles_survive_json(file: Path) -> None:

@@ -1,6 +1,7 @@
 """Figures for Prometheus, scraped from a real endpoint while a real clip is made."""
 
 import json
+import os
 import re
 import socket
 import threading
@@ -12,6 +13,7 @@ import pytest
 from hfb.errors import InputError
 from tasks import progress
 from tasks.metrics import VARIABLE, served
+from tasks.workers import compute, workers
 from tests.small_clips import run_clip, small_clip
 
 
@@ -34,6 +36,10 @@ def test_a_clip(port: int, store: Path, tmp_path: Path) -> None:
     with served():
         run_clip(small_clip().truth.parent, tmp_path / "out", truth=small_clip().truth)
         figures = scraped(port)
+        with workers(2, apart=True):
+            compute(os.getpid)
+            assert scraped(port)["hfb_workers_memory_bytes"] > 5e7
+    assert figures["hfb_workers_memory_bytes"] == 0  # they have ended
     assert figures['hfb_done_total{step="mattes"}'] == 12
     assert figures['hfb_done_total{step="windows"}'] == 11
     assert figures['hfb_left{step="windows"}'] == 0
@@ -56,7 +62,25 @@ def test_the_dashboard_asks_for_what_is_served(port: int) -> None:
         served_names = set(re.findall(r"# TYPE (\w+)", page.read().decode()))
     plain = {name.removesuffix("_sum").removesuffix("_count") for name in asked}
     assert plain <= served_names
-    assert len(plain) == 7
+    assert len(plain) == 9
+
+
+def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the driver's program tells of them; there is no GPU where these tests run."""
+    program = tmp_path / "nvidia-smi"
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    for told, found in (
+        ("echo '0, 25, 100'; echo '1, 0, 3'", {"0": (0.25, 100.0), "1": (0.0, 3.0)}), ("exit 9", {}),
+        ("echo '0, [N/A], 3'", {}),
+    ):  # fmt: skip
+        program.write_text(f"#!/bin/sh\n{told}\n")
+        program.chmod(0o755)
+        with served():
+            figures = scraped(port)
+        busy = {name: value for name, value in figures.items() if name.startswith("hfb_gpu_busy")}
+        assert busy == {f'hfb_gpu_busy{{gpu="{number}"}}': share for number, (share, _) in found.items()}
+        for number, (_, megabytes) in found.items():
+            assert figures[f'hfb_gpu_memory_bytes{{gpu="{number}"}}'] == megabytes * (1 << 20)
 
 
 def test_failures_by_reason(port: int) -> None:

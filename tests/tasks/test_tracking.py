@@ -1,5 +1,6 @@
 """MLflow: one run per problem, every value once, whatever was interrupted."""
 
+import time
 from pathlib import Path
 
 import pytest
@@ -73,6 +74,28 @@ def test_a_long_run_is_recorded_on_the_way(store: Path) -> None:
     assert points == [(3, 0.5), (4, 0.25)]
     assert tracking.begin_run("name", "k", PARAMS, {}).complete
     assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
+
+
+def test_figures_of_the_machine(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def watched(key: str = "k") -> str:
+        run = tracking.begin_run("name", key, PARAMS, {})
+        unwatch = tracking.watch_machine(run)
+        time.sleep(1.5)
+        unwatch()
+        return run.run_id
+
+    watched("other")
+    assert mlflow_rows(store, "select count(*) from metrics") == [(0,)], "nobody has asked for them"
+    monkeypatch.setenv("MLFLOW_ENABLE_SYSTEM_METRICS_LOGGING", "true")
+    monkeypatch.setenv("MLFLOW_SYSTEM_METRICS_SAMPLING_INTERVAL", "0.2")
+    watched()
+    before = mlflow_rows(store, "select step, count(*) from metrics where key like 'system/cpu%' group by step")
+    assert len(before) >= 2
+    watched()  # the same command again: it goes on
+    steps = mlflow_rows(store, "select step, count(*) from metrics where key like 'system/cpu%' group by step")
+    assert steps[: len(before)] == before
+    assert len(steps) > len(before)
+    assert {count for _, count in steps} == {1}
 
 
 def test_runs_of_dead_processes_are_ended(store: Path) -> None:

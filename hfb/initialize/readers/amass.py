@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hfb.initialize.readers.contents import named, numbers
+from hfb.errors import InputError
+from hfb.initialize.readers.contents import array_in, named, numbers
 from hfb.initialize.readers.pose_track import PoseTrack
 from hfb.initialize.readers.rotations import turned, y_up_to_camera
 from hfb.initialize.readers.smplx import smpl_poses
@@ -22,7 +23,9 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     one = named(content)
     if not {"poses", "trans"} <= one.keys() or not any(rate in one for rate in _RATES) or "K" in one:
         return None
-    given = np.asarray(one["poses"])
+    given = array_in(one["poses"])
+    if not given.size:
+        raise InputError("it holds no pose")
     flat = numbers(given.reshape(len(given), -1), None, None)
     width = flat.shape[1]
     poses = flat.reshape(-1, 24, 3) if width == 72 else smpl_poses(flat[:, :3], flat[:, 3:66])

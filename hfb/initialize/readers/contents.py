@@ -59,11 +59,7 @@ def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
     Raises:
         InputError: no numbers, another shape, or not finite; the text continues "FILE cannot be used: ".
     """
-    array = np.asarray(_gathered(value, [_MAX_ENTRIES]))
-    if array.size > _MAX_NUMBERS:
-        raise InputError(f"it holds an array of {array.size} numbers where a few were expected")
-    if array.dtype.kind not in "fiub":
-        raise InputError("it holds something else where numbers should be")
+    array = array_in(value)
     wanted = tuple(side for side in shape if side != 1)
     squeezed = tuple(side for side in array.shape if side != 1)
     free = [side for side in wanted if side is None]
@@ -73,10 +69,24 @@ def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
         raise InputError(f"it holds numbers of the shape {array.shape} where {_shown(shape)} were expected")
     lengths = iter(squeezed)
     full = tuple(1 if side == 1 else next(lengths) for side in shape)
-    result = array.reshape(full).astype(np.float64)
+    result = array.reshape(full)
     if not np.isfinite(result).all():
         raise InputError("it holds numbers that are not finite")
     return result
+
+
+def array_in(value: Any) -> Float[Array, "..."]:
+    """As `numbers`, of any shape and not necessarily finite: what is in a file goes to numpy through here alone.
+
+    Raises:
+        InputError: no numbers, or more of them than any file of motions has.
+    """
+    array = np.asarray(_gathered(value, [_MAX_ENTRIES]))
+    if array.size > _MAX_NUMBERS:
+        raise InputError(f"it holds an array of {array.size} numbers where a few were expected")
+    if array.dtype.kind not in "fiub":
+        raise InputError("it holds something else where numbers should be")
+    return array.astype(np.float64)
 
 
 def _gathered(value: Any, room: list[int], depth: int = 0) -> Any:

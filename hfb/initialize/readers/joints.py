@@ -14,7 +14,7 @@ import numpy as np
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
 from hfb.initialize.joint_layouts import joints_as_24
-from hfb.initialize.readers.contents import named, numbers, text_of
+from hfb.initialize.readers.contents import array_in, named, numbers, text_of
 from hfb.initialize.readers.pose_track import PoseTrack
 from hfb.shapes import Array, Float
 
@@ -32,7 +32,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     frames = numbers(one["frame_index"], len(joints)) if "frame_index" in one else np.arange(len(joints))
     K = None
     if "K" in one:
-        given = np.asarray(one["K"], np.float64)
+        given = array_in(one["K"])
         K = np.tile(numbers(given, 3, 3), (len(joints), 1, 1)) if given.ndim == 2 else numbers(given, len(joints), 3, 3)
         if (joints[..., 2] <= 0).any():
             raise InputError("it has a camera K, but joints behind it")
@@ -40,10 +40,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _joints(one: dict[str, Any]) -> Float[Array, "R 24 3"]:
-    try:
-        given = np.asarray(one["joints"], np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("its joints are no array of numbers") from error
+    given = array_in(one["joints"])
     if given.ndim != 3 or given.shape[2] != 3 or not len(given):
         raise InputError(f"its joints are {given.shape} instead of (frames, 24, 3)")
     if "joint_names" not in one:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
-from hfb.initialize.readers.contents import named, numbers, read_contents, text_of
+from hfb.initialize.readers.contents import array_in, named, numbers, read_contents, text_of
 from hfb.shapes import Array, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
@@ -124,12 +124,16 @@ def track_of(content: dict[str, Any]) -> PoseTrack:
     if space not in ("smpl", "smplx", "hfb"):
         raise InputError(f"it has betas of an unknown body, {space}")
     system, person = text_of(content["system"]), text_of(content.get("person", "0"))
-    known: Any = {"turn_is_known": bool(np.all(content.get("turn_is_known", True))), "betas_space": space, **read}
+    known: Any = {
+        "turn_is_known": bool(array_in(content.get("turn_is_known", True)).all()),
+        "betas_space": space,
+        **read,
+    }
     return PoseTrack(system, person, frames, None if size is None else (size[0], size[1]), **known)
 
 
 def _joints(value: object, count: int) -> Float[Array, "R 24 3"]:
-    joints = np.asarray(value, np.float64)
+    joints = array_in(value)
     if joints.shape != (count, 24, 3):
         raise InputError(f"it has joints of the shape {joints.shape} instead of {(count, 24, 3)}")
     return joints

@@ -4,6 +4,7 @@ import copy
 import io
 import os
 import pickle
+import resource
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -162,3 +163,28 @@ def test_damaged_torch_files_are_a_sentence() -> None:
     wrong = io.BytesIO()
     torch.save(pickle.dumps({}), wrong)
     assert load_torch(wrong.getvalue()) == pickle.dumps({})
+
+
+@pytest.mark.parametrize(
+    ("place", "others"),
+    [
+        ("joints", {}), ("K", {"joints": np.ones((1, 24, 3))}), ("thetas", {}),
+        ("poses", {"trans": [[0.0] * 3], "mocap_framerate": 30}),
+    ],
+)  # fmt: skip
+def test_lists_of_the_same_list_are_not_multiplied_out(tmp_path: Path, place: str, others: dict[str, Any]) -> None:
+    endless: list[Any] = [0.0]
+    for _ in range(18):
+        endless = [endless] * 10  # 10 ** 18 numbers in a few hundred bytes
+    path = tmp_path / "small.pkl"
+    path.write_bytes(pickle.dumps({place: endless, **others}))
+    assert path.stat().st_size < 4000
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (size + (1 << 29), before[1]))  # an error here, not the end of the machine
+    try:
+        with pytest.raises(InputError) as refused:
+            read_tracks([path], HEIGHT, WIDTH)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    assert "MemoryError" not in str(refused.value)

@@ -1,0 +1,34 @@
+"""From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
+
+from hfb.body.assets import load_default_body
+from hfb.config import FitConfig, Stage
+from hfb.fit.loop import FitResult, fit
+from hfb.priors.anatomy import AnatomicalPrior
+from tests.scenes import moving_scene
+
+
+def run(*stages: Stage, patience: int = 0) -> tuple[FitResult, list[tuple[int, int]]]:
+    """A fit from the true middle pose, and the progress it told."""
+    body, told = load_default_body(), []
+    scene = moving_scene(body, size_px=48)
+    config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, patience=patience)
+    result = fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), lambda *one: told.append(one[:2]))
+    return result, told
+
+
+def test_a_stage_goes_on_where_the_last_one_ended() -> None:
+    """A fresh optimiser would leave it: its first steps are as large as its rate, wherever the gradient is small."""
+    stage = Stage(size_px=48, iterations=25, learning_rate=0.003)
+    losses = run(stage, stage)[0].history["total"]
+    assert losses[24] < 0.7 * losses[0]
+    assert max(losses[25:]) <= 1.01 * min(losses[:25])
+
+
+def test_a_stage_without_gain_ends_by_its_patience() -> None:
+    still, moving = (Stage(size_px=48, iterations=20, learning_rate=rate) for rate in (1e-9, 0.003))
+    result, told = run(still, moving, patience=4)
+    assert len(result.history["total"]) == len(told) < 40
+    assert told[4] == (5, 40)  # the first loss is a gain, then four are none
+    assert told[5] == (21, 40)
+    assert result.history["total"][result.best_iteration] == min(result.history["total"])
+    assert len(run(still)[0].history["total"]) == 20  # without patience a stage takes its time
