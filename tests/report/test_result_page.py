@@ -214,6 +214,24 @@ def test_controls(report: Path) -> None:
         assert shown.errors == []
 
 
+def test_ghosts_never_veil_the_body(report: Path) -> None:
+    with browser() as chromium:
+        tab = opened(chromium, report.as_uri(), WIDTHS[1]).tab
+        canvas, ghosts = tab.locator(".viewer canvas"), tab.locator("input.ghosts")
+        tab.get_by_role("button", name="above").click()  # from there some ghosts are nearer than the body
+        shown = {}
+        for wanted in (False, True):
+            ghosts.set_checked(wanted)
+            png = np.frombuffer(canvas.screenshot(), np.uint8)
+            shown[wanted] = cv2.imdecode(png, cv2.IMREAD_COLOR).astype(int)
+        alone, apart = shown[False], abs(shown[True] - shown[False]).max(-1)
+        on_body = abs(alone - alone[:, :1]).max(-1) > 30  # the background is the same along a row
+        inside = cv2.erode(on_body.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+        assert inside.sum() > 300
+        assert (apart[inside] > 2).mean() < 0.005  # but for smooth edges where a fold lets the background through
+        assert apart[~on_body].max() > 5
+
+
 def test_a_long_clip_stays_small() -> None:
     motion = motion_of(BODY, frames=300)
     assert len(motion.times_s) == 2400

@@ -212,8 +212,8 @@ hfb.Viewer = class {
         if (other !== row) ghosts.push(this._body(other, other, start, stop, 0.16));
       }
     }
-    const bodies = this.drawing.kind === "surface" ? [body, ...ghosts] : [...ghosts, body];
-    this.drawing.draw(this.view, motion.target(this.position), bodies);
+    // The body last: ghosts nearer to the camera must not veil it.
+    this.drawing.draw(this.view, motion.target(this.position), [...ghosts, body]);
     this._tell(row, start, stop);
   }
 

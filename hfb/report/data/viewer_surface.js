@@ -70,7 +70,7 @@ hfb.Surface = class {
     if (texture) this._load(texture, redraw);
   }
 
-  // bodies: {pose, colours (24) or null for the texture, opacity}; what is opaque comes first.
+  // bodies: {pose, colours (24) or null for the texture, opacity}; what is opaque comes last.
   draw(view, target, bodies) {
     const { gl, canvas } = this, aspect = canvas.width / canvas.height;
     const distance = view.distance(aspect), scale = 1 / Math.tan(hfb.HALF_ANGLE);
