@@ -17,6 +17,8 @@ JIT = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # of the time spent. Such functions must not allocate; the entry points that call them do.
 LOOP = {**JIT, "_nrt": False}
 INLINE = {**LOOP, "forceinline": True}
+# Sums whose order the compiler may choose, to add several numbers at once: it chooses once, for this kind of processor.
+SUM = {**LOOP, "fastmath": {"contract", "reassoc"}}
 
 
 @lru_cache
@@ -45,3 +47,8 @@ def entry(function):
 def loop_entry(function):
     """`entry` for a function that allocates nothing."""
     return _cached(njit(**LOOP)(function), function)
+
+
+def sum_entry(function):
+    """`loop_entry` whose sums the compiler may add in another order than written."""
+    return _cached(njit(**SUM)(function), function)

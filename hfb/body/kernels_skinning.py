@@ -10,7 +10,7 @@ joints that hold it are a list: two or three of 24.
 import numpy as np
 from numba import njit
 
-from hfb.compilation import LOOP, entry, loop_entry
+from hfb.compilation import LOOP, entry, loop_entry, sum_entry
 
 BLOCK = 16  # instants at once: what is worked on fits into the processor's first cache
 
@@ -237,12 +237,32 @@ def skin_gradient(transforms, rest, offsets, starts, joints, weights, given, of_
                         of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * n + s]
 
 
+@sum_entry
+def blend(feature, directions, offsets):
+    """Fill `offsets` (S, V, 3) with pose blend shapes (SMPL's eq. 9) of S poses' features (S, n); S is a multiple of 4.
+
+    directions: (V, 3, n), which are read from memory once: they are too many for the processor's cache.
+    """
+    for v in range(directions.shape[0]):
+        for c in range(3):
+            for s in range(0, feature.shape[0], 4):
+                zero = directions.dtype.type(0)
+                first, second, third, fourth = zero, zero, zero, zero
+                for k in range(directions.shape[2]):
+                    along = directions[v, c, k]
+                    first += along * feature[s, k]
+                    second += along * feature[s + 1, k]
+                    third += along * feature[s + 2, k]
+                    fourth += along * feature[s + 3, k]
+                offsets[s, v, c], offsets[s + 1, v, c] = first, second
+                offsets[s + 2, v, c], offsets[s + 3, v, c] = third, fourth
+
+
 @loop_entry
 def blend_gradient(given, directions, of_feature):
     """Add to `of_feature` (S, n), the features of S poses, what the offsets' gradient (S, V, 3) asks of them.
 
-    directions: (V, 3, n). What the camera does not see asks for nothing and is passed over, half of the work: the
-    directions are read from memory, they are too many for the processor's cache.
+    directions: (V, 3, n). What the camera does not see asks for nothing and is passed over, half of the work.
     """
     for v in range(directions.shape[0]):
         for s in range(given.shape[0]):

@@ -38,8 +38,8 @@ class Body:
         betas_space: whose shape coefficients these are; ``"hfb"`` betas mean nothing to SMPL, and the reverse.
         licence: terms of the model's file. source: where it came from.
         template: mean rest shape. shape_directions: displacement of each vertex per unit of beta.
-        pose_directions: SMPL's pose blend shapes, 9 entries of 23 matrices by the 3 V coordinates; None where the
-            model has none.
+        pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23
+            matrices; None where the model has none.
         joint_regressor: joints of the rest pose as weighted means of its vertices.
         joint_template, joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
         skinning_weights: share of each joint in each vertex; rows add up to 1.
@@ -52,7 +52,7 @@ class Body:
     source: str
     template: Float[Tensor, "V 3"]
     shape_directions: Float[Tensor, "V 3 K"]
-    pose_directions: Float[Tensor, "207 Vx3"] | None
+    pose_directions: Float[Tensor, "V 3 207"] | None
     joint_regressor: Float[Tensor, "24 V"]
     joint_template: Float[Tensor, "24 3"]
     joint_shape_directions: Float[Tensor, "24 3 K"]
@@ -73,12 +73,6 @@ class Body:
     def sparse_skinning(self) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
         """The skinning weights as lists, see `hfb.body.skinning.sparse_weights`."""
         return skinning.sparse_weights(self.skinning_weights)
-
-    @cached_property
-    def pose_directions_by_vertex(self) -> Float[Tensor, "V 3 207"]:
-        """The pose blend shapes as the way back reads them."""
-        assert self.pose_directions is not None
-        return self.pose_directions.T.contiguous().unflatten(0, (-1, 3))
 
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
@@ -159,10 +153,11 @@ class ShapedBody:
 
     def _pose_offsets(self, rotations: Float[Tensor, "S 24 3 3"]) -> Float[Tensor, "S V 3"] | None:
         """Pose blend shapes (SMPL's eq. 9) [m]: displacements of the rest vertices."""
-        if self.body.pose_directions is None:
+        directions = self.body.pose_directions
+        if directions is None:
             return None
         identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
         feature = (rotations[:, 1:] - identity).flatten(1)
         if feature.device.type == "cpu":
-            return operators.blend(feature, self.body.pose_directions, self.body.pose_directions_by_vertex)
-        return (feature @ self.body.pose_directions).unflatten(1, (-1, 3))
+            return operators.blend(feature, directions)
+        return skinning.blend(feature, directions)

@@ -126,40 +126,43 @@ skin.register_autograd(_skin_backward, setup_context=_keep_skin)
 
 
 @torch.library.custom_op("hfb::blend", mutates_args=())
-def blend(feature: Tensor, directions: Tensor, by_vertex: Tensor) -> Tensor:
+def blend(feature: Tensor, directions: Tensor) -> Tensor:
     """Pose blend shapes (SMPL's eq. 9) of S poses (S, V, 3) [m].
 
     Args:
-        feature: (S, n), what the poses differ in from the rest pose. directions: (n, 3 V), constants [m].
-        by_vertex: the same as (V, 3, n), for the way back.
+        feature: (S, n), what the poses differ in from the rest pose. directions: (V, 3, n), constants [m].
     """
-    return (feature @ directions).unflatten(1, (-1, 3))
+    count = len(feature)
+    fours = torch.nn.functional.pad(feature, (0, 0, 0, -count % 4))  # the kernel works on four poses at once
+    offsets = feature.new_empty(len(fours), len(directions), 3)
+    kernels.blend(*_arrays(fours, directions), offsets.numpy())
+    return offsets[:count]
 
 
 @blend.register_fake
-def _(feature: Tensor, directions: Tensor, by_vertex: Tensor) -> Tensor:
-    return feature.new_empty(feature.shape[0], by_vertex.shape[0], 3)
+def _(feature: Tensor, directions: Tensor) -> Tensor:
+    return feature.new_empty(feature.shape[0], directions.shape[0], 3)
 
 
 @torch.library.custom_op("hfb::blend_gradient", mutates_args=())
-def blend_gradient(given: Tensor, by_vertex: Tensor) -> Tensor:
+def blend_gradient(given: Tensor, directions: Tensor) -> Tensor:
     """Gradient of the features."""
-    of_feature = given.new_zeros(given.shape[0], by_vertex.shape[2])
-    kernels.blend_gradient(*_arrays(given, by_vertex), of_feature.numpy())
+    of_feature = given.new_zeros(given.shape[0], directions.shape[2])
+    kernels.blend_gradient(*_arrays(given, directions), of_feature.numpy())
     return of_feature
 
 
 @blend_gradient.register_fake
-def _(given: Tensor, by_vertex: Tensor) -> Tensor:
-    return given.new_empty(given.shape[0], by_vertex.shape[2])
+def _(given: Tensor, directions: Tensor) -> Tensor:
+    return given.new_empty(given.shape[0], directions.shape[2])
 
 
 def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(inputs[2])
+    ctx.save_for_backward(inputs[1])
 
 
 def _blend_backward(ctx, given):  # type: ignore[no-untyped-def]
-    return blend_gradient(given, *ctx.saved_tensors), None, None
+    return blend_gradient(given, *ctx.saved_tensors), None
 
 
 blend.register_autograd(_blend_backward, setup_context=_keep_blend)

@@ -35,6 +35,11 @@ def place_joints(
     return torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1), joints
 
 
+def blend(feature: Float[Tensor, "S n"], directions: Float[Tensor, "V 3 n"]) -> Float[Tensor, "S V 3"]:
+    """Pose blend shapes (SMPL's eq. 9) [m] of poses that differ so from the rest pose."""
+    return (feature @ directions.flatten(0, 1).T).unflatten(1, (-1, 3))
+
+
 def skin(
     T_world_rest: Float[Tensor, "S 24 3 4"],
     rest: Float[Tensor, "V 3"],

@@ -42,7 +42,7 @@ def read_smpl(path: Path) -> Body:
     if not _HEIGHTS_M[0] < height_m < _HEIGHTS_M[1]:
         raise InputError(f"{path} is not a SMPL model in metres: its template spans {height_m:.3g}; {_FIX}.")
     shape_directions = _shape_directions(path, arrays, vertex_count)
-    pose_directions = _pose_directions(path, arrays, vertex_count)
+    pose_directions = np.ascontiguousarray(_floats(path, arrays, "posedirs", (vertex_count, 3, POSE_COUNT)))
     regressor = _floats(path, arrays, "J_regressor", (JOINT_COUNT, vertex_count))
     weights = _floats(path, arrays, "weights", (vertex_count, JOINT_COUNT))
     _check_parents(path, arrays["kintree_table"])
@@ -113,11 +113,6 @@ def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Ar
         )
     arrays = {"shapedirs": given[:, :, :SHAPE_COUNT]}
     return np.ascontiguousarray(_floats(path, arrays, "shapedirs", (vertex_count, 3, SHAPE_COUNT)))
-
-
-def _pose_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "207 Vx3"]:
-    directions = _floats(path, arrays, "posedirs", (vertex_count, 3, POSE_COUNT))
-    return np.ascontiguousarray(directions.reshape(-1, POSE_COUNT).T)
 
 
 def _check_parents(path: Path, table: Shaped[Array, "..."]) -> None:

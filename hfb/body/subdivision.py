@@ -38,10 +38,6 @@ def subdivide(body: Body) -> Body:
     height = np.linalg.norm(bulge @ template, axis=1)
     smooth = middle + sparse.diags_array(np.minimum(1, _STEEPEST * length / np.maximum(height, 1e-12))) @ bulge
     uv, uv_faces = _subdivide_uv(body.mesh)
-    pose_directions = body.pose_directions
-    if pose_directions is not None:
-        by_vertex = pose_directions.unflatten(1, (-1, 3)).transpose(0, 1)
-        pose_directions = _extend(smooth, by_vertex).transpose(0, 1).flatten(1).contiguous()
     return Body(
         name=f"{body.name}, subdivided",
         betas_space=body.betas_space,
@@ -49,7 +45,7 @@ def subdivide(body: Body) -> Body:
         source=body.source,
         template=_extend(smooth, body.template),
         shape_directions=_extend(smooth, body.shape_directions),
-        pose_directions=pose_directions,
+        pose_directions=None if body.pose_directions is None else _extend(smooth, body.pose_directions),
         joint_regressor=torch.nn.functional.pad(body.joint_regressor, (0, len(ends))),
         joint_template=body.joint_template,
         joint_shape_directions=body.joint_shape_directions,

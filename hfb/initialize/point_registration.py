@@ -130,12 +130,11 @@ def register_vertices(
 
 def only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
     """The body with some of its vertices, which are enough to tell the pose; not to be drawn."""
-    directions = body.pose_directions
     return replace(
         body,
         template=body.template[chosen],
         shape_directions=body.shape_directions[chosen],
-        pose_directions=None if directions is None else directions.unflatten(1, (-1, 3))[:, chosen].flatten(1),
+        pose_directions=None if body.pose_directions is None else body.pose_directions[chosen],
         joint_regressor=body.joint_regressor[:, chosen],
         skinning_weights=body.skinning_weights[chosen],
     )

@@ -33,9 +33,9 @@ def with_pose_blend_shapes(body: Body) -> Body:
     surface, and its outline, which is what drawing costs, grows by more than half.
     """
     generator = torch.Generator().manual_seed(0)
-    waves, phases = 3 * torch.randn(207, 3, 3, generator=generator), 6.3 * torch.rand(207, 1, 3, generator=generator)
-    directions = 1.4e-3 * torch.sin(torch.einsum("kcd,vd->kvc", waves, body.template) + phases)
-    return replace(body, pose_directions=directions.flatten(1))
+    waves, phases = 3 * torch.randn(207, 3, 3, generator=generator), 6.3 * torch.rand(3, 207, generator=generator)
+    directions = 1.4e-3 * torch.sin(torch.einsum("kcd,vd->vck", waves, body.template) + phases)
+    return replace(body, pose_directions=directions)
 
 
 def small_fit(scene: Scene, body: Body, config: FitConfig, on_progress: Callable | None = None) -> FitResult:

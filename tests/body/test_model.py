@@ -42,7 +42,7 @@ def slow_skinning(body: Body, betas: np.ndarray, rotations: np.ndarray, translat
     joints = body.joint_regressor.numpy() @ rest
     if body.pose_directions is not None:
         feature = np.concatenate([(rotation - np.eye(3)).reshape(-1) for rotation in rotations[1:]])
-        rest = rest + (feature @ body.pose_directions.numpy()).reshape(-1, 3)
+        rest = rest + body.pose_directions.numpy() @ feature
     world: list[np.ndarray] = []
     for joint, parent in enumerate(PARENTS):
         local = np.eye(4)
