@@ -2,7 +2,8 @@
 
 Skinning works on all instants at once: the 12 entries of a joint's transform lie side by side for every instant
 ("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint that holds it, and the
-joints that hold it are a list: two or three of 24.
+joints that hold it are a list: two to four of 24. The compiler makes such operations of flat loops of a length that it
+knows; nested ones it leaves slow.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -10,9 +11,9 @@ joints that hold it are a list: two or three of 24.
 import numpy as np
 from numba import njit
 
-from hfb.compilation import LOOP, entry, loop_entry, sum_entry
+from hfb.compilation import LOOP, SUM, entry, loop_entry, sum_entry
 
-BLOCK = 16  # instants at once: what is worked on fits into the processor's first cache
+LANES = 8  # instants at once: a number that the compiler knows, so that loops over them become single operations
 
 
 @loop_entry
@@ -90,151 +91,164 @@ def place_gradient(
 
 @njit(**LOOP)
 def _spread(transforms, first, n, table):
-    """Write n instants' transforms into `table` (24, 4 columns x 3 rows x n instants)."""
+    """Write n instants' transforms into `table` (24, 4 columns x 3 rows x LANES), zeros into the lanes beyond."""
     for j in range(transforms.shape[1]):
         for c in range(4):
             for r in range(3):
-                for s in range(n):
-                    table[j, (3 * c + r) * n + s] = transforms[first + s, j, r, c]
-
-
-@njit(**LOOP)
-def _blend(table, starts, joints, weights, v, blended):
-    """The weighted sum of the transforms that hold vertex v, for all instants."""
-    for q in range(blended.shape[0]):
-        blended[q] = 0.0
-    for k in range(starts[v], starts[v + 1]):
-        j, weight = np.uint32(joints[k]), weights[k]
-        for q in range(blended.shape[0]):
-            blended[q] += weight * table[j, q]
+                for s in range(LANES):
+                    table[j, (3 * c + r) * LANES + s] = transforms[first + s, j, r, c] if s < n else 0.0
 
 
 @njit(**LOOP)
 def _load(rest, offsets, v, first, n, points):
-    """The rest vertex with its pose offsets: `points` (3, n instants)."""
-    for c in range(3):
+    """The rest vertex with its pose offsets: `points` (3 coordinates x 3 rows x LANES), the same in every row."""
+    x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
+    for q in range(3 * LANES):
+        points[q], points[3 * LANES + q], points[6 * LANES + q] = x, y, z
+    if offsets.shape[0] > 0:
         for s in range(n):
-            points[c, s] = rest[v, c]
-        if offsets.shape[0] > 0:
-            for s in range(n):
-                points[c, s] += offsets[first + s, v, c]
+            points[s] += offsets[first + s, v, 0]
+            points[3 * LANES + s] += offsets[first + s, v, 1]
+            points[6 * LANES + s] += offsets[first + s, v, 2]
+        for s in range(LANES):
+            x, y, z = points[s], points[3 * LANES + s], points[6 * LANES + s]
+            points[LANES + s], points[4 * LANES + s], points[7 * LANES + s] = x, y, z
+            points[2 * LANES + s], points[5 * LANES + s], points[8 * LANES + s] = x, y, z
 
 
 @njit(**LOOP)
-def _skin_block(table, rest, offsets, starts, joints, weights, first, n, blended, points, moved, vertices):
+def _skin_block(table, rest, offsets, starts, joints, weights, first, n, points, moved, vertices):
     for v in range(rest.shape[0]):
-        _blend(table, starts, joints, weights, v, blended)
+        for q in range(3 * LANES):
+            moved[q] = 0.0
         if offsets.shape[0] == 0:
             x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
-            for q in range(3 * n):
-                moved[q] = blended[q] * x + blended[3 * n + q] * y + (blended[6 * n + q] * z + blended[9 * n + q])
+            for k in range(starts[v], starts[v + 1]):
+                j, weight = np.uint32(joints[k]), weights[k]
+                wx, wy, wz = weight * x, weight * y, weight * z
+                for q in range(3 * LANES):
+                    moved[q] += (
+                        wx * table[j, q] + wy * table[j, 3 * LANES + q]
+                        + (wz * table[j, 6 * LANES + q] + weight * table[j, 9 * LANES + q])
+                    )  # fmt: skip
         else:
             _load(rest, offsets, v, first, n, points)
-            for r in range(3):
-                for s in range(n):
-                    q = r * n + s
-                    moved[q] = (
-                        blended[q] * points[0, s] + blended[3 * n + q] * points[1, s]
-                        + (blended[6 * n + q] * points[2, s] + blended[9 * n + q])
+            for k in range(starts[v], starts[v + 1]):
+                j, weight = np.uint32(joints[k]), weights[k]
+                for q in range(3 * LANES):
+                    moved[q] += weight * (
+                        points[q] * table[j, q] + points[3 * LANES + q] * table[j, 3 * LANES + q]
+                        + (points[6 * LANES + q] * table[j, 6 * LANES + q] + table[j, 9 * LANES + q])
                     )  # fmt: skip
         for s in range(n):
             for r in range(3):
-                vertices[first + s, v, r] = moved[r * n + s]
+                vertices[first + s, v, r] = moved[r * LANES + s]
 
 
 @entry
 def skin(transforms, rest, offsets, starts, joints, weights, vertices):
     """Fill `vertices` (S, V, 3) by linear blend skinning (SMPL's eq. 2) of rest vertices (V, 3) plus pose offsets
     (S, V, 3), which may be empty. starts (V + 1): where each vertex's joints and weights begin in their lists."""
-    for first in range(0, transforms.shape[0], BLOCK):
-        n = min(BLOCK, transforms.shape[0] - first)
-        table = np.empty((transforms.shape[1], 12 * n), rest.dtype)
+    table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
+    points, moved = np.empty(9 * LANES, rest.dtype), np.empty(3 * LANES, rest.dtype)
+    for first in range(0, transforms.shape[0], LANES):
+        n = min(LANES, transforms.shape[0] - first)
         _spread(transforms, first, n, table)
-        _skin_block(
-            table, rest, offsets, starts, joints, weights, first, n,
-            np.empty(12 * n, rest.dtype), np.empty((3, n), rest.dtype), np.empty(3 * n, rest.dtype), vertices,
-        )  # fmt: skip
-
-
-@njit(**LOOP)
-def _pull(starts, joints, weights, v, asked, points, n, spread, pulls):
-    """Add what vertex v asks of the transforms that hold it: outer products of `asked` (3 rows, n) and the point."""
-    for c in range(3):
-        for r in range(3):
-            for s in range(n):
-                spread[(3 * c + r) * n + s] = points[c, s] * asked[r * n + s]
-    for q in range(3 * n):
-        spread[9 * n + q] = asked[q]
-    for k in range(starts[v], starts[v + 1]):
-        j, weight = np.uint32(joints[k]), weights[k]
-        for q in range(12 * n):
-            pulls[j, q] += weight * spread[q]
-
-
-@njit(**LOOP)
-def _point_gradient(blended, asked, n, spread):
-    """What is asked of the point: the first (3, n) of `spread` receive blended^T asked."""
-    for c in range(3):
-        for s in range(n):
-            spread[c * n + s] = (
-                blended[3 * c * n + s] * asked[s]
-                + blended[(3 * c + 1) * n + s] * asked[n + s]
-                + blended[(3 * c + 2) * n + s] * asked[2 * n + s]
-            )
+        _skin_block(table, rest, offsets, starts, joints, weights, first, n, points, moved, vertices)
 
 
 @njit(**LOOP)
 def _ask(given, v, first, n, asked):
-    """Load one vertex's gradient, (3 rows, n); returns whether any is not zero (most of the body's far side is)."""
+    """Load one vertex's gradient, (3 rows x LANES); returns whether any is not zero: what the camera does not see asks
+    for nothing."""
     some = False
     for s in range(n):
         for r in range(3):
             value = given[first + s, v, r]
-            asked[r * n + s] = value
+            asked[r * LANES + s] = value
             some |= value != 0.0
     return some
 
 
 @njit(**LOOP)
+def _pull(starts, joints, weights, v, asked, points, pulls):
+    """Add what vertex v asks of the transforms that hold it: outer products of `asked` and the point."""
+    for k in range(starts[v], starts[v + 1]):
+        j, weight = np.uint32(joints[k]), weights[k]
+        for q in range(3 * LANES):
+            value = weight * asked[q]
+            pulls[j, q] += points[q] * value
+            pulls[j, 3 * LANES + q] += points[3 * LANES + q] * value
+            pulls[j, 6 * LANES + q] += points[6 * LANES + q] * value
+            pulls[j, 9 * LANES + q] += value
+
+
+@njit(**LOOP)
+def _ask_point(table, starts, joints, weights, v, asked, turned, of_point):
+    """What is asked of the point: `of_point` (3 x LANES) receives the blended rotation's transpose times `asked`."""
+    for q in range(9 * LANES):
+        turned[q] = 0.0
+    for k in range(starts[v], starts[v + 1]):
+        j, weight = np.uint32(joints[k]), weights[k]
+        for q in range(9 * LANES):
+            turned[q] += weight * table[j, q]
+    for s in range(LANES):
+        x, y, z = asked[s], asked[LANES + s], asked[2 * LANES + s]
+        of_point[s] = turned[s] * x + turned[LANES + s] * y + turned[2 * LANES + s] * z
+        of_point[LANES + s] = turned[3 * LANES + s] * x + turned[4 * LANES + s] * y + turned[5 * LANES + s] * z
+        of_point[2 * LANES + s] = turned[6 * LANES + s] * x + turned[7 * LANES + s] * y + turned[8 * LANES + s] * z
+
+
+@njit(**SUM)
+def _add_lanes(of_point, of_rest, v):
+    """Add what all instants ask of the rest vertex."""
+    x, y, z = of_rest[v, 0], of_rest[v, 1], of_rest[v, 2]
+    for s in range(LANES):
+        x += of_point[s]
+        y += of_point[LANES + s]
+        z += of_point[2 * LANES + s]
+    of_rest[v, 0], of_rest[v, 1], of_rest[v, 2] = x, y, z
+
+
+@njit(**LOOP)
 def _skin_gradient_block(
-    table, rest, offsets, starts, joints, weights, given, first, n, blended, points, asked, spread, pulls,
+    table, rest, offsets, starts, joints, weights, given, first, n, points, asked, turned, of_point, pulls,
     of_rest, of_offsets,
 ):  # fmt: skip
     for v in range(rest.shape[0]):
         if not _ask(given, v, first, n, asked):
             continue
         _load(rest, offsets, v, first, n, points)
-        _pull(starts, joints, weights, v, asked, points, n, spread, pulls)
+        _pull(starts, joints, weights, v, asked, points, pulls)
         if of_rest.shape[0] > 0 or of_offsets.shape[0] > 0:
-            _blend(table, starts, joints, weights, v, blended)
-            _point_gradient(blended, asked, n, spread)
+            _ask_point(table, starts, joints, weights, v, asked, turned, of_point)
         if of_rest.shape[0] > 0:
-            for c in range(3):
-                for s in range(n):
-                    of_rest[v, c] += spread[c * n + s]
+            _add_lanes(of_point, of_rest, v)
         if of_offsets.shape[0] > 0:
             for s in range(n):
                 for c in range(3):
-                    of_offsets[first + s, v, c] = spread[c * n + s]
+                    of_offsets[first + s, v, c] = of_point[c * LANES + s]
 
 
 @entry
 def skin_gradient(transforms, rest, offsets, starts, joints, weights, given, of_transforms, of_rest, of_offsets):
     """Fill `of_transforms`, add to `of_rest` and fill what is not zero of `of_offsets`; empty ones are left out."""
-    for first in range(0, transforms.shape[0], BLOCK):
-        n = min(BLOCK, transforms.shape[0] - first)
-        table, pulls = np.empty((transforms.shape[1], 12 * n), rest.dtype), np.zeros((24, 12 * n), rest.dtype)
+    table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
+    points, turned = np.empty(9 * LANES, rest.dtype), np.empty(9 * LANES, rest.dtype)
+    of_point = np.empty(3 * LANES, rest.dtype)
+    for first in range(0, transforms.shape[0], LANES):
+        n = min(LANES, transforms.shape[0] - first)
+        pulls, asked = np.zeros((24, 12 * LANES), rest.dtype), np.zeros(3 * LANES, rest.dtype)
         _spread(transforms, first, n, table)
         _skin_gradient_block(
-            table, rest, offsets, starts, joints, weights, given, first, n,
-            np.empty(12 * n, rest.dtype), np.empty((3, n), rest.dtype), np.empty(3 * n, rest.dtype),
-            np.empty(12 * n, rest.dtype), pulls, of_rest, of_offsets,
+            table, rest, offsets, starts, joints, weights, given, first, n, points, asked, turned, of_point, pulls,
+            of_rest, of_offsets,
         )  # fmt: skip
         for j in range(transforms.shape[1]):
             for c in range(4):
                 for r in range(3):
                     for s in range(n):
-                        of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * n + s]
+                        of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * LANES + s]
 
 
 @sum_entry

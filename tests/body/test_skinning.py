@@ -5,7 +5,7 @@ import torch
 
 from hfb.body import operators, skinning
 from hfb.body.assets import load_default_body
-from hfb.body.kernels_skinning import BLOCK
+from hfb.body.kernels_skinning import LANES
 from hfb.body.skeleton import PARENTS
 from hfb.rotations import axis_angle_to_matrix
 
@@ -26,7 +26,7 @@ def assert_near(found: torch.Tensor, expected: torch.Tensor, relative: float) ->
 @pytest.mark.parametrize("offset", [False, True], ids=["plain", "pose blend shapes"])
 @pytest.mark.parametrize(("dtype", "relative"), [(torch.float64, 1e-12), (torch.float32, 5e-6)])
 def test_values_and_gradients_are_the_readable_ones(dtype: torch.dtype, relative: float, offset: bool) -> None:
-    body, instants = load_default_body(dtype), BLOCK + 3
+    body, instants = load_default_body(dtype), LANES + 3
     size = (instants, *body.template.shape)
     weigh_vertices, weigh_joints = random(*size, dtype=dtype, seed=4), random(instants, 24, 3, dtype=dtype, seed=5)
     weigh_vertices[:, ::2] = 0  # half of a body is turned away from the camera
