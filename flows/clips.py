@@ -107,7 +107,9 @@ def synth_clip(given: argparse.Namespace) -> None:
 
         with progress.step("libraries"):
             from hfb.datasets.clip_making import make_clip
-        height, width = (480, 640) if given.size is None else (given.size * 3 // 4, given.size)
+        wide = 640 if given.size is None else given.size
+        even = 2 if given.mp4 else 1  # H.264 takes no odd number of pixels
+        height, width = (even * round(side / even) for side in (0.75 * wide, wide))
         with progress.step("frames"):
             made = make_clip(
                 out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance

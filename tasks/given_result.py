@@ -21,6 +21,19 @@ class ResultHandle(FileHandle):
     system: str
     frames: tuple[int, ...]
 
+    def number_in_clip(self, number: int, first: int | None, began: int, average: int) -> int:
+        """Which frame of the result a clip's frame is; a motion of our own counts the clip's, all others the video's.
+
+        Args:
+            first: of the result, where it is told. began, average: of the clip, see `hfb.media.footage.Footage`.
+        """
+        from hfb.initialize.readers import own
+
+        if self.system == own.SYSTEM:
+            return (first or 0) + number
+        # The middle one of the frames that are averaged: there the body is nearest to the middle of the motion.
+        return (began if first is None else first) + number * average + average // 2
+
     def numbers_of(self, count: int, first: int | None) -> tuple[int, ...]:
         """Which frames of the result the given pictures are.
 
@@ -160,7 +173,5 @@ def _find_given_body(
     from tasks.video_clip import load_footage
 
     known = load_footage(footage)
-    began = known.first if first is None else first
-    # The middle one of the frames that are averaged: there the body is nearest to the middle of the motion.
-    at = began + number * known.average + known.average // 2
+    at = result.number_in_clip(number, first, known.first, known.average)
     return _body_of_result(still, 0, at, (matte,), result, body, folder)

@@ -23,6 +23,7 @@ from tasks.video_inputs import VideoInputs
 from tasks.workers import compute
 
 if TYPE_CHECKING:
+    from hfb.initialize.tracks import ClipFrames
     from hfb.media.footage import Footage
     from hfb.media.timing import Timing
 
@@ -175,8 +176,9 @@ def _find_person(
     from hfb.media.pictures import read_picture_srgb
 
     if track is not None:
-        found = read_track(track.path, choice.id, footage.count)
-        others = len(read_track_names(track.path, footage.count)) - 1
+        frames = _clip_frames(footage)
+        found = read_track(track.path, choice.id, frames)
+        others = len(read_track_names(track.path, frames)) - 1
     else:
         with reading(footage) as pictures:
             tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
@@ -191,9 +193,10 @@ def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle
 
     if track is not None:
         named = PersonChoice(track=Path(track.path.name))
+        frames = _clip_frames(footage)
         chosen = [
-            (read_track(track.path, name, footage.count), named.model_copy(update={"id": name}))
-            for name in read_track_names(track.path, footage.count)
+            (read_track(track.path, name, frames), named.model_copy(update={"id": name}))
+            for name in read_track_names(track.path, frames)
         ]
     else:
         with reading(footage) as pictures:
@@ -201,6 +204,14 @@ def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle
         chosen = list(choose_everyone(seen))
     people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
     return PeopleHandle(people=tuple(people))
+
+
+def _clip_frames(footage: FootageHandle) -> ClipFrames:
+    """Which of the video's frames the clip's are."""
+    from hfb.initialize.tracks import ClipFrames
+
+    known = load_footage(footage)
+    return ClipFrames(known.count, known.first, known.average, known.height, known.width)
 
 
 def _plain(record: Any) -> dict[str, Any]:

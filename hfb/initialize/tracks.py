@@ -91,7 +91,7 @@ def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     if choice.frame >= len(tracks[0].boxes):
         raise InputError(f"person.frame {choice.frame} lies past the clip's last frame {len(tracks[0].boxes) - 1}.")
     box = np.array(choice.box)
-    shared = [_overlap(track.boxes[choice.frame], box) for track in tracks]
+    shared = [_agreement(track.boxes[choice.frame], box) for track in tracks]
     if max(shared) <= 0:
         seen = [track.name for track in tracks if track.present[choice.frame]]
         raise InputError(
@@ -168,20 +168,50 @@ def keep_person(matte: Float[Array, "H W"], box: Float[Array, "4"]) -> Float[Arr
 def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice, slice]:
     """Rows and columns of the box and enough of the background around it for a matte."""
     extra = _AROUND * max(box[2] - box[0], box[3] - box[1])
-    top, bottom = max(0, int(box[1] - extra)), min(height, int(np.ceil(box[3] + extra)))
-    left, right = max(0, int(box[0] - extra)), min(width, int(np.ceil(box[2] + extra)))
+    (left, right), (top, bottom) = (
+        (int(np.clip(box[low] - extra, 0, side)), int(np.clip(np.ceil(box[low + 2] + extra), 0, side)))
+        for low, side in ((0, width), (1, height))
+    )
     return slice(top, bottom), slice(left, right)
 
 
-def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
+@dataclass(frozen=True)
+class ClipFrames:
+    """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
+
+    Attributes:
+        count: T. first: of the video's frames. average: how many of them make a picture.
+        height, width: of the pictures [px]; boxes outside of them are of nobody seen.
+    """
+
+    count: int
+    first: int = 0
+    average: int = 1
+    height: float = np.inf
+    width: float = np.inf
+
+    def place(self, frame: int, box: Float[Array, "4"]) -> int | None:
+        """The number of the picture that shows this box of the video's frame; None where none does."""
+        if not np.isfinite(box).all() or not ((box[2:] > np.maximum(box[:2], 0)).all() and self._begins_inside(box)):
+            return None
+        number = (frame - self.first) // self.average
+        return number if 0 <= number < self.count else None
+
+    def _begins_inside(self, box: Float[Array, "4"]) -> bool:
+        return bool(box[0] < self.width and box[1] < self.height)
+
+
+def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Track:
     """One person's boxes out of another system's file.
 
     A .csv names its columns: ``frame`` (from 0), ``id``, ``left``, ``top`` and ``right``, ``bottom`` or ``width``,
     ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
     ``box`` (N, 4: left, top, right, bottom).
 
+    A picture that is the mean of several frames has the box around all of theirs.
+
     Args:
-        track_id: whose; may be left out where the file holds one person. frames: of the clip.
+        track_id: whose; may be left out where the file holds one person.
 
     Raises:
         InputError: missing, damaged, no such track, or none of its frames lies within the clip.
@@ -193,24 +223,29 @@ def read_track(path: Path, track_id: int | str | None, frames: int) -> Track:
     wanted = known[0] if track_id is None else str(track_id)
     if wanted not in known:
         raise InputError(f"{path}: has no track {wanted}; it has {', '.join(known[:12])}.")
-    boxes = np.full((frames, 4), np.nan)
+    boxes = np.full((frames.count, 4), np.nan)
     for frame, name, box in rows:
-        if name == wanted and 0 <= frame < frames and np.isfinite(box).all():
-            boxes[frame] = box
+        number = frames.place(frame, box) if name == wanted else None
+        if number is not None:
+            boxes[number, :2] = np.fmin(boxes[number, :2], box[:2])
+            boxes[number, 2:] = np.fmax(boxes[number, 2:], box[2:])
     if not np.isfinite(boxes).any():
-        raise InputError(f"{path}: track {wanted} has no box in the clip's {frames} frames.")
+        raise InputError(
+            f"{path}: track {wanted} has no box in the clip's {frames.count} frames"
+            + (f" (from frame {frames.first} of the video on)." if frames.first else ".")
+        )
     return Track(f"track {wanted}", boxes, (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]))
 
 
-def read_track_names(path: Path, frames: int) -> tuple[str, ...]:
+def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
     """Whose boxes in the clip's frames another system's file holds, in order.
 
     Raises:
         InputError: missing, damaged, or nobody's.
     """
-    here = {name for frame, name, box in read_rows(path) if 0 <= frame < frames and np.isfinite(box).all()}
+    here = {name for frame, name, box in read_rows(path) if frames.place(frame, box) is not None}
     if not here:
-        raise InputError(f"{path}: has no box in the clip's {frames} frames.")
+        raise InputError(f"{path}: has no box in the clip's {frames.count} frames.")
     return tuple(sorted(here, key=lambda name: (len(name), name)))
 
 
@@ -267,12 +302,23 @@ def _way(track: dict[int, tuple[float, ...]], person: tuple[float, ...], frame: 
 
 def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
     """Shared area as a share of the smaller box; 0 for a box that is not known."""
-    if not (np.isfinite(one).all() and np.isfinite(other).all()):
-        return 0.0
+    return _shared_px(one, other) / max(min(_area_px(one), _area_px(other)), 1e-9)
+
+
+def _agreement(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
+    """Shared area as a share of what either covers (IoU): a dog within a person's box is not the person."""
+    shared = _shared_px(one, other)
+    return shared / max(_area_px(one) + _area_px(other) - shared, 1e-9) if shared > 0 else 0.0
+
+
+def _area_px(box: Float[Array, "4"]) -> float:
+    return float((box[2:] - box[:2]).prod())
+
+
+def _shared_px(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
+    """Area in both boxes; 0 where one is not known."""
     size = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
-    if (size <= 0).any():
-        return 0.0
-    return float(size.prod() / max(min((box[2:] - box[:2]).prod() for box in (one, other)), 1e-9))
+    return float(size.prod()) if (size > 0).all() else 0.0
 
 
 def _as_track(name: str, found: dict[int, tuple[float, ...]], frames: int) -> Track:

@@ -98,10 +98,7 @@ def picture_count(motion: SampledMotion, film: Film) -> int:
 
 def overlay_rate(motion: SampledMotion) -> float:
     """Pictures per second of the overlay: those of the recording, or of the slow-motion film where that is short."""
-    opened = _opened(motion)
-    if float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S:
-        return float(FILM_FPS)
-    return 1 / float(np.median(np.diff(opened)))
+    return float(FILM_FPS) if _is_short(motion) else 1 / float(np.median(np.diff(_opened(motion))))
 
 
 def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
@@ -114,9 +111,14 @@ def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
         yield _over_time_line(motion, [captioned(view.with_clay(frame, keys, row), caption)], time_s)
 
 
+def _is_short(motion: SampledMotion) -> bool:
+    """Whether one picture per exposure would be over too soon; a single exposure has none to come after it."""
+    return float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S or len(_opened(motion)) < 2
+
+
 def _overlay_instants(motion: SampledMotion) -> Float[Array, "F"]:
     """When the overlay shows the body [s]."""
-    if float(motion.times_s[-1] - motion.times_s[0]) < _SHORT_S:
+    if _is_short(motion):
         return film_instants(motion)
     exposure = motion.times_s[motion.rows_of(int(motion.frame_index[0]))]
     return _opened(motion) + float(exposure[-1] - exposure[0]) / 2

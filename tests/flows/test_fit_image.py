@@ -80,6 +80,15 @@ def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Pat
     assert len(mlflow_rows(store, "select * from runs")) == 2
 
 
+def test_a_fit_of_no_iterations_leaves_its_start(problem: Problem, store: Path, tmp_path: Path) -> None:
+    none = TINY.fit.model_copy(update={"stages": (Stage(size_px=32, iterations=0),)})
+    out = tmp_path / "out"
+    run(problem, out, TINY.model_copy(update={"fit": none}))
+    with np.load(out / "motion.npz") as motion:
+        assert np.allclose(motion["joints"], motion["joints"][:1], atol=0.01)  # at rest, but for the first velocity
+    assert (out / "strip.png").is_file()
+
+
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(b"damaged")], ids=["gone", "damaged"])
 def test_notices_a_lost_file(problem: Problem, store: Path, tmp_path: Path, damage) -> None:
     out = tmp_path / "out"

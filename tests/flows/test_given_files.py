@@ -105,6 +105,16 @@ def test_a_result_with_a_row_per_picture_needs_no_number() -> None:
     assert handle.numbers_of(2, 5) == (5, 6)
 
 
+def test_which_frame_of_a_result_a_clips_frame_is(tmp_path: Path) -> None:
+    path = tmp_path / "result"
+    path.write_bytes(b"x")
+    theirs, ours = (ResultHandle.of(path, system=system, frames=tuple(range(40))) for system in ("WHAM", "hfb"))
+    assert theirs.number_in_clip(2, None, began=10, average=3) == 17  # the middle one of 16 to 18
+    assert theirs.number_in_clip(2, 5, began=10, average=3) == 12
+    assert ours.number_in_clip(2, None, began=10, average=3) == 2  # its frames are the clip's
+    assert ours.number_in_clip(2, 5, began=10, average=3) == 7
+
+
 def test_short_flags() -> None:
     import argparse
 

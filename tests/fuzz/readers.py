@@ -24,7 +24,7 @@ from hfb.export.motion_file import load_motion
 from hfb.initialize.first_body import load_first_body
 from hfb.initialize.network_body import read_samplings
 from hfb.initialize.readers.sniff import read_tracks
-from hfb.initialize.tracks import read_track, read_track_names
+from hfb.initialize.tracks import ClipFrames, read_track, read_track_names
 from hfb.matting.external import weights_of
 from hfb.media.footage import open_footage
 from hfb.media.pictures import picture_size, read_matte, read_picture_srgb, recorded_exposure
@@ -69,6 +69,8 @@ def _lens(path: Path) -> Any:
     return clip_lens(ClipCamera(calibration=path), "cam01_walk.mp4", 480, 640)
 
 
+_CLIP = ClipFrames(12, height=90, width=160)
+
 READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "picture": (read_picture_srgb, picture_size, recorded_exposure, read_matte),
     "sharp": (lambda path: load_sharp(Case(path.parent, 1, 1, 0.0, _SHARP), 0),),
@@ -76,7 +78,10 @@ READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "clip": (read_clip, lambda path: resolve_source(path, None)),
     "options": (lambda path: to_record(RunConfig, read_toml(path), str(path)),),
     "calibration": (read_calibration, _lens),
-    "tracks": (lambda path: read_track(path, None, 12), lambda path: read_track_names(path, 12)),
+    "tracks": (
+        lambda path: read_track(path, None, ClipFrames(12)),
+        lambda path: read_track_names(path, ClipFrames(12)),
+    ),
     "chains": (read_chains,),
     "markers": (_markers,),
     "motion": (load_motion,),

@@ -8,6 +8,7 @@ import pytest
 from hfb.clip import PersonChoice
 from hfb.errors import InputError
 from hfb.initialize.tracks import (
+    ClipFrames,
     Track,
     choose_everyone,
     choose_track,
@@ -97,21 +98,21 @@ def test_a_matte_keeps_one_person() -> None:
 )
 def test_tracks_of_other_systems(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    track = read_track(tmp_path / name, 3, 4)
+    track = read_track(tmp_path / name, 3, ClipFrames(4))
     assert track.present.tolist() == [True, False, True, False]
     assert np.allclose(track.boxes[[0, 2]], [[10, 20, 40, 60], [12, 20, 42, 60]])
     with pytest.raises(InputError, match=r"holds 2 people; choose one with person.id: 3, 7"):
-        read_track(tmp_path / name, None, 4)
+        read_track(tmp_path / name, None, ClipFrames(4))
     with pytest.raises(InputError, match="has no track 5"):
-        read_track(tmp_path / name, 5, 4)
+        read_track(tmp_path / name, 5, ClipFrames(4))
     with pytest.raises(InputError, match="no box in the clip's 2 frames"):
-        read_track(tmp_path / name, "7", 2)
+        read_track(tmp_path / name, "7", ClipFrames(2))
 
 
 def test_tracks_as_arrays(tmp_path: Path) -> None:
     box = np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])
     np.savez(tmp_path / "t.npz", frame=[1, 2], id=["a", "a"], box=box)
-    track = read_track(tmp_path / "t.npz", None, 3)
+    track = read_track(tmp_path / "t.npz", None, ClipFrames(3))
     assert isinstance(track, Track)
     assert np.allclose(track.boxes[1:], box)
 
@@ -120,9 +121,9 @@ def test_tracks_as_arrays(tmp_path: Path) -> None:
 def test_what_is_no_file_of_tracks(tmp_path: Path, content: str) -> None:
     (tmp_path / "t.csv").write_text(content)
     with pytest.raises(InputError, match="is no file of tracks"):
-        read_track(tmp_path / "t.csv", None, 3)
+        read_track(tmp_path / "t.csv", None, ClipFrames(3))
     with pytest.raises(InputError, match="no such file"):
-        read_track(tmp_path / "missing.csv", None, 3)
+        read_track(tmp_path / "missing.csv", None, ClipFrames(3))
 
 
 def test_everyone_can_be_chosen_again() -> None:
@@ -142,11 +143,39 @@ def test_everyone_can_be_chosen_again() -> None:
 def test_names_in_a_file_of_tracks(tmp_path: Path) -> None:
     path = tmp_path / "tracks.csv"
     path.write_text("frame,id,left,top,right,bottom\n0,10,0,0,5,9\n1,9,0,0,5,9\n7,8,0,0,5,9\n")
-    assert read_track_names(path, 3) == ("9", "10")
+    assert read_track_names(path, ClipFrames(3)) == ("9", "10")
     with pytest.raises(InputError, match="no box"):
-        read_track_names(path, 0)
+        read_track_names(path, ClipFrames(0))
 
 
 def test_surroundings_stay_in_the_picture() -> None:
     rows, columns = surroundings(np.array([2.0, 10.0, 22.0, 50.0]), 55, 100)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 55, 0, 34)
+    rows, columns = surroundings(np.array([120.0, 60.0, 150.0, 90.0]), 55, 100)  # somebody who has left
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (51, 55, 100, 100)
+
+
+def test_tracks_count_the_frames_of_the_video(tmp_path: Path) -> None:
+    path = tmp_path / "tracks.csv"
+    rows = [f"{frame},1,{10 * frame},0,{10 * frame + 5},9" for frame in range(12)]
+    path.write_text("\n".join(["frame,id,left,top,right,bottom", *rows]))
+    boxes = read_track(path, None, ClipFrames(3, first=4, average=2)).boxes
+    assert boxes.tolist() == [[40, 0, 55, 9], [60, 0, 75, 9], [80, 0, 95, 9]]
+    with pytest.raises(InputError, match=r"3 frames \(from frame 12 of the video on\)"):
+        read_track(path, None, ClipFrames(3, first=12))
+
+
+def test_boxes_outside_of_the_picture_are_of_nobody_seen(tmp_path: Path) -> None:
+    path = tmp_path / "tracks.csv"
+    boxes = ("-30,5,-2,20", "120,5,150,20", "5,60,20,90", "5,5,5,20", "-3,5,12,20")
+    path.write_text("\n".join(["frame,id,left,top,right,bottom", *(f"{n},1,{box}" for n, box in enumerate(boxes))]))
+    track = read_track(path, None, ClipFrames(5, height=55, width=100))
+    assert track.present.tolist() == [False, False, False, False, True]
+
+
+def test_a_box_chooses_the_one_it_was_drawn_around() -> None:
+    adult, dog = (
+        Track(name, np.array([box], float), np.ones(1))
+        for name, box in (("adult", (100, 50, 220, 400)), ("dog", (225, 300, 290, 400)))
+    )
+    assert choose_track([adult, dog], PersonChoice(box=(105, 55, 295, 405), frame=0)).name == "adult"

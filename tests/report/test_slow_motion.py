@@ -93,6 +93,13 @@ def test_a_long_clips_overlay_runs_as_fast_as_it_was() -> None:
     assert films.overlay_rate(motion_of(BODY, frames=3)) == films.FILM_FPS
 
 
+def test_one_long_exposure_has_no_pace_of_its_own() -> None:
+    motion = motion_of(BODY, frames=1)
+    motion = replace(motion, times_s=motion.times_s * 5 / motion.times_s[-1])
+    assert films.overlay_rate(motion) == films.FILM_FPS
+    assert films.picture_count(motion, "overlay") == len(films.film_instants(motion)) > 5 * films.FILM_FPS
+
+
 def test_stretches_without_the_person_are_cut_out() -> None:
     motion = motion_of(BODY, frames=12, missing=(3, 4, 5, 6, 7))
     instants = films.film_instants(motion)
