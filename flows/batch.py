@@ -14,9 +14,9 @@ from prefect import flow
 
 from flows.people import run_clip
 from flows.reaper import end_abandoned_flow_runs, mark_owner
-from flows.workplace import workplace
+from flows.workplace import RESULT, workplace
 from hfb.config import RunConfig
-from hfb.errors import Busy, InputError, ServerLost, Unavailable
+from hfb.errors import InputError, NotNow, ServerLost, Unavailable
 from hfb.export.names import REPORT
 from hfb.media.atomic import write_bytes_atomic
 from hfb.toml_file import read_toml, to_record
@@ -25,7 +25,7 @@ from tasks.batch_ledger import Entry, Ledger, stamp_of
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
 from tasks.engine import Engine, engine_of
-from tasks.video_inputs import take_video_inputs
+from tasks.video_inputs import check_options, take_video_inputs
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
 _LOG = "batch.json"
@@ -58,12 +58,14 @@ def batch(
         clips, done, set_aside, waiting (numbers), ``out`` and ``page``.
 
     Raises:
-        InputError: the folder cannot be read or ``out`` not be written, or another process works on it.
+        InputError: the folder or a file that the options name cannot be read or ``out`` not be written, or another
+            process works on it.
         ServerLost: Prefect's server went away; what is finished is kept.
     """
     folder, out = Path(folder), Path(out)
     content = read_toml(Path(config)) if isinstance(config, str) else config or {}
     options = to_record(RunConfig, content, "options")
+    check_options(options)
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
@@ -97,7 +99,7 @@ class _Rounds:
         due: list[float] = []
         for place in find_clips(self._folder, self._out):
             stamp, written = stamp_of(place.files, self._options)
-            entry = self.ledger.entry(place.name, stamp)
+            entry = self._entry(place, stamp)
             if entry is not None and entry.status != "failed":
                 continue
             wait_s = self._wait(stamp, entry, written)
@@ -112,6 +114,12 @@ class _Rounds:
             end_abandoned_flow_runs()
         self._write_page()
         return max(0.2, min(due) - time.monotonic()) if due else None
+
+    def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
+        """What is known of a clip; None too where its result is gone: it is made again."""
+        entry = self.ledger.entry(place.name, stamp)
+        gone = entry is not None and entry.status == "done" and not (self._out / place.name / RESULT).exists()
+        return None if gone else entry
 
     def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
         """Seconds until a clip's time has come.
@@ -141,7 +149,7 @@ class _Rounds:
             result = run_clip(inputs, self._out / place.name, self._config, self._engine)
         except ServerLost:  # no clip's fault, and nothing can be reported any more: the next look goes on
             raise
-        except (Busy, Unavailable) as error:
+        except (NotNow, Unavailable) as error:
             reason, kind = str(error), type(error).__name__
         except InputError as error:
             reason, kind = str(error), "InputError"
@@ -175,7 +183,7 @@ class _Rounds:
     def _states(self) -> Sequence[tuple[ClipPlace, str, Entry | None]]:
         states = []
         for place in find_clips(self._folder, self._out):
-            entry = self.ledger.entry(place.name, stamp_of(place.files, self._options)[0])
+            entry = self._entry(place, stamp_of(place.files, self._options)[0])
             waits = f"tried {entry.attempts} times, again later" if entry else "new"
             states.append((place, entry.status if entry and entry.status != "failed" else waits, entry))
         return states
@@ -186,8 +194,8 @@ class _Rounds:
         clips = []
         for place, status, entry in self._states():
             done = self._out / place.name
-            finished = status == "done" and (done / "result.json").exists()
-            figures = json.loads((done / "result.json").read_bytes()) if finished else {}
+            finished = status == "done" and (done / RESULT).exists()
+            figures = json.loads((done / RESULT).read_bytes()) if finished else {}
             reason, link = (entry.reason, entry.link) if entry else ("", None)
             strip, report = (_strip_in(done), self._report_in(done)) if finished else (None, None)
             clips.append(BatchClip(place.name, status, reason, figures, strip, link, report=report))

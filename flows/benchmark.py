@@ -34,6 +34,7 @@ from tasks.engine import Engine
 from tasks.inputs import input_file, networks_at_hand
 from tasks.judge_case import judge_case
 from tasks.many import Outcome, run_all
+from tasks.result_records import records_in
 from tasks.workers import worker_count, workers
 
 
@@ -81,7 +82,7 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     Raises:
         InputError: not one case could be made.
     """
-    with workplace(out) as folder:
+    with workplace(out) as folder, records_in(folder):
         sources, cases, skipped = _made(spec, count, folder, out)
         result = {
             "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
@@ -107,7 +108,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         InputError: something given cannot be used, or not one case is left.
     """
     spec = plan.spec
-    with workplace(out) as folder:
+    with workplace(out) as folder, records_in(folder):
         body = input_file(plan.body) if plan.body else None
         networks = networks_at_hand() if plan.start == "estimated" and plan.init.method != "matte" else ()
         _, cases, skipped = _made(spec, plan.count, folder, out / "cases")

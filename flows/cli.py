@@ -1,20 +1,21 @@
 """The `hfb` command line: results on standard output, everything else on standard error.
 
-Exit codes: 0 done; 1 something unexpected (the log tells more); 2 something the user gave cannot be used; 3 a run was
-repeated and came out otherwise; 130 interrupted; 141 nobody reads the output. Nothing heavy is imported before it is
-known what is to be done.
+Exit codes: 0 done; 1 something unexpected (the log tells more), or a clip of a batch has no result; 2 something the
+user gave cannot be used; 3 a run was repeated and came out otherwise; 130 interrupted; 141 nobody reads the output.
+Nothing heavy is imported before it is known what is to be done.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
 import logging
 import os
+import re
 import signal
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -40,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     as_json = "--json" in words
     signal.signal(signal.SIGTERM, _end_orderly)
     try:
-        given = _parser().parse_args(words)
+        given = _parsed(words)
         code = given.run(given) or _DONE
         sys.stdout.flush()
         return code
@@ -61,6 +62,16 @@ def main(arguments: list[str] | None = None) -> int:
         if _told_to_end:  # a library that was interrupted may turn the end into a failure of its own
             return _told_to_end[0]
         return _complain(_unexpected(error), as_json, _FAILED)
+
+
+def _parsed(words: list[str]) -> argparse.Namespace:
+    given, unknown = _parser().parse_known_args(words)
+    if unknown:
+        flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
+        close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"see `{given.command.prog} --help`"
+        raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
+    return given
 
 
 class _Parser(argparse.ArgumentParser):
@@ -155,8 +166,8 @@ def _command(
     commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True, out: str = "DIR"
 ) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
-    command.set_defaults(run=run, began=time.perf_counter())
-    command.add_argument("--out", type=Path, metavar=out, help="where results go")
+    command.set_defaults(run=run, began=time.perf_counter(), command=command)
+    command.add_argument("--out", type=Path, metavar=out, help="where results go [a folder in runs]")
     if configured:
         command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
     if seeded:  # where the configuration's own --seed is not offered; every command takes one
@@ -180,11 +191,7 @@ def _fit(given: argparse.Namespace) -> None:
     def load() -> Chain:
         from flows.fit_image import fit_image
 
-        def chain(ready: Callable[[], None]) -> dict[str, Any]:
-            ready()
-            return fit_image(given.frames, given.background, out, config, given.clip)
-
-        return chain
+        return when_ready(lambda: fit_image(given.frames, given.background, out, config, given.clip))
 
     result = through_prefect(given, out, load)
     report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
@@ -215,8 +222,8 @@ def _synth(given: argparse.Namespace) -> None:
 
         return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
 
-    result = through_prefect(given, out, load)
-    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
+    made = through_prefect(given, out, load)
+    tell(given, made, f"{made['count']} cases ({made['skipped']} left out) in {made['out']}")
 
 
 def _benchmark(given: argparse.Namespace) -> None:

@@ -73,8 +73,8 @@ def video(given: argparse.Namespace) -> None:
     tell(given, shown, "" if given.json else video_text(result))
 
 
-def batch(given: argparse.Namespace) -> None:
-    """`hfb batch`."""
+def batch(given: argparse.Namespace) -> int:
+    """`hfb batch`: 1 where a clip has no result, as for other failures."""
     from tasks.clip_places import find_clips
 
     config = run_config(given)
@@ -84,19 +84,14 @@ def batch(given: argparse.Namespace) -> None:
 
     def load() -> Chain:
         from flows.batch import batch as every_clip
-        from flows.trouble import told_plainly
 
         options = config.model_dump(mode="json")
         pace = (given.attempts, given.wait, given.watch, given.again, given.store)
-
-        def look() -> dict[str, Any]:
-            with told_plainly(out):
-                return every_clip(given.folder, out, options, given.workers, *pace)
-
-        return when_ready(look)
+        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
 
     result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))
+    return int(result["done"] < result["clips"])
 
 
 def synth_clip(given: argparse.Namespace) -> None:

@@ -25,6 +25,7 @@ from tasks.inputs import Inputs, input_hashes, take_inputs
 from tasks.matte import matte
 from tasks.prepare import prepare
 from tasks.record import record
+from tasks.result_records import records_in
 from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
 from tasks.strip import strip
 from tasks.task import code_version
@@ -62,7 +63,7 @@ def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, A
 
 
 def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
-    with workplace(out) as folder:
+    with workplace(out) as folder, records_in(folder):
         scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
         numbers = range(len(scene.frames))
         mattes = tuple(matte(scene, index, config.matting, folder, inputs.matting) for index in numbers)

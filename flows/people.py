@@ -14,7 +14,7 @@ from flows.reaper import mark_owner
 from flows.video import run_video
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
-from hfb.errors import InputError
+from hfb.errors import Busy, InputError
 from tasks import progress
 from tasks.engine import Engine
 from tasks.task import code_version
@@ -90,8 +90,10 @@ def _motion_of(
     told: dict[str, Any] = {"name": one.name, "seen": one.frames, "error": None, **dict.fromkeys(_KEPT)}
     try:
         result = run_video(theirs, out, config, engine)
+    except Busy:  # not theirs to mend: the whole command has to wait
+        raise
     except InputError as error:
-        _log.warning("%s: %s", one.name, error)
+        _log.info("%s: %s", one.name, error)
         progress.say(f"hfb: {one.name}: {error}")
         return told | {"error": str(error), "out": str(out.resolve())}
     return told | {key: result.get(key) for key in _KEPT}

@@ -17,8 +17,8 @@ from hfb.media.atomic import write_bytes_atomic
 from tasks import progress, tracking
 from tasks.fitted_body import fitted_body, named_body
 from tasks.found_result import RESULT, TEXTURE, FoundResult, found_result
-from tasks.handles import FileHandle
-from tasks.result_report import ReportParts, write_page, write_page_film
+from tasks.handles import FileHandle, sha256_of
+from tasks.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from tasks.store_place import check_store, tracking_uri
 from tasks.stored_runs import StoredRun, find_run
 
@@ -126,7 +126,7 @@ def _film(
 ) -> Path | None:  # fmt: skip
     """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
-    if drawn.is_file():
+    if drawn.is_file() and not shows_another_motion(drawn, sha256_of(place.motion)):
         return drawn
     if run is not None and body is not None and (place.folder / TEXTURE).is_file():
         try:
@@ -144,4 +144,4 @@ def _drawn_again(place: FoundResult, run: StoredRun, body: Body, inputs: Path | 
         earlier_shot(run.run_id, inputs, motion, body, place.folder / TEXTURE) as shot,
         progress.step("report's film"),
     ):
-        return write_page_film(shot, made)
+        return write_page_film(shot, sha256_of(place.motion), made)

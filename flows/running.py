@@ -23,6 +23,7 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
     """Start the server, import the method while it starts, then run the chain."""
     with surrounded(given, out):
         from flows.surroundings import PrefectServer
+        from flows.trouble import told_plainly
         from tasks import progress, tracking
 
         with progress.step("libraries"), unwatched_by_gc():
@@ -38,7 +39,8 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 
                 end_abandoned_flow_runs()
 
-        return chain(ready)
+        with told_plainly(out):
+            return chain(ready)
 
 
 @contextmanager
@@ -56,6 +58,13 @@ def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> I
         check_store(tracking_uri())
     with served(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
         yield
+
+
+def goes_to(source: str) -> Path:
+    """The folder into which something made of an earlier result goes: the result's own; of a recorded run's id, one
+    in ``runs``."""
+    path = Path(source)
+    return path if path.is_dir() else path.parent if path.is_file() else Path("runs")
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import fcntl
 import logging
 import logging.handlers
 import os
@@ -75,6 +76,7 @@ class PrefectServer:
 
         settings = get_current_settings()
         self._process: subprocess.Popen[bytes] | None = None
+        self._first: FirstStart | None = None
         self._patience_s = settings.server.ephemeral.startup_timeout_seconds
         self._api = settings.api.url or f"http://127.0.0.1:{_free_port()}/api"
         if settings.api.url:
@@ -85,12 +87,22 @@ class PrefectServer:
                     "start it, or unset PREFECT_API_URL for a temporary one"
                 )
         else:
+            self._first = FirstStart(Path(settings.home))
             self._process = _start_server(self._api, settings.to_environment_variables(exclude_unset=True))
             os.environ["PREFECT_API_URL"] = self._api
             refresh_global_settings_context()
 
     def wait(self) -> None:
         """Return when the server answers."""
+        try:
+            self._wait()
+            if self._first is not None:
+                self._first.there_are_tables()
+        finally:
+            if self._first is not None:
+                self._first.let_go()
+
+    def _wait(self) -> None:
         began = time.monotonic()
         while self._process is not None and (reason := does_not_answer(self._api)):
             ended = self._process.poll() is not None
@@ -98,6 +110,36 @@ class PrefectServer:
                 state = "ended" if ended else reason
                 raise RuntimeError(f"the temporary Prefect server {state}; its own log is {_server_log()}")
             time.sleep(0.05)
+
+
+class FirstStart:
+    """The first server of a version makes the tables of its database; two at once would be in each other's way.
+
+    Held from before a temporary server starts until it answers; free for whoever comes when there are tables.
+    """
+
+    def __init__(self, home: Path) -> None:
+        from prefect import __version__
+
+        home.mkdir(parents=True, exist_ok=True)
+        self._done = home / f".hfb-tables-{__version__}"
+        self._lock = None if self._done.exists() else (home / ".hfb-tables.lock").open("w")
+        if self._lock is not None:
+            fcntl.flock(self._lock, fcntl.LOCK_EX)
+            if self._done.exists():  # made while this one waited
+                self.let_go()
+
+    def there_are_tables(self) -> None:
+        """The server answers."""
+        if self._lock is not None:
+            self._done.touch()
+            self.let_go()
+
+    def let_go(self) -> None:
+        """The next one may try."""
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
 
 
 def _start_server(api: str, settings: dict[str, str]) -> subprocess.Popen[bytes]:

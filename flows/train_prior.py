@@ -18,6 +18,7 @@ from hfb.priors.training_spec import MotionTraining, PoseTraining
 from tasks import progress, tracking
 from tasks.cases import listing_of
 from tasks.handles import FileHandle
+from tasks.result_records import records_in
 from tasks.task import code_version
 from tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
 
@@ -53,7 +54,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     if not plan.motions.is_dir():
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
     spec = plan.motion if plan.kind == "motion" else plan.pose
-    with workplace(work_folder(out)) as folder:
+    with workplace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.seed, folder)
         for name, reason in lessons.refused.items():
             progress.say(f"left out: {name}: {reason}")

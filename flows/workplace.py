@@ -9,18 +9,27 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from hfb.errors import Busy, InputError
-from hfb.export.names import EXPORTED_NAMES, REPORT
+from hfb.errors import Busy, InputError, NotNow
+from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT
 from hfb.media.atomic import write_bytes_atomic
+from tasks.handles import sha256_of
 
 INTERMEDIATE = "intermediate"
+RESULT = "result.json"
+_OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
 _ONLY_SOMETIMES = ("alternatives.npz", REPORT, *EXPORTED_NAMES)  # an earlier result may have had more
+_MATTE = re.compile(r"matte_\d+\.png")
+
+
+class Occupied(InputError):
+    """A file of the user's lies where a result belongs; what was computed is kept."""
 
 
 @contextmanager
@@ -49,6 +58,8 @@ def workplace(out: Path) -> Iterator[Path]:
             for leftover in (*out.glob(".*.part"), *folder.glob(".*.part")):
                 leftover.unlink(missing_ok=True)
             yield folder
+    except Occupied:
+        raise
     except InputError:
         if folder in new_folders:
             shutil.rmtree(folder, ignore_errors=True)
@@ -62,21 +73,72 @@ def check_writable(out: Path) -> None:
     """Raises InputError where a folder cannot be made, or written into; makes nothing."""
     ground = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if not ground.is_dir():
-        raise InputError(f"{out} cannot be a folder, since {ground} is a file: choose another --out")
+        raise NotNow(f"{out} cannot be a folder, since {ground} is a file: choose another --out")
     if not os.access(ground, os.W_OK | os.X_OK):
-        raise InputError(f"{out} cannot be written, {ground} is not yours to write: choose another --out")
+        raise NotNow(f"{out} cannot be written, {ground} is not yours to write: choose another --out")
 
 
-def publish(out: Path, files: Mapping[str, Path], result: Mapping[str, Any]) -> None:
-    """Put finished files into the run's folder, result.json last; an earlier result stays whole until then."""
+def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> None:
+    """Put finished files into the run's folder, result.json last; an earlier result stays whole until then.
+
+    What an earlier result had beyond this one is removed, and nothing else.
+
+    Args:
+        result: the content of result.json; it gets ``files``, the names of the others.
+
+    Raises:
+        Occupied: a file would take the place of an input of this run, or of one that hfb did not put there.
+    """
     staging = out / INTERMEDIATE / "publish"
-    shutil.rmtree(staging, ignore_errors=True)
-    staging.mkdir()
+    inputs = set(result.get("inputs", {}).values())
+    earlier, begun = _published(out, out), _published(staging, out)  # begun: by a run that was killed meanwhile
+    ours = (earlier or set()) | (begun or set())
+    new = {name: path for name, path in files.items() if (out / name).exists() and not _same(out / name, path)}
+    taken = {name for name in new if _is_one_of(inputs, out / name)}
+    if earlier is None:  # beside a result, `hfb report` and `hfb export` may have left files of these names
+        taken |= new.keys() - ours | ({RESULT} if (out / RESULT).exists() else set())
+    if taken:
+        raise Occupied(
+            f"{out} holds {', '.join(sorted(taken))}, an input of this run or no file of hfb's, which the result would "
+            "replace: move it away and run again (what was computed is kept), or choose another --out"
+        )
+    result["files"] = sorted(files)
+    staging.mkdir(exist_ok=True)
     for name, path in files.items():
         write_bytes_atomic(staging / name, path.read_bytes())
-    write_bytes_atomic(staging / "result.json", json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
-    for stale in (*out.glob("matte_*.png"), *(out / name for name in _ONLY_SOMETIMES)):
-        stale.unlink(missing_ok=True)
-    for name in (*files, "result.json"):
+    write_bytes_atomic(staging / RESULT, json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
+    for stale in (out / name for name in ours - files.keys() if _is_a_name_of_hfb(name)):
+        if stale.is_file() and not _is_one_of(inputs, stale):
+            stale.unlink()
+    for name in (*files, RESULT):
         (staging / name).replace(out / name)
-    staging.rmdir()
+    shutil.rmtree(staging)
+
+
+def _published(folder: Path, out: Path) -> set[str] | None:
+    """The files that hfb's result.json in a folder names; None where there is none.
+
+    Where an older version did not name them, what in ``out`` has a name that only some results have is taken for its.
+    """
+    try:
+        content = json.loads((folder / RESULT).read_bytes())
+        if not isinstance(content["out"], str):
+            return None
+        if "files" in content:
+            return {str(name) for name in content["files"]}
+        return {path.name for path in out.iterdir() if path.name in _ONLY_SOMETIMES or _MATTE.fullmatch(path.name)}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def _is_a_name_of_hfb(name: str) -> bool:
+    """The folder may be from somebody else, whose result.json names anything."""
+    return name in _OF_MOTIONS or name in _ONLY_SOMETIMES or _MATTE.fullmatch(name) is not None
+
+
+def _same(path: Path, other: Path) -> bool:
+    return path.is_file() and sha256_of(path) == sha256_of(other)
+
+
+def _is_one_of(inputs: set[str], path: Path) -> bool:
+    return path.is_file() and sha256_of(path) in inputs

@@ -5,7 +5,11 @@ class InputError(ValueError):
     """Something the user gave cannot be used; the command line prints the message and exits with 2."""
 
 
-class Busy(InputError):
+class NotNow(InputError):
+    """What is wrong lies beside what was given, and ends or is mended without another input: a cluster that is down."""
+
+
+class Busy(NotNow):
     """Another process works there: waiting mends it."""
 
 

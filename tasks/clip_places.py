@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hfb.clip import read_clip
+from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError
+from tasks.handles import FileHandle, StaleFile
 
 CLIP_FILE = "clip.toml"
 VIDEOS = {
@@ -16,7 +18,9 @@ VIDEOS = {
 }  # fmt: skip
 PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"}
 _FRAMES_FOLDER = "frames"
-_PLATE_NAMES = {"background", "plate"}
+_PLATE_NAMES = ("background", "plate")
+_PLATE = re.compile(r"(.*_)?(plate|background)", re.IGNORECASE)
+"""As in `hfb.media.picture_files`, which takes seconds to import; a test holds the two together."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +29,9 @@ class ClipPlace:
 
     Attributes:
         source: what `hfb video` would be given. clip: its clip.toml, where it has one.
-        files: everything that belongs to it, as far as the folder tells.
+        files: everything that its result depends on, as far as the folder tells.
         stray: one of these that is a link to a place outside of the folder.
+        twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
     """
 
     name: str
@@ -34,9 +39,18 @@ class ClipPlace:
     clip: Path | None
     files: tuple[Path, ...]
     stray: Path | None = None
+    twin: Path | None = None
 
     def check(self) -> None:
-        """Raises InputError where a file lies elsewhere: who may put clips into a folder may not see other files."""
+        """Raises InputError where another clip has the same name, or a file lies elsewhere.
+
+        Who may put clips into a folder may not see other files.
+        """
+        if self.twin is not None:
+            raise InputError(
+                f"{self.source} and {self.twin} are clips of one name, so both results would go into one folder: "
+                "rename one of them"
+            )
         if self.stray is not None:
             raise InputError(f"{self.stray} is a link that leads out of the folder of clips: put the file itself there")
 
@@ -53,26 +67,64 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder: give one that holds clips")
     results = out.resolve()
-    places = {}
-    ground = folder.resolve()
-
-    def place(name: str, source: Path, clip: Path | None, files: tuple[Path, ...]) -> ClipPlace:
-        beside = plate_beside((source,)) if source.is_file() else None
-        named = (source, *files, beside) if beside else (source, *files)
-        stray = next((one for one in named if not one.resolve().is_relative_to(ground)), None)
-        return ClipPlace(name, source, clip, files, stray)
-
+    named: dict[str, list[ClipPlace]] = {}
     for path in sorted(folder.iterdir(), key=_natural):
-        if path.resolve() == results or path.name.startswith("."):
-            continue
-        if path.is_file() and path.suffix.lower() in VIDEOS:
-            sidecar = path.with_suffix(".toml")
-            files: tuple[Path, ...] = (path, sidecar) if sidecar.exists() else (path,)
-            places[path.stem] = place(path.stem, path, sidecar if sidecar.exists() else None, files)
-        elif path.is_dir() and (path / CLIP_FILE).exists():
-            files = tuple(sorted(one for one in path.rglob("*") if one.is_file()))
-            places[path.name] = place(path.name, path, path / CLIP_FILE, files)
-    return tuple(places.values())
+        place = None if path.resolve() == results or _hidden(path) else _clip_at(path)
+        if place is not None:
+            named.setdefault(place.name, []).append(place)
+    return tuple(place for name, same in named.items() for place in _told_apart(same, results / name))
+
+
+def _clip_at(path: Path) -> ClipPlace | None:
+    """The clip that a file or a folder in a folder of clips is."""
+    if path.is_file() and path.suffix.lower() in VIDEOS:
+        sidecar = path.with_suffix(".toml")
+        name, clip = path.stem, sidecar if sidecar.exists() else None
+        own = [path, sidecar] if clip else [path]
+    elif path.is_dir() and (path / CLIP_FILE).exists():
+        name, clip = path.name, path / CLIP_FILE
+        own = sorted(one for one in path.rglob("*") if one.is_file())
+    else:
+        return None
+    files = tuple(dict.fromkeys((*own, *_named_or_beside(path, clip))))
+    ground = path.parent.resolve()
+    stray = next((one for one in (path, *files) if not one.resolve().is_relative_to(ground)), None)
+    return ClipPlace(name, path, clip, files, stray)
+
+
+def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
+    """What decides a clip's result besides the clip: the files that its clip.toml names, and its plate."""
+    try:
+        known = read_clip(clip) if clip else Clip()
+        plate = plate_beside(resolve_source(source, clip)[0]) if known.background is None else None
+    except (InputError, OSError):  # it is told when the clip's turn comes
+        return
+    if known.background is not None and known.background not in BACKGROUND_WORDS:
+        plate = Path(known.background)
+    yield from (one for one in (known.camera.calibration, known.person.track, plate) if one is not None)
+
+
+def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
+    """Clips of one name: one keeps it, and with it the folder of its result; the others get names that no folder has.
+
+    A result that is there already stays its clip's, whatever comes to lie beside that; else the first one's it is.
+    """
+    if len(same) == 1:  # nothing to tell, nothing to read
+        yield same[0]
+        return
+    keeps = next((one for one in same if _made_of(result, one.source)), same[0])
+    for one in same:
+        yield one if one is keeps else replace(one, name=f"./{one.source.name}", twin=keeps.source)
+
+
+def _made_of(result: Path, source: Path) -> bool:
+    """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
+    try:
+        sha256 = json.loads((result / "result.json").read_bytes())["inputs"]["video"]
+        FileHandle(path=source, sha256=sha256).check()
+    except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
+        return False
+    return True
 
 
 def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], Path | None]:
@@ -97,14 +149,28 @@ def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], P
 
 
 def plate_beside(files: Sequence[Path]) -> Path | None:
-    """The background that lies with a clip: NAME_plate, background or plate, as a picture."""
+    """The background that lies with a clip as a picture, in small or capital letters.
+
+    NAME_plate, background or plate beside the video NAME; background or plate in the folder of pictures, another that
+    is a plate by its name (see `hfb.media.picture_files.footage_files`) there, or background or plate one folder up.
+    """
     first = files[0]
-    pictures = first.suffix.lower() in PICTURES
-    for folder in (first.parent, first.parent.parent) if pictures else (first.parent,):
-        for name in sorted(_PLATE_NAMES) if pictures else [f"{first.stem}_plate", *sorted(_PLATE_NAMES)]:
-            found = [path for path in sorted(folder.glob(f"{name}.*")) if path.suffix.lower() in PICTURES]
-            if found:
-                return found[0]
+    if first.suffix.lower() not in PICTURES:
+        return _picture_called((f"{first.stem}_plate", *_PLATE_NAMES), first.parent)
+    return (
+        _picture_called(_PLATE_NAMES, first.parent)
+        or next((path for path in _pictures(first.parent) if _is_plate(path)), None)
+        or _picture_called(_PLATE_NAMES, first.parent.parent)
+    )
+
+
+def _picture_called(names: Sequence[str], folder: Path) -> Path | None:
+    """The first of these names that a picture has; the very spelling goes before other letter cases."""
+    pictures = _pictures(folder)
+    for name in names:
+        found = [path for path in pictures if path.stem.lower() == name.lower()]
+        if found:
+            return min(found, key=lambda path: (path.stem != name, path.name))
     return None
 
 
@@ -119,21 +185,35 @@ def _named_video(clip: Path) -> tuple[Path, ...] | None:
 
 def _inside(folder: Path) -> tuple[Path, ...]:
     """The one video of a folder, or its pictures in their natural order (those of ``frames/`` where there is one)."""
-    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS)
+    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS and not _hidden(path))
     if len(videos) == 1:
         return (videos[0],)
     if videos:
         raise InputError(f"{folder} holds {len(videos)} videos: name one, or write `video = ...` into its {CLIP_FILE}")
     place = folder / _FRAMES_FOLDER if (folder / _FRAMES_FOLDER).is_dir() else folder
-    pictures = [
-        path for path in place.iterdir() if path.suffix.lower() in PICTURES and path.stem.lower() not in _PLATE_NAMES
-    ]  # fmt: skip
-    if not pictures:
+    frames = tuple(path for path in _pictures(place) if not _is_plate(path))
+    if not frames:
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")
-    return tuple(sorted(pictures, key=_natural))
+    return frames
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def _pictures(folder: Path) -> list[Path]:
+    """The pictures of a folder in their natural order; none where it cannot be read."""
+    found = (path for path in folder.glob("*") if path.suffix.lower() in PICTURES and not _hidden(path))
+    return sorted(found, key=_natural)
+
+
+def _is_plate(path: Path) -> bool:
+    """A picture of the empty scene, by its name: it is no frame."""
+    return _PLATE.fullmatch(path.stem) is not None
+
+
+def _hidden(path: Path) -> bool:
+    """Such as the ._NAME that macOS puts beside NAME on foreign disks."""
+    return path.name.startswith(".")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """frame_10 after frame_9."""
     parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts] + [(-1, path.name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in parts], path.name

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from hfb.errors import InputError
+from hfb.errors import InputError, NotNow
 from tasks.engine import Engine, WorkerLost
 from tasks.handles import FileHandle, files_in, with_files
 from tasks.shared_store import shared_store
@@ -93,16 +93,14 @@ class _Dask:
         try:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise InputError(f"no Dask scheduler answers at {address} ({type(error).__name__}): is it up?") from None
+            raise NotNow(f"no Dask scheduler answers at {address} ({type(error).__name__}): is it up?") from None
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
         try:
             self._client.wait_for_workers(1, timeout=_ANSWER_S)
         except TimeoutError:
-            raise InputError(
-                "the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`"
-            ) from None
+            raise NotNow("the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`") from None
         return sum(self._client.nthreads().values())
 
     def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
@@ -135,7 +133,7 @@ class _Ray:
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:
-            raise InputError(f"no Ray node answers at {address} ({type(error).__name__}): is it up?") from None
+            raise NotNow(f"no Ray node answers at {address} ({type(error).__name__}): is it up?") from None
         self._ray: Any = ray
         self._running: set[Any] = set()
 
@@ -179,7 +177,7 @@ def _compute_away(store: str | None, code: str, function: Callable[..., R], args
     import torch
 
     if code_version() != code:
-        raise InputError(f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both")
+        raise NotNow(f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both")
     torch.set_num_threads(1)
     began = time.monotonic()
     if store is None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from hfb.clip import Clip, ClipCamera, ClipExposure, read_clip
-from hfb.config import Record, RunConfig
+from hfb.config import ExposureConfig, Record, RunConfig
 from hfb.errors import InputError
 from hfb.export.names import check_formats
 from hfb.initialize.networks import NETWORKS, network_path
 from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
+
+_OF_VIDEOS = ("video", "start", "stop", "start_s", "stop_s", "background", "person")
+"""Entries of clip.toml that say nothing about single pictures, whose plate is given."""
 
 _ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}
 
@@ -81,15 +84,35 @@ def take_inputs(
 
 
 def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
-    """What the user did not say about the recording, and what is assumed instead; one sentence each."""
-    assumed = []
-    if config.camera.focal_px is None and inputs.clip.camera == ClipCamera():
-        assumed.append(
+    """What the user did not say about the recording and what is assumed instead, and what is said in vain."""
+    clip, remarks = inputs.clip, []
+    if config.camera.focal_px is None and clip.camera == ClipCamera():
+        remarks.append(
             "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
         )
-    if config.exposure.seconds is None and inputs.clip.exposure == ClipExposure():
-        assumed.append("no exposure given: assuming the shutter is always open (--clip or --exposure.seconds)")
-    return assumed
+    if told_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
+        asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
+        remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
+    vain = [name for name in _OF_VIDEOS if getattr(clip, name) != getattr(Clip(), name)]
+    vain += ["exposure.position"] if clip.exposure.position != ClipExposure().position else []
+    if vain:
+        remarks.append(f"`hfb fit` does not use what clip.toml says of {', '.join(vain)}: that is for `hfb video`")
+    return remarks
+
+
+def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
+    """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
+
+    Args:
+        picture: where clip.toml says ``auto``, its own record counts. interval_s: between frames.
+    """
+    told = config.seconds or exposure.exposure_s(interval_s)
+    if told is None and exposure.auto:
+        from hfb.media.pictures import recorded_exposure
+
+        recorded = recorded_exposure(picture)
+        told = recorded[0] if recorded else None
+    return told
 
 
 def _clip_of_pictures(path: Path, picture: Path) -> Clip:

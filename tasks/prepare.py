@@ -8,6 +8,7 @@ from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.media.pictures import read_picture_srgb
 from tasks.handles import ClipHandle, FileHandle
+from tasks.inputs import told_exposure_s
 from tasks.task import task
 
 _DEFAULT_FPS = 30.0
@@ -33,7 +34,7 @@ def prepare(
                 "give a background of the same camera at the same size"
             )
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
-    exposure_s = exposure.seconds or clip.exposure.exposure_s(interval_s) or interval_s
+    exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "

@@ -9,10 +9,11 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from prefect.context import FlowRunContext
 from prefect.serializers import JSONSerializer
 from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
@@ -27,7 +28,11 @@ def records_in(folder: Path) -> Iterator[None]:
     """Results of tasks stay with the files that they name: no other folder takes them for its own."""
     place = folder / "records"
     drop_foreign(place)
-    with temporary_settings({PREFECT_LOCAL_STORAGE_PATH: place}):
+    with ExitStack() as stack:
+        stack.enter_context(temporary_settings({PREFECT_LOCAL_STORAGE_PATH: place}))
+        if (run := FlowRunContext.get()) is not None:  # a flow hands on the place that was set when it began
+            store = run.result_store.model_copy(update={"result_storage": None})
+            stack.enter_context(run.model_copy(update={"result_store": store}))
         yield
 
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from hfb.report.slow_motion import Shot
 
 
+_OF_MOTION = ", of the motion "
+
+
 class ReportParts(Record):
     """The files that a result's page is made of."""
 
@@ -58,7 +61,7 @@ def page_film(
     clip: ClipHandle, motion: FileHandle, texture: FileHandle, body: FileHandle | None, config: FitConfig, folder: Path
 ) -> FileHandle:
     """The small slow-motion film of the page; arguments as in `tasks.films.make_films`."""
-    return FileHandle.of(write_page_film(shot_of(clip, motion, texture, body, config), folder))
+    return FileHandle.of(write_page_film(shot_of(clip, motion, texture, body, config), motion.sha256, folder))
 
 
 @task("report", cached=False)
@@ -71,14 +74,26 @@ def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> Fil
     return compute(_write_report, parts, facts, folder)
 
 
-def write_page_film(shot: Shot, folder: Path) -> Path:
-    """Draw the page's film into a folder; says how far it is."""
+def shows_another_motion(film: Path, motion_sha256: str) -> bool:
+    """Whether the page's film was drawn of another motion; films of older versions do not say, and are believed."""
+    import av
+
+    try:
+        with av.open(str(film)) as container:
+            said = container.metadata.get("comment", "")
+    except (OSError, av.FFmpegError):
+        return True
+    return _OF_MOTION in said and not said.endswith(_OF_MOTION + motion_sha256)
+
+
+def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
+    """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
     from hfb.media.video_writing import VideoWriter
     from hfb.report import page_film as small
     from hfb.report.slow_motion import FILM_FPS
 
     path = folder / PAGE_FILM
-    comment = f"hfb, {small.page_slow_factor(shot.motion):g} times slower"
+    comment = f"hfb, {small.page_slow_factor(shot.motion):g} times slower{_OF_MOTION}{motion_sha256}"
     with VideoWriter(path, float(FILM_FPS), comment, small=True) as writer:
         pictures = ((None, picture) for picture in small.page_pictures(shot))
         for _, picture in watched("", pictures, small.page_picture_count(shot.motion)):

@@ -94,6 +94,15 @@ def take_video_inputs(
     )
 
 
+def check_options(config: RunConfig) -> None:
+    """Raises InputError where a file that the options name cannot be used: no clip can mend that."""
+    check_formats(config.export.formats)
+    for path in (config.body.model, config.prior.pose, config.prior.motion, matting_file(config)):
+        optional_file(path)
+    pose_networks(config)
+    result_files(config)
+
+
 def video_hashes(inputs: VideoInputs) -> dict[str, str]:
     """sha256 per role; a folder's pictures, which may be thousands, count as one."""
     hashes = {role: file.sha256 for role, file in input_files(inputs).items() if not role.startswith("video_")}

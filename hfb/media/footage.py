@@ -4,7 +4,7 @@ A look through the whole range comes first: afterwards every frame is known to d
 then read from wherever they are wanted; memory is that of a few frames, however long the footage is.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -16,12 +16,12 @@ from hfb.errors import InputError
 from hfb.media.lens import Lens
 from hfb.media.picture_files import PICTURE_SUFFIXES, footage_files, one_size
 from hfb.media.pictures import read_picture_srgb, recorded_exposure
-from hfb.media.video_index import VideoIndex, index_video
+from hfb.media.video_index import OnProgress, VideoIndex, index_video
+from hfb.media.video_packets import ASSUMED_FPS
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.shapes import Array, Float
 
-OnProgress = Callable[[int, int], None]
-_ASSUMED_FPS = 30.0
+_Wanted = tuple[int, int | None, float | None, float | None, Path]
 _JITTER = 0.25
 
 
@@ -154,10 +154,12 @@ def open_footage(
         raise InputError(f"--average {average}: give 1 or more frames to average.")
     files = footage_files(source)
     place = source if isinstance(source, Path) else files[0]
-    whole = _of_pictures(place, files, fps) if files[0].suffix.lower() in PICTURE_SUFFIXES else _of_video(place, files)
-    first, last = _range(whole.times_s, start, stop, start_s, stop_s, place)
-    if whole.index is not None:
-        whole, last = _readable(whole, whole.index, first, last, on_progress)
+    wanted = (start, stop, start_s, stop_s, place)
+    if files[0].suffix.lower() in PICTURE_SUFFIXES:
+        whole = _of_pictures(place, files, fps)
+        first, last = _range(whole.times_s, *wanted)
+    else:
+        whole, first, last = _of_video(place, files, wanted, fps, on_progress)
     chosen = replace(
         _within(whole, first, last, fps),
         stored=transfer,
@@ -169,32 +171,46 @@ def open_footage(
 
 def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None) -> Footage:
     height, width, bits = one_size(files)
-    assumed = f"no frame rate given: assuming {_ASSUMED_FPS:g} per second (fps in clip.toml)"
+    assumed = f"no frame rate given: assuming {ASSUMED_FPS:g} per second (fps in clip.toml)"
     return Footage(
-        place, files, height, width, np.arange(len(files)) / (fps or _ASSUMED_FPS), 1 / (fps or _ASSUMED_FPS), bits,
+        place, files, height, width, np.arange(len(files)) / (fps or ASSUMED_FPS), 1 / (fps or ASSUMED_FPS), bits,
         "srgb", remarks=() if fps else (assumed,), recorded_exposure=recorded_exposure(files[0]),
     )  # fmt: skip
 
 
-def _of_video(place: Path, files: tuple[Path, ...]) -> Footage:
-    index = index_video(files[0])
-    return Footage(
-        place, files, index.height, index.width, index.times_s, nominal_interval(index.times_s), index.bits, "srgb",
-        index=index, recorded_exposure=index.recorded_exposure,
-    )  # fmt: skip
-
-
-def _readable(
-    whole: Footage, index: VideoIndex, first: int, last: int, on_progress: OnProgress | None
-) -> tuple[Footage, int]:
-    """With what is lost in the range, and the number of the first frame that cannot be read."""
-    name, loss = whole.source.name, index.loss
+def _of_video(
+    place: Path, files: tuple[Path, ...], wanted: _Wanted, fps: float | None, on_progress: OnProgress | None
+) -> tuple[Footage, int, int]:
+    """With what is lost of it, and (first, last + 1) of the wanted frames that can be read."""
+    name, index = place.name, index_video(files[0])
+    first, last = _range(index.times_s, *wanted)
     readable = index.look_through(first, last, on_progress)
+    if readable < last and (recounted := index.recounted(on_progress)):
+        index = recounted
+        first, last = _range(index.times_s, *wanted)
+        readable = last
     if readable <= first:
         raise InputError(f"{name}: was opened but gave no frame in the chosen range; convert it to H.264 in an .mp4.")
+    loss = index.loss
     if readable < last:
         loss = f"{name} is damaged: frames {readable} to {last - 1} cannot be read and are left out"
-    return replace(whole, loss=loss, remarks=(*whole.remarks, *((loss,) if loss else ()))), readable
+    footage = Footage(
+        place, files, index.height, index.width, index.times_s, nominal_interval(index.times_s), index.bits, "srgb",
+        index=index, loss=loss, remarks=(*((loss,) if loss else ()), *_remarks(index, fps)),
+        recorded_exposure=index.recorded_exposure,
+    )  # fmt: skip
+    return footage, first, readable
+
+
+def _remarks(index: VideoIndex, fps: float | None) -> Iterator[str]:
+    """What a user should know of how a video is read. `fps`: as told, which settles the rate."""
+    if index.counted and not fps:
+        yield index.counted
+    if index.aspect != 1:
+        yield (
+            f"{index.path.name} has pixels that are not square: frames are stretched to {index.width} x "
+            f"{index.height}, as players show them, and the camera's numbers have to be for that size"
+        )
 
 
 def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage:
@@ -226,11 +242,11 @@ def _averaged(sharp: Footage, average: int) -> Footage:
 def nominal_interval(times_s: Float[Array, "T"]) -> float:
     """The usual interval [s]: the mean of those that are within a quarter of their median; 1/30 s for one frame."""
     if len(times_s) < 2:
-        return 1 / _ASSUMED_FPS
+        return 1 / ASSUMED_FPS
     steps = np.diff(times_s)
     usual = float(np.median(steps))
     near = np.abs(steps - usual) <= _JITTER * usual
-    return float(steps[near].mean()) if usual > 0 and near.any() else 1 / _ASSUMED_FPS
+    return float(steps[near].mean()) if usual > 0 and near.any() else 1 / ASSUMED_FPS
 
 
 def _range(

@@ -10,6 +10,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.media.footage import Footage
 from hfb.media.pictures import read_picture_srgb
+from hfb.media.video_pixels import square_size, stretched
 from hfb.shapes import Array, Bool, Float, Shaped
 
 OnProgress = Callable[[int, int], None]
@@ -39,7 +40,7 @@ def find_plate(
         InputError: the picture cannot be read, nothing is ever still, or see `check_plate`.
     """
     if isinstance(how, Path):
-        stored = read_picture_srgb(how)
+        stored = _in_square_pixels(read_picture_srgb(how), footage)
         _check_size(stored, footage)
         plate, told = footage.developed(stored), f"background: {how.name}"
     elif how == "median":
@@ -50,6 +51,17 @@ def find_plate(
         return _best_still(footage, on_progress)
     check_plate(plate, footage)
     return plate, told
+
+
+def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[Array, "H W 3"]:
+    """A picture taken out of a video whose pixels are not square, as its frames are read; it may be turned already."""
+    height, width = stored.shape[:2]
+    aspect = footage.index.aspect if footage.index else 1.0
+    if aspect != 1 and (footage.height, footage.width) in (
+        square_size(height, width, aspect), square_size(height, width, 1 / aspect)
+    ):  # fmt: skip
+        return stretched(stored, footage.height, footage.width).clip(0, 1)
+    return stored
 
 
 def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float[Array, "H W 3"], str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.media.video_file import open_video
-from hfb.media.video_index import upright
+from hfb.media.video_pixels import pixel_aspect, upright, zero_to_one
 from hfb.photometry import srgb_to_linear
 from hfb.shapes import Array, Float, Shaped
 
@@ -19,15 +19,14 @@ PLATE_BYTES = 256 << 20
 
 
 def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator[Float[Array, "H W 3"]]:
-    """Frames `start` to `stop` of a video, one after another, as sRGB in [0, 1], upright.
+    """Frames `start` to `stop` of a video, one after another, as sRGB in [0, 1], upright, in square pixels.
 
     Raises:
         InputError: missing, no video, nothing decodable, or `start` is past the end (before the first frame);
             a video that ends before `stop` just ends.
     """
-    levels = np.arange(256, dtype=np.float32) / np.float32(255)
     for frame in _read_levels(Path(path), start, stop):
-        yield levels[frame] if frame.dtype == np.uint8 else frame.astype(np.float32) / np.float32(65535)
+        yield zero_to_one(frame)
 
 
 def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:
@@ -85,12 +84,13 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
         with open_video(path) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            aspect = pixel_aspect(stream)
             for index, frame in enumerate(container.decode(stream)):
                 decoded = index + 1
                 if stop is not None and index >= stop:
                     return
                 if index >= start:
-                    yield upright(frame, path)
+                    yield upright(frame, path, aspect)
     except av.FFmpegError as error:
         if decoded <= start:  # a damaged tail is no reason to lose the frames before it
             raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -10,13 +10,16 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.media.video_file import FRAME_LIMIT, check_size, open_video
-from hfb.shapes import Array, Float, Int, Shaped
+from hfb.media.video_packets import loss_of, rate_of, read_packets
+from hfb.media.video_pixels import is_deep, pixel_aspect, upright, zero_to_one
+from hfb.shapes import Array, Float, Int
 
 _HDR = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer characteristics
 _EXPOSURE_KEYS = ("exposuretime", "exposure_time", "com.android.exposure_time", "shutter_speed")
 _PROGRESS_EVERY = 32
-_ROUNDING_FRAMES = 2
-"""A container's duration may be longer than its pictures by so many frames: sound, or rounding."""
+_OTHERS_STAMPS = "{} has time stamps that do not fit its frames"
+
+OnProgress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +27,13 @@ class VideoIndex:
     """A video's frames in the order in which they are shown; numbers only.
 
     Attributes:
-        stamps: their time stamps, in units of the stream's time base. keys: those of frames that decode by themselves.
-        times_s: the same in seconds.
-        height, width: as shown: the container's rotation is applied.
+        stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
+        keys: those of frames that decode by themselves.
+        times_s: when they are shown, in seconds.
+        height, width: as shown: the container's rotation is applied, and pixels are square.
+        rate: (frames per second, where that is from), should they have to be counted.
+        aspect: width / height of a pixel as stored; see `hfb.media.video_pixels.pixel_aspect`.
+        counted: why frames go by number, one sentence; None where they go by their time stamps.
         loss: what is known to be missing from the file, one sentence.
     """
 
@@ -37,29 +44,51 @@ class VideoIndex:
     height: int
     width: int
     bits: int
+    rate: tuple[float, str]
+    aspect: float = 1.0
     recorded_exposure: tuple[float, str] | None = None
+    counted: str | None = None
     loss: str | None = None
 
+    def by_number(self, why: str) -> "VideoIndex":
+        """The same frames numbered, at the stated rate; they are never read from the middle then.
+
+        Args:
+            why: what is wrong with the file's time stamps, as the first words of a sentence.
+        """
+        numbers, (fps, source) = np.arange(len(self.stamps)), self.rate
+        counted = (
+            f"{why}: frames are counted, {fps:.6g} per second, {source} (fps in clip.toml or --exposure.fps, if that "
+            "is not right)"
+        )
+        return replace(self, stamps=numbers, keys=numbers[:0], times_s=numbers / fps, counted=counted)
+
+    def recounted(self, on_progress: OnProgress | None = None) -> "VideoIndex | None":
+        """Where frames do not come by their time stamps: by number, if as many decode as there are packets."""
+        if self.counted:
+            return None
+        index = self.by_number(_OTHERS_STAMPS.format(self.path.name))
+        return index if index.look_through(0, len(self.stamps), on_progress) == len(self.stamps) else None
+
     def frames(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames `start` to `stop` as stored in [0, 1], upright; ends early where the file does."""
-        levels = np.arange(256, dtype=np.float32) / np.float32(255)
+        """Frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does."""
         for frame in self._decoded(start, stop):
-            pixels = upright(frame, self.path)
-            yield levels[pixels] if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
+            yield self._picture(frame)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
         """Some frames, given in ascending order, as `frames` has them: what lies between is decoded or jumped over."""
-        levels = np.arange(256, dtype=np.float32) / np.float32(255)
         worth_a_jump = 3 * len(self.stamps) / max(len(self.keys), 1)
         breaks = np.flatnonzero(np.diff(numbers) > worth_a_jump) + 1
         for group in np.split(np.asarray(numbers), breaks):
             wanted = set(group.tolist())
             for number, frame in enumerate(self._decoded(int(group[0]), int(group[-1]) + 1), int(group[0])):
                 if number in wanted:
-                    pixels = upright(frame, self.path)
-                    yield levels[pixels] if pixels.dtype == np.uint8 else pixels.astype(np.float32) / np.float32(65535)
+                    yield self._picture(frame)
 
-    def look_through(self, start: int, stop: int, on_progress: Callable[[int, int], None] | None = None) -> int:
+    def _picture(self, frame: av.VideoFrame) -> Float[Array, "H W 3"]:
+        return zero_to_one(upright(frame, self.path, self.aspect))
+
+    def look_through(self, start: int, stop: int, on_progress: OnProgress | None = None) -> int:
         """Decode a range without keeping anything; the number of the first frame that does not come."""
         reached = start
         for frame in self._decoded(start, stop):
@@ -71,7 +100,7 @@ class VideoIndex:
         return reached
 
     def _decoded(self, start: int, stop: int) -> Iterator[av.VideoFrame]:
-        """Decoded frames by their time stamps: the same ones, whether decoding begins at the start or not."""
+        """Decoded frames by their stamps: the same ones, whether decoding begins at the start or not."""
         wanted = self.stamps[start:stop]
         keys = self.keys[self.keys <= wanted[0]]
         # One key frame earlier than needed: what refers across a key frame (open groups) is complete then.
@@ -102,16 +131,20 @@ class VideoIndex:
                 return
 
     def _from(self, stamp: int | None) -> Iterator[tuple[int, av.VideoFrame]]:
-        """(time stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
+        """(stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
             with open_video(self.path) as container:
                 stream = container.streams.video[0]
                 stream.thread_type = "AUTO"
                 if stamp is not None:
                     container.seek(stamp, stream=stream, backward=True, any_frame=False)
+                last = None
                 for number, frame in enumerate(container.decode(stream)):
-                    # Files without stamps are counted; they are never read from the middle.
-                    yield (number if frame.pts is None else int(frame.pts)), frame
+                    here = number if self.counted else frame.pts
+                    if here is None or (last is not None and here <= last):
+                        return  # a stamp that does not ascend is not the frame's own
+                    yield int(here), frame
+                    last = here
         except av.FFmpegError:
             return
 
@@ -125,72 +158,30 @@ def index_video(path: Path) -> VideoIndex:
     try:
         with open_video(path) as container:
             stream = container.streams.video[0]
-            base = float(stream.time_base or 0)
-            stated_count, rate = stream.frames, float(stream.average_rate or stream.base_rate or 0)
-            stated_s = (container.duration or 0) / av.time_base
+            base, aspect = float(stream.time_base or 0), pixel_aspect(stream)
             exposure = _recorded_exposure({**container.metadata, **stream.metadata})
-            stamps, keys, damaged = _stamps(container, stream)
+            packets = read_packets(container, stream)
+            stamps = np.array(sorted(stamp for stamp in packets.stamps if stamp is not None and base > 0), np.int64)
+            rate, lost = rate_of(stream, stamps * base), loss_of(container, stream, packets, stamps * base)
     except av.FFmpegError as error:
         raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
-    if len(stamps) > FRAME_LIMIT:
+    count = len(packets.stamps)
+    if count > FRAME_LIMIT:
         raise InputError(f"{path}: has over {FRAME_LIMIT} frames; cut it into shorter videos.")
-    if not stamps:
+    if not count:
         raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
     first = _first_frame(path)
-    shape = upright(first, path).shape
-    if len(set(stamps)) < len(stamps) or base <= 0:
-        stamps, keys, base = list(range(len(stamps))), [], 1 / (rate or 30.0)
-    ordered = np.array(sorted(stamps), np.int64)
-    usual_s = float(np.median(np.diff(ordered))) * base if len(ordered) > 1 else stated_s
-    at_end = (stated_s - float(ordered[-1]) * base) / usual_s if usual_s > 0 else 1.0
-    missing = max(stated_count - len(ordered), round(at_end) - 1)
-    loss = None
-    if damaged or stated_count > len(ordered) or missing > _ROUNDING_FRAMES:
-        lost = f"about {missing} frames at its end" if missing > 0 else "its end"
-        loss = f"{path.name} is damaged or cut off: {lost} cannot be read and {'are' if missing > 0 else 'is'} left out"
-    return VideoIndex(
-        path, ordered, np.array(sorted(keys), np.int64), ordered * base, shape[0], shape[1],
-        16 if _deep(first) else 8, exposure, loss,
+    height, width, _ = upright(first, path, aspect).shape
+    told = len(np.unique(stamps)) == count
+    ordered = stamps if told else np.arange(count)
+    index = VideoIndex(
+        path, ordered, np.array(sorted(packets.keys), np.int64), ordered * base, height, width,
+        16 if is_deep(first) else 8, rate, aspect, exposure,
+        loss=f"{path.name} is damaged or cut off: {lost}" if lost else None,
     )  # fmt: skip
-
-
-def upright(frame: av.VideoFrame, path: Path) -> Shaped[Array, "H W 3"]:
-    """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned as players show them.
-
-    Raises:
-        InputError: the frame is damaged; `path` is the video's, for the message.
-    """
-    try:
-        pixels = frame.to_ndarray(format="rgb48le" if _deep(frame) else "rgb24")
-    except (av.FFmpegError, ValueError, MemoryError):
-        raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
-    # The container's display matrix turns counterclockwise; players apply it, the decoder does not.
-    return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90) % 4))
-
-
-def _deep(frame: av.VideoFrame) -> bool:
-    return any(component.bits > 8 for component in frame.format.components)
-
-
-def _stamps(container: av.container.InputContainer, stream: av.VideoStream) -> tuple[list[int], list[int], bool]:
-    """(presentation stamps of all whole packets, those of key frames, whether the file breaks off)."""
-    stamps: list[int] = []
-    keys: list[int] = []
-    try:
-        for packet in container.demux(stream):
-            if not packet.size or packet.is_discard:
-                continue
-            if packet.is_corrupt:
-                return stamps, keys, True
-            stamp = packet.pts if packet.pts is not None else packet.dts
-            stamps.append(len(stamps) if stamp is None else int(stamp))
-            if len(stamps) > FRAME_LIMIT:
-                break
-            if packet.is_keyframe and packet.pts is not None:
-                keys.append(int(packet.pts))
-    except av.FFmpegError:
-        return stamps, keys, True
-    return stamps, keys, False
+    if not told:
+        return index.by_number(f"{path.name} {'repeats or lacks' if len(stamps) else 'has no'} time stamps")
+    return index.by_number(_OTHERS_STAMPS.format(path.name)) if packets.as_decoded else index
 
 
 def _first_frame(path: Path) -> av.VideoFrame:

@@ -7,16 +7,18 @@ import math
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from measure import as_large, measure
 
 from hfb.body.skeleton import MIRROR
-from hfb.initialize.joint_network import SMALL, WIDE, JointClaim, JointNetwork
+from hfb.initialize.joint_network import PICTURE_PX, SMALL, WIDE, JointClaim, JointNetwork
 
 _ROUND_SHARES = (0.25, 0.5, 1.0)
 _CHECKPOINT_S = 240
 _AVERAGE = 0.998
+_ROLLED, _ROLL_DEG, _LEANING, _LEAN_DEG = 0.25, 10.0, 0.3, 14.0
 _LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
 
@@ -50,9 +52,9 @@ def augmented(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Pictures, starts and truths (N, 3, 24, 3): mirrored, recoloured, with holes and other starts."""
     count = len(chosen)
-    pictures = torch.from_numpy(bank.batch(chosen)).float() / 127.5 - 1
-    truth = torch.from_numpy(bank.truth[chosen])
-    starts = _confused(bank, chosen, rng)
+    pictures, truth, starts = _rolled(bank.batch(chosen), bank.truth[chosen], _confused(bank, chosen, rng), rng)
+    pictures, truth = torch.from_numpy(pictures).float() / 127.5 - 1, torch.from_numpy(truth)
+    starts = _leaning(starts, rng)
     # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
     share = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
     starts = as_large(torch.from_numpy(starts), truth[:, 1], torch.from_numpy(rng.normal(0, 0.04, count)).float())
@@ -74,6 +76,38 @@ def augmented(
         top, left = rng.integers(0, 96 - height), rng.integers(0, 96 - width)
         pictures[index, 0, top : top + height, left : left + width] = -1 if rng.random() < 0.7 else 1
     return pictures.contiguous(memory_format=torch.channels_last), starts, truth
+
+
+def _rolled(
+    pictures: np.ndarray, truth: np.ndarray, starts: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A share of everything turned about the line of sight, as a camera held aslant sees it."""
+    truth, starts = truth.copy(), starts.copy()
+    for row in np.flatnonzero(rng.random(len(pictures)) < _ROLLED):
+        angle = np.deg2rad(np.clip(rng.normal(0, _ROLL_DEG), -30, 30))
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]], np.float32)
+        middle = (PICTURE_PX - 1) / 2
+        matrix = np.concatenate([turn, (middle - turn @ (middle, middle))[:, None]], 1)
+        layers = pictures[row].transpose(1, 2, 0)
+        parts = [
+            cv2.warpAffine(
+                np.ascontiguousarray(layers[..., few]), matrix, layers.shape[:2], borderMode=cv2.BORDER_REPLICATE
+            )
+            for few in (slice(0, 4), slice(4, 7))  # OpenCV turns four channels at most
+        ]
+        pictures[row] = np.concatenate(parts, -1).transpose(2, 0, 1)
+        truth[row, ..., :2], starts[row, :, :2] = truth[row, ..., :2] @ turn.T, starts[row, :, :2] @ turn.T
+    return pictures, truth, starts
+
+
+def _leaning(starts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A share of the starts tilted as a whole into depth, about the pelvis: what estimators of real pictures do."""
+    for row in np.flatnonzero(rng.random(len(starts)) < _LEANING):
+        axis = rng.normal(size=2)
+        about = np.array([*(axis / np.linalg.norm(axis)), 0]) * np.deg2rad(rng.normal(0, _LEAN_DEG))
+        pelvis = starts[row, :1].copy()
+        starts[row] = (starts[row] - pelvis) @ cv2.Rodrigues(about)[0].T.astype(np.float32) + pelvis
+    return starts
 
 
 def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -122,6 +156,7 @@ def main() -> None:
     parser.add_argument("--dev", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--iterations", type=int, default=6000)
+    parser.add_argument("--minutes", type=float, default=1e9, help="hurry the schedule so that it ends by then")
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
@@ -140,9 +175,9 @@ def main() -> None:
     bank, dev = Bank(options.bank), Bank([options.dev])
     options.out.mkdir(parents=True, exist_ok=True)
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
-    while iteration < options.iterations:
+    while iteration < options.iterations and (time.monotonic() - began) / 60 < options.minutes:
         spent = time.monotonic() - began
-        progress = iteration / options.iterations
+        progress = min(1.0, max(iteration / options.iterations, spent / 60 / options.minutes))
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
         for group in optimizer.param_groups:
             group["lr"] = rate

@@ -51,6 +51,8 @@ CASES = {
     "missing motion prior": ("{frame} --background {plate} --prior.motion {none}", "none does not exist"),
     "text as motion prior": ("{frame} --background {plate} --prior.motion {text.png}", "hfb train-prior"),
     "no TOML": ("{frame} --background {plate} --config {bad.toml}", "not valid TOML"),
+    "unknown option": ("{frame} --background {plate} --fit.subframe 4", "did you mean --fit.subframes?"),
+    "unlike any option": ("{frame} --background {plate} --zzz", "see `hfb fit --help`"),
     "unknown key": ("{frame} --background {plate} --config {typo.toml}", "did you mean fit.subframes"),
     "bad clip": ("{frame} --background {plate} --clip {clip.toml}", "did you mean camera.focal_px"),
     "exposure longer than the interval": (

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from flows.batch import batch
+from flows.cli import main
+from hfb.errors import InputError
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_clip, small_config
 
@@ -58,6 +60,30 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
     assert "broken.mp4" in page
     assert not re.findall(r'(?:src|href)="(?!data:|http://127\.0\.0\.1:5000/)', page)
 
+    shutil.rmtree(out / "wave")
+    assert batch(folder, out, config, workers=1)["done"] == 2
+    assert (out / "wave" / "result.json").is_file(), "a result that is gone is made again"
+
+
+def test_what_no_clip_can_mend(folder: Path, store: Path, tmp_path: Path) -> None:
+    """An option's file that is missing ends the batch; a place that is taken is tried again; the exit code tells."""
+    options = small_config().model_dump(mode="json")
+    options["prior"]["motion"] = str(tmp_path / "none.safetensors")
+    with pytest.raises(InputError, match=r"none\.safetensors does not exist"):
+        batch(folder, tmp_path / "out", options, workers=1)
+
+    for name in ("wave", "broken.mp4"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    (folder / "broken.mp4").unlink(missing_ok=True)
+    out = tmp_path / "out"
+    out.mkdir(exist_ok=True)
+    (out / "walk").write_text("a file where the result belongs")
+    pace = ["--workers", "1", "--attempts", "2", "--wait", "1", "--quiet"]
+    assert main(["batch", str(folder), "--out", str(out), *pace]) == 1
+    ledger = json.loads((out / "batch.json").read_text())["walk"]
+    assert (ledger["attempts"], ledger["status"]) == (2, "set aside")
+    assert "is a file" in ledger["reason"]
+
 
 def test_times_that_cannot_be_are_not_believed(store: Path, tmp_path: Path) -> None:
     """A clock that was put back, and a file from a machine whose clock is ahead."""
@@ -75,3 +101,25 @@ def test_times_that_cannot_be_are_not_believed(store: Path, tmp_path: Path) -> N
     (tmp_path / "out" / "batch.json").write_text(json.dumps(ledger))
     assert batch(tmp_path / "clips", tmp_path / "out", config, workers=1)["set_aside"] == 1
     assert time.monotonic() - began < 60
+
+
+def test_clips_of_one_name_are_told_and_the_first_is_worked_on(store: Path, tmp_path: Path) -> None:
+    """And a clip that was set aside is taken again when its plate was replaced."""
+    clips, out = tmp_path / "clips", tmp_path / "out"
+    clips.mkdir()
+    for name in ("broken.mp4", "broken.mov", "broken_plate.png"):
+        (clips / name).write_text("no film and no picture")
+        os.utime(clips / name, (1_700_000_000, 1_700_000_000))
+    config = small_config().model_dump(mode="json")
+    told = batch(clips, out, config, workers=1)
+    assert (told["clips"], told["set_aside"]) == (2, 2)
+    ledger = json.loads((out / "batch.json").read_text())
+    assert "broken.mov" in ledger["broken"]["reason"]
+    assert "rename one of them" not in ledger["broken"]["reason"]
+    assert re.search(r"broken\.mp4 and .*broken\.mov are .* rename one of them", ledger["./broken.mp4"]["reason"])
+    assert "rename one of them" in Path(told["page"]).read_text()
+    assert not (out / "broken.mp4").exists()
+
+    os.utime(clips / "broken_plate.png", (1_700_000_001, 1_700_000_001))
+    batch(clips, out, config, workers=1)
+    assert json.loads((out / "batch.json").read_text())["broken"]["stamp"] != ledger["broken"]["stamp"]

@@ -1,7 +1,6 @@
 """The judge, whole: cases are made, methods run on them, and the tables hold what happened."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -83,8 +82,7 @@ def test_tables_record_and_workers(plan: BenchmarkPlan, store: Path, tmp_path: P
     parents = mlflow_rows(store, "select value from tags where key = 'mlflow.parentRunId'")
     assert {value for (value,) in parents} == {result["mlflow_run_id"]}
 
-    shutil.rmtree(tmp_path / "records")  # nothing remembered: everything is computed again, by two processes
-    run_benchmark(plan, two, 2)
+    run_benchmark(plan, two, 2)  # another folder takes nothing from the first: all is computed again, by two processes
     assert contents(two) == contents(one)
     assert rows(two) == rows(one)
 
@@ -125,6 +123,9 @@ def test_cases_alone(store: Path, tmp_path: Path) -> None:
     case = load_case(tmp_path / "out" / "case_0001")
     named = [*case.frame_paths(), case.background, case.clip, case.truth, *case.true_matte_paths(), *case.start_paths()]
     assert all(path.is_file() for path in named)
+    assert run_synthesis(SetSpec(set="bt-amass", size_px=64, seed=3, frames=2), 1, tmp_path / "again", 1)["count"] == 1
+    again = load_case(tmp_path / "again" / "case_0001")  # files of its own, not the first folder's
+    assert [path.read_bytes() for path in again.frame_paths()] == [path.read_bytes() for path in case.frame_paths()]
 
 
 def write_motion(path: Path, broken: float | None = None) -> None:

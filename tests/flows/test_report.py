@@ -18,6 +18,8 @@ from flows.fit_image import fit_image
 from flows.report import make_report
 from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
+from tasks.handles import sha256_of
+from tasks.result_report import shows_another_motion
 from tasks.store_place import SMALL_SERVER, pages_command
 from tests.browser import CHROMIUM, assert_body_moves, assert_film_plays, browser, opened
 from tests.orchestration import Problem, mlflow_rows
@@ -92,6 +94,10 @@ def test_the_page_is_made_again_from_what_is_left(problem: Problem, store: Path,
     assert "How the fit went" in page
     assert f"hfb rerun {result['mlflow_run_id']}" in page
     assert "version.torch" in page
+
+    film = out / "intermediate" / "page_film.mp4"
+    assert not shows_another_motion(film, sha256_of(out / "motion.npz"))
+    assert shows_another_motion(film, sha256_of(out / "strip.png"))
 
     fetched = make_report(str(result["mlflow_run_id"])[:8], tmp_path / "fetched")  # draws the film from the inputs
     assert fetched["film"]

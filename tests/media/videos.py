@@ -29,13 +29,20 @@ def write_video(
     options: dict[str, str] | None = None,
     stamps: list[int] | None = None,
     container_options: dict[str, str] | None = None,
+    rate: int = 25,
+    aspect: Fraction | None = None,
 ) -> Path:
-    """25 frames per second, or the given stamps in milliseconds; skips the test where the encoder is missing."""
+    """Frames at a rate per second, or at the given stamps in milliseconds; skips the test where the encoder is missing.
+
+    `aspect`: width / height of a pixel.
+    """
     try:
         with av.open(str(path), "w", options=container_options or {}) as container:
-            stream = container.add_stream(codec, rate=25, options=options or {})
+            stream = container.add_stream(codec, rate=rate, options=options or {})
             stream.height, stream.width = frames[0].shape[:2]
             stream.pix_fmt = pixels
+            if aspect is not None:
+                stream.codec_context.sample_aspect_ratio = aspect
             if stamps is not None:
                 stream.codec_context.time_base = stream.time_base = Fraction(1, 1000)
             for number, content in enumerate(frames):
@@ -47,3 +54,10 @@ def write_video(
     except (av.FFmpegError, ValueError) as error:
         pytest.skip(f"this build of PyAV cannot write {codec}: {error}")
     return path
+
+
+def numbers_in(frames: np.ndarray, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """Where the block is in each frame, in blocks from the left: the number of a `picture` modulo width / 8."""
+    blocks = size[1] // 8
+    columns = frames[:, 8:24].min(-1).mean(1).reshape(len(frames), blocks, -1).mean(-1)
+    return columns.argmax(1)

@@ -1,11 +1,15 @@
 """Which files are meant by what a user names."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from hfb.errors import InputError
+from hfb.media.picture_files import footage_files
+from tasks.batch_ledger import stamp_of
 from tasks.clip_places import find_clips, plate_beside, resolve_source
+from tasks.handles import FileHandle
 
 
 def touch(*paths: Path) -> None:
@@ -80,3 +84,129 @@ def test_what_leads_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="leads out of the folder of clips"):
         places["linked"].check()
     places["good"].check()
+
+
+def stamp(folder: Path, name: str = "walk") -> str:
+    """What `hfb batch` tells a clip from a changed one by."""
+    places = {place.name: place for place in find_clips(folder, folder / "out")}
+    return stamp_of(places[name].files, {})[0]
+
+
+def test_clips_of_one_name_are_not_lost(tmp_path: Path) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "walk.mov", tmp_path / "wave.mp4", tmp_path / "wave" / "clip.toml")
+    places = {place.source.name: place for place in find_clips(tmp_path, tmp_path / "out")}
+    assert {name: place.name for name, place in places.items()} == {
+        "walk.mov": "walk", "walk.mp4": "./walk.mp4", "wave": "wave", "wave.mp4": "./wave.mp4",
+    }  # fmt: skip
+    places["walk.mov"].check()
+    places["wave"].check()
+    with pytest.raises(InputError, match=r"walk\.mp4 and .*walk\.mov are clips of one name.*: rename one of them"):
+        places["walk.mp4"].check()
+    with pytest.raises(InputError, match=r"wave\.mp4 and .*wave are clips of one name"):
+        places["wave.mp4"].check()
+
+
+@pytest.mark.parametrize("later", ["walk.avi", "walk/clip.toml"])
+def test_a_result_stays_its_clips(tmp_path: Path, later: str) -> None:
+    """Whatever comes to lie beside it, also what would stand before it by name."""
+    (tmp_path / "walk.mp4").write_bytes(b"the film")
+    result = {"out": "", "inputs": {"video": FileHandle.of(tmp_path / "walk.mp4").sha256}}
+    (tmp_path / "out" / "walk").mkdir(parents=True)
+    (tmp_path / "out" / "walk" / "result.json").write_text(json.dumps(result))
+    before = stamp(tmp_path)
+    touch(tmp_path / later)
+    places = {place.name: place for place in find_clips(tmp_path, tmp_path / "out")}
+    assert places["walk"].source == tmp_path / "walk.mp4"
+    assert places[f"./{Path(later).parts[0]}"].twin == tmp_path / "walk.mp4"
+    assert stamp(tmp_path) == before
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"inputs": 3}', '{"inputs": {"video": 3}}'])
+def test_a_damaged_result_is_nobodys(tmp_path: Path, content: str) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "walk.mov", tmp_path / "out" / "walk" / "result.json")
+    (tmp_path / "out" / "walk" / "result.json").write_text(content)
+    assert [place.name for place in find_clips(tmp_path, tmp_path / "out")] == ["walk", "./walk.mp4"]
+
+
+def test_a_clip_changes_with_all_that_decides_its_result(tmp_path: Path) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "walk_plate.png", tmp_path / "other.mp4", tmp_path / "tracks.csv")
+    other, bare = stamp(tmp_path, "other"), stamp(tmp_path)
+    (tmp_path / "walk_plate.png").write_bytes(b"a better one")
+    plated = stamp(tmp_path)
+    assert plated != bare
+    assert stamp(tmp_path, "other") == other
+
+    (tmp_path / "walk.toml").write_text('[camera]\ncalibration = "calib.toml"\n[person]\ntrack = "tracks.csv"\n')
+    named = stamp(tmp_path)
+    for name in ("tracks.csv", "calib.toml"):  # the second was not even there
+        (tmp_path / name).write_bytes(name.encode())
+        assert named != (named := stamp(tmp_path)), name
+
+    (tmp_path / "walk.toml").write_text('background = "median"\n')
+    median = stamp(tmp_path)
+    (tmp_path / "walk_plate.png").write_bytes(b"nobody looks at it")
+    assert stamp(tmp_path) == median
+    (tmp_path / "walk.toml").write_text('background = "empty.png"\n')
+    given = stamp(tmp_path)
+    touch(tmp_path / "empty.png")
+    assert stamp(tmp_path) != given
+
+
+def test_a_plate_beside_a_folder_of_pictures_counts(tmp_path: Path) -> None:
+    touch(tmp_path / "walk" / "clip.toml", tmp_path / "walk" / "0.png", tmp_path / "plate.png")
+    before = stamp(tmp_path)
+    (tmp_path / "plate.png").write_bytes(b"another")
+    assert stamp(tmp_path) != before
+
+
+def test_a_clip_without_plate_keeps_its_stamp(tmp_path: Path) -> None:
+    """What an earlier version did is not done again."""
+    touch(tmp_path / "walk.mp4", tmp_path / "walk.toml", tmp_path / "wave" / "clip.toml", tmp_path / "wave" / "0.png")
+    touch(tmp_path / "wave" / "background.png")
+    assert stamp(tmp_path) == stamp_of((tmp_path / "walk.mp4", tmp_path / "walk.toml"), {})[0]
+    held = sorted((tmp_path / "wave").iterdir())
+    assert stamp(tmp_path, "wave") == stamp_of(held, {})[0]
+
+
+def test_a_clip_that_cannot_be_read_is_found_all_the_same(tmp_path: Path) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "two" / "a.mp4", tmp_path / "two" / "b.mp4", tmp_path / "two" / "clip.toml")
+    (tmp_path / "walk.toml").write_text("[camera\n")
+    assert [place.name for place in find_clips(tmp_path, tmp_path / "out")] == ["two", "walk"]
+
+
+def test_plates_of_names_that_mean_something_to_a_shell(tmp_path: Path) -> None:
+    touch(tmp_path / "walk [id7].mp4", tmp_path / "walk [id7]_plate.png", tmp_path / "walk i_plate.png")
+    assert plate_beside((tmp_path / "walk [id7].mp4",)) == tmp_path / "walk [id7]_plate.png"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "0.png", "f2.JPG", "f10.png", "Plate.png", "BACKGROUND.JPG", "walk_plate.png", "walk_Background.tif",
+        "plates.png", "template.png", "backplate.png", "plate_1.png", "._0.png", "._plate.png",
+        ".hidden.png", "notes.txt",
+    ],
+)  # fmt: skip
+def test_a_picture_is_a_frame_a_plate_or_neither(tmp_path: Path, name: str) -> None:
+    """By the same rule wherever a folder of pictures is read, and what is no frame for its name is the plate."""
+    touch(tmp_path / "f1.png", tmp_path / name)
+    frames = resolve_source(tmp_path, None)[0]
+    assert frames == footage_files(tmp_path)
+    picture = not name.startswith(".") and not name.endswith(".txt")
+    assert plate_beside(frames) == (tmp_path / name if picture and tmp_path / name not in frames else None)
+
+
+def test_the_plate_with_the_plain_name_goes_first(tmp_path: Path) -> None:
+    touch(tmp_path / "frames" / "0.png", tmp_path / "Plate.png", tmp_path / "plate.png", tmp_path / "walk_plate.png")
+    files = resolve_source(tmp_path, None)[0]
+    assert plate_beside(files) == tmp_path / "plate.png"
+    touch(tmp_path / "frames" / "walk_plate.png")
+    assert plate_beside(files) == tmp_path / "frames" / "walk_plate.png"
+    touch(tmp_path / "frames" / "Background.png")
+    assert plate_beside(files) == tmp_path / "frames" / "Background.png"
+
+
+def test_hidden_files_are_no_clips(tmp_path: Path) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "._walk.mp4")
+    assert resolve_source(tmp_path, None)[0] == (tmp_path / "walk.mp4",)
+    assert [place.source.name for place in find_clips(tmp_path, tmp_path / "out")] == ["walk.mp4"]

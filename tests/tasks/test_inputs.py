@@ -1,15 +1,16 @@
-"""What a user hands over: a calibration file is taken by its numbers."""
+"""What a user hands over: a calibration file is taken by its numbers, and what was said in vain is told."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.media.pictures import write_png
-from tasks.inputs import take_inputs
+from tasks.inputs import assumptions, take_inputs
 
 
 def calibrated(folder: Path, distortion: list[float]) -> tuple[Path, Path]:
@@ -32,3 +33,49 @@ def test_single_pictures_are_not_undistorted(tmp_path: Path) -> None:
     picture, clip = calibrated(tmp_path, [-0.3, 0.1, 0.0, 0.0])
     with pytest.raises(InputError, match=r"this lens distorts; undistort .* or use `hfb video`"):
         take_inputs([picture], picture, RunConfig(), clip)
+
+
+def photographed(folder: Path, exposure_s: float | None, clip: str) -> list[str]:
+    """What `hfb fit` remarks on a picture with this record and this clip.toml."""
+    exif = Image.Exif()
+    if exposure_s is not None:
+        exif.get_ifd(0x8769)[0x829A] = exposure_s
+    Image.new("RGB", (30, 20)).save(folder / "f.jpg", exif=exif)
+    (folder / "clip.toml").write_text("[camera]\nfocal_px = 40\n" + clip)
+    return assumptions(
+        take_inputs([folder / "f.jpg"], folder / "f.jpg", RunConfig(), folder / "clip.toml"), RunConfig()
+    )
+
+
+@pytest.mark.parametrize(
+    ("exposure_s", "clip", "said"),
+    [
+        (None, "", "no exposure given: assuming"),
+        (0.02, "", "no exposure given: assuming"),  # a record counts where it is asked for
+        (0.02, "[exposure]\nfps = 25", "no exposure given: assuming"),
+        (0.02, "[exposure]\nposition = 'start'", "no exposure given: assuming"),
+        (None, "[exposure]\nauto = true", "no exposure given, and the first picture does not tell it: assuming"),
+        (0.02, "[exposure]\nauto = true", None),
+        (None, "[exposure]\nseconds = 0.01", None),
+        (None, "[exposure]\nshutter_angle = 180", None),
+    ],
+)
+def test_an_exposure_is_assumed_only_where_none_is_known(
+    tmp_path: Path, exposure_s: float | None, clip: str, said: str | None
+) -> None:
+    remarks = photographed(tmp_path, exposure_s, clip)
+    assert len(remarks) == (said is not None)
+    assert said is None or remarks[0].startswith(said)
+
+
+def test_what_a_fit_does_not_use_is_said(tmp_path: Path) -> None:
+    told = "[exposure]\nseconds = 0.01\nposition = 'end'\n[person]\nbox = [1, 1, 5, 5]\n"
+    (tmp_path / "clip.toml").write_text(
+        "video = 'nowhere.mp4'\nstart = 7\nstop_s = 2.5\nbackground = 'median'\n" + told
+    )
+    write_png(tmp_path / "f.png", np.zeros((48, 64, 3), np.float32))
+    taken = take_inputs([tmp_path / "f.png"], tmp_path / "f.png", RunConfig(), tmp_path / "clip.toml")
+    assert assumptions(taken, RunConfig())[1:] == [
+        "`hfb fit` does not use what clip.toml says of video, start, stop_s, background, person, exposure.position: "
+        "that is for `hfb video`"
+    ]

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from hfb.clip import Clip
 from hfb.config import CameraConfig, ExposureConfig
@@ -46,6 +47,18 @@ def test_option_over_clip_over_guess(picture: FileHandle) -> None:
     chosen = prepared(picture, clip, focal_px=60, fps=25, seconds=0.005)
     assert chosen.K == ((60, 0, 15), (0, 60, 20), (0, 0, 1))
     assert (chosen.interval_s, chosen.exposure_s) == (pytest.approx(0.04), 0.005)
+
+
+def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, picture: FileHandle) -> None:
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0x829A] = 0.008
+    Image.new("RGB", (30, 40)).save(tmp_path / "f.jpg", exif=exif)
+    photograph = FileHandle.of(tmp_path / "f.jpg")
+    auto = {"exposure": {"fps": 50, "auto": True}}
+    assert prepared(photograph, auto).exposure_s == pytest.approx(0.008)
+    assert prepared(photograph, auto, seconds=0.005).exposure_s == 0.005
+    assert prepared(photograph, {"exposure": {"fps": 50}}).exposure_s == pytest.approx(0.02)
+    assert prepared(picture, auto).exposure_s == pytest.approx(0.02)  # it does not tell
 
 
 @pytest.mark.parametrize(

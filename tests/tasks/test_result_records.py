@@ -5,12 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from prefect import flow, task
 from prefect.filesystems import LocalFileSystem
-from prefect.results import ResultStore
+from prefect.results import ResultStore, get_result_store
 from prefect.serializers import JSONSerializer, PickleSerializer
 
 from tasks.handles import FileHandle
-from tasks.result_records import drop_foreign
+from tasks.result_records import drop_foreign, records_in
+from tests.orchestration import orchestrated
 
 
 class Attack:
@@ -41,6 +43,22 @@ def test_a_pickled_record_is_removed_before_prefect_runs_it(tmp_path: Path) -> N
     assert drop_foreign(tmp_path / "records") == 1
     assert not (tmp_path / "records" / "hfb-find_matte-0").exists()
     assert not attack.target.exists()
+
+
+def test_a_flow_within_another_keeps_its_own_records(tmp_path: Path) -> None:
+    """As `hfb batch` runs clips, and a deployment any flow."""
+    place = str(tmp_path / "clip" / "records")
+
+    def kept() -> str:
+        return str(get_result_store().result_storage.basepath)
+
+    def nested() -> tuple[str, str]:
+        with records_in(tmp_path / "clip"):
+            return flow(kept, persist_result=False)(), kept_by_task()
+
+    kept_by_task = task(kept, name="kept")
+    with orchestrated(tmp_path, pytest.MonkeyPatch()):
+        assert flow(nested, persist_result=False)() == (place, place)
 
 
 def test_our_own_records_stay(tmp_path: Path) -> None:
