@@ -31,7 +31,7 @@ _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is trie
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
 _CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
 _REFINEMENT = (Stage(64, 40, 0.02, shape=False), Stage(_COMPARE_PX, 30, 0.015))
-_ABOUT_AS_GOOD = 0.05  # a smear hardly shows a pose: the one found at rest is nearer to the truth
+_ABOUT_AS_GOOD = 0.03  # a smear hardly shows a pose: the one found at rest is nearer to the truth
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 

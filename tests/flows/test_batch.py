@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from flows.batch import batch
-from flows.cli import main
 from hfb.errors import InputError
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_clip, small_config
@@ -66,7 +65,7 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
 
 
 def test_what_no_clip_can_mend(folder: Path, store: Path, tmp_path: Path) -> None:
-    """An option's file that is missing ends the batch; a place that is taken is tried again; the exit code tells."""
+    """An option's file that is missing ends the batch; a place that is taken is tried again."""
     options = small_config().model_dump(mode="json")
     options["prior"]["motion"] = str(tmp_path / "none.safetensors")
     with pytest.raises(InputError, match=r"none\.safetensors does not exist"):
@@ -78,8 +77,8 @@ def test_what_no_clip_can_mend(folder: Path, store: Path, tmp_path: Path) -> Non
     out = tmp_path / "out"
     out.mkdir(exist_ok=True)
     (out / "walk").write_text("a file where the result belongs")
-    pace = ["--workers", "1", "--attempts", "2", "--wait", "1", "--quiet"]
-    assert main(["batch", str(folder), "--out", str(out), *pace]) == 1
+    options["prior"]["motion"] = None
+    assert batch(folder, out, options, workers=1, attempts=2, wait_s=0.1)["set_aside"] == 1
     ledger = json.loads((out / "batch.json").read_text())["walk"]
     assert (ledger["attempts"], ledger["status"]) == (2, "set aside")
     assert "is a file" in ledger["reason"]
