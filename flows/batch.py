@@ -14,10 +14,10 @@ from prefect import flow
 
 from flows.people import run_clip
 from flows.reaper import end_abandoned_flow_runs, mark_owner
-from flows.workplace import RESULT, workplace
+from flows.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import InputError, NotNow, ServerLost, Unavailable
-from hfb.export.names import REPORT
+from hfb.export.names import REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking

@@ -222,8 +222,8 @@ def _synth(given: argparse.Namespace) -> None:
 
         return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
 
-    made = through_prefect(given, out, load)
-    tell(given, made, f"{made['count']} cases ({made['skipped']} left out) in {made['out']}")
+    result = through_prefect(given, out, load)
+    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
 
 
 def _benchmark(given: argparse.Namespace) -> None:

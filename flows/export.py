@@ -13,10 +13,10 @@ from hfb.errors import InputError
 from hfb.export.files import Exported, write_motion_file
 from hfb.export.mesh_files import write_meshes
 from hfb.export.motion_file import load_motion
-from hfb.export.names import NEEDS_BODY, check_formats
+from hfb.export.names import NEEDS_BODY, RESULT, check_formats
 from tasks import progress
 from tasks.fitted_body import fitted_body, named_body
-from tasks.found_result import RESULT, TEXTURE, FoundResult, found_result
+from tasks.found_result import TEXTURE, FoundResult, found_result
 
 MESHES = "meshes"
 

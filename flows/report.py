@@ -12,11 +12,11 @@ from flows.workplace import INTERMEDIATE, check_writable
 from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
-from hfb.export.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT
+from hfb.export.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
 from tasks import progress, tracking
 from tasks.fitted_body import fitted_body, named_body
-from tasks.found_result import RESULT, TEXTURE, FoundResult, found_result
+from tasks.found_result import TEXTURE, FoundResult, found_result
 from tasks.handles import FileHandle, sha256_of
 from tasks.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from tasks.store_place import check_store, tracking_uri

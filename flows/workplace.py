@@ -17,12 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError, NotNow
-from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT
+from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import sha256_of
 
 INTERMEDIATE = "intermediate"
-RESULT = "result.json"
 _OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
 _ONLY_SOMETIMES = ("alternatives.npz", REPORT, *EXPORTED_NAMES)  # an earlier result may have had more
 _MATTE = re.compile(r"matte_\d+\.png")

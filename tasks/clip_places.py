@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError
+from hfb.export.names import RESULT
+from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
 from tasks.handles import FileHandle, StaleFile
 
 CLIP_FILE = "clip.toml"
 VIDEOS = {
     ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".ts", ".wmv", ".mxf", ".gif",
 }  # fmt: skip
-PICTURES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"}
 _FRAMES_FOLDER = "frames"
 _PLATE_NAMES = ("background", "plate")
-_PLATE = re.compile(r"(.*_)?(plate|background)", re.IGNORECASE)
-"""As in `hfb.media.picture_files`, which takes seconds to import; a test holds the two together."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +66,8 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
         raise InputError(f"{folder} is no folder: give one that holds clips")
     results = out.resolve()
     named: dict[str, list[ClipPlace]] = {}
-    for path in sorted(folder.iterdir(), key=_natural):
-        place = None if path.resolve() == results or _hidden(path) else _clip_at(path)
+    for path in natural_order(folder.iterdir()):
+        place = None if path.resolve() == results or is_hidden(path) else _clip_at(path)
         if place is not None:
             named.setdefault(place.name, []).append(place)
     return tuple(place for name, same in named.items() for place in _told_apart(same, results / name))
@@ -120,7 +118,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = json.loads((result / "result.json").read_bytes())["inputs"]["video"]
+        sha256 = json.loads((result / RESULT).read_bytes())["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False
@@ -152,21 +150,21 @@ def plate_beside(files: Sequence[Path]) -> Path | None:
     """The background that lies with a clip as a picture, in small or capital letters.
 
     NAME_plate, background or plate beside the video NAME; background or plate in the folder of pictures, another that
-    is a plate by its name (see `hfb.media.picture_files.footage_files`) there, or background or plate one folder up.
+    is a plate by its name there, or background or plate one folder up.
     """
     first = files[0]
-    if first.suffix.lower() not in PICTURES:
+    if first.suffix.lower() not in PICTURE_SUFFIXES:
         return _picture_called((f"{first.stem}_plate", *_PLATE_NAMES), first.parent)
     return (
         _picture_called(_PLATE_NAMES, first.parent)
-        or next((path for path in _pictures(first.parent) if _is_plate(path)), None)
+        or next((path for path in pictures_in(first.parent) if is_plate(path)), None)
         or _picture_called(_PLATE_NAMES, first.parent.parent)
     )
 
 
 def _picture_called(names: Sequence[str], folder: Path) -> Path | None:
     """The first of these names that a picture has; the very spelling goes before other letter cases."""
-    pictures = _pictures(folder)
+    pictures = pictures_in(folder)
     for name in names:
         found = [path for path in pictures if path.stem.lower() == name.lower()]
         if found:
@@ -185,35 +183,13 @@ def _named_video(clip: Path) -> tuple[Path, ...] | None:
 
 def _inside(folder: Path) -> tuple[Path, ...]:
     """The one video of a folder, or its pictures in their natural order (those of ``frames/`` where there is one)."""
-    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS and not _hidden(path))
+    videos = sorted(path for path in folder.iterdir() if path.suffix.lower() in VIDEOS and not is_hidden(path))
     if len(videos) == 1:
         return (videos[0],)
     if videos:
         raise InputError(f"{folder} holds {len(videos)} videos: name one, or write `video = ...` into its {CLIP_FILE}")
     place = folder / _FRAMES_FOLDER if (folder / _FRAMES_FOLDER).is_dir() else folder
-    frames = tuple(path for path in _pictures(place) if not _is_plate(path))
+    frames = tuple(path for path in pictures_in(place) if not is_plate(path))
     if not frames:
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")
     return frames
-
-
-def _pictures(folder: Path) -> list[Path]:
-    """The pictures of a folder in their natural order; none where it cannot be read."""
-    found = (path for path in folder.glob("*") if path.suffix.lower() in PICTURES and not _hidden(path))
-    return sorted(found, key=_natural)
-
-
-def _is_plate(path: Path) -> bool:
-    """A picture of the empty scene, by its name: it is no frame."""
-    return _PLATE.fullmatch(path.stem) is not None
-
-
-def _hidden(path: Path) -> bool:
-    """Such as the ._NAME that macOS puts beside NAME on foreign disks."""
-    return path.name.startswith(".")
-
-
-def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-    """frame_10 after frame_9."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in parts], path.name

@@ -62,5 +62,5 @@ def fit_motion(
         directions=directions,
         seconds=result.seconds,
         best_iteration=result.best_iteration,
-        loss=result.history["total"][result.best_iteration] if result.history else 0.0,
+        loss=result.loss,
     )

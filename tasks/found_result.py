@@ -14,7 +14,7 @@ from hfb.errors import InputError
 if TYPE_CHECKING:
     from tasks.stored_runs import StoredRun
 
-MOTION, RESULT, TEXTURE = "motion.npz", "result.json", "texture.png"
+MOTION, TEXTURE = "motion.npz", "texture.png"
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ FILM_NAMES: dict[Film, str] = {
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
 
+RESULT = "result.json"
+"""The facts of a finished result; it is there last."""
+
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 

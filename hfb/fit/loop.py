@@ -60,6 +60,11 @@ class FitResult:
     alternatives: Alternatives | None = None
     joint_features: dict[str, Float[Array, "R 24"]] = field(default_factory=dict)
 
+    @property
+    def loss(self) -> float:
+        """The kept iterate's; 0 where none was asked for."""
+        return self.history["total"][self.best_iteration] if self.history else 0.0
+
 
 def fit(
     observation: Observation,

@@ -144,7 +144,7 @@ def fit_window(
         betas=torch.from_numpy(found.motion.betas).float(),
         texture=found.texture if person is None else None,
         joint_radius_mm=None if radius is None else radius.reshape(len(window.frames), config.subframes, 24),
-        loss=found.history["total"][found.best_iteration] if found.history else 0.0,
+        loss=found.loss,
         seconds=found.seconds,
         history=found.history,
     )

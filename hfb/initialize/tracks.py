@@ -49,6 +49,29 @@ class Track:
         return np.isfinite(self.boxes).all(1)
 
 
+@dataclass(frozen=True)
+class ClipFrames:
+    """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
+
+    Attributes:
+        count: T. first: of the video's frames. average: how many of them make a picture.
+        height, width: of the pictures [px]; boxes outside of them are of nobody seen.
+    """
+
+    count: int
+    first: int = 0
+    average: int = 1
+    height: float = np.inf
+    width: float = np.inf
+
+    def place(self, frame: int, box: Float[Array, "4"]) -> int | None:
+        """The number of the picture that shows this box of the video's frame; None where none does."""
+        left, top, right, bottom = box
+        in_view = max(left, 0) < min(right, self.width) and max(top, 0) < min(bottom, self.height)
+        number = (frame - self.first) // self.average
+        return number if np.isfinite(box).all() and in_view and 0 <= number < self.count else None
+
+
 def find_tracks(
     frames: Iterable[Float[Array, "H W 3"]],
     plate: Float[Array, "H W 3"],
@@ -173,32 +196,6 @@ def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice
         for low, side in ((0, width), (1, height))
     )
     return slice(top, bottom), slice(left, right)
-
-
-@dataclass(frozen=True)
-class ClipFrames:
-    """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
-
-    Attributes:
-        count: T. first: of the video's frames. average: how many of them make a picture.
-        height, width: of the pictures [px]; boxes outside of them are of nobody seen.
-    """
-
-    count: int
-    first: int = 0
-    average: int = 1
-    height: float = np.inf
-    width: float = np.inf
-
-    def place(self, frame: int, box: Float[Array, "4"]) -> int | None:
-        """The number of the picture that shows this box of the video's frame; None where none does."""
-        if not np.isfinite(box).all() or not ((box[2:] > np.maximum(box[:2], 0)).all() and self._begins_inside(box)):
-            return None
-        number = (frame - self.first) // self.average
-        return number if 0 <= number < self.count else None
-
-    def _begins_inside(self, box: Float[Array, "4"]) -> bool:
-        return bool(box[0] < self.width and box[1] < self.height)
 
 
 def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Track:

@@ -13,8 +13,9 @@ from typing import Literal
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.footage_names import PICTURE_SUFFIXES
 from hfb.media.lens import Lens
-from hfb.media.picture_files import PICTURE_SUFFIXES, footage_files, one_size
+from hfb.media.picture_files import footage_files, one_size
 from hfb.media.pictures import read_picture_srgb, recorded_exposure
 from hfb.media.video_index import OnProgress, VideoIndex, index_video
 from hfb.media.video_packets import ASSUMED_FPS

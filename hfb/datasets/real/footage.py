@@ -14,6 +14,7 @@ import numpy as np
 
 from hfb.clip import Clip, read_clip
 from hfb.errors import InputError
+from hfb.media.footage_names import PICTURE_SUFFIXES
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
 from hfb.media.video_file import open_video
@@ -21,7 +22,6 @@ from hfb.photometry import as_srgb, srgb_to_linear
 from hfb.shapes import Array, Bool, Float
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
-_PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 _LEAST_PICTURES = 8
 _ASSUMED_FPS = 30.0
 _JITTER = 0.25  # of a frame interval: containers round their times to milliseconds, dropped frames are off by 1
@@ -106,7 +106,7 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
     Raises:
         InputError: no video, too short, pictures missing in between, or a clip.toml that is wrong.
     """
-    if not pictures and path.suffix.lower() in _PICTURE_SUFFIXES:
+    if not pictures and path.suffix.lower() in PICTURE_SUFFIXES:
         pictures = dict(_picture_runs(path.parent)).get(path, ())
     stem = _stem_of_pictures(pictures) if pictures else path.stem
     clip = _clip_beside(path, stem)
@@ -122,7 +122,7 @@ def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
     """Every (first file, pictures) in the order of their paths."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     videos: list[tuple[Path, tuple[Path, ...]]] = [(p, ()) for p in files if p.suffix.lower() in VIDEO_SUFFIXES]
-    for inner in sorted({path.parent for path in files if path.suffix.lower() in _PICTURE_SUFFIXES}):
+    for inner in sorted({path.parent for path in files if path.suffix.lower() in PICTURE_SUFFIXES}):
         videos += _picture_runs(inner)
     return sorted(videos)
 
@@ -132,7 +132,7 @@ def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
     runs: dict[tuple[str, str], list[tuple[int, Path]]] = {}
     for path in sorted(folder.iterdir()):
         numbered = _NUMBERED.fullmatch(path.stem)
-        if numbered and path.suffix.lower() in _PICTURE_SUFFIXES and path.is_file() and len(numbered[2]) < 18:
+        if numbered and path.suffix.lower() in PICTURE_SUFFIXES and path.is_file() and len(numbered[2]) < 18:
             runs.setdefault((numbered[1], path.suffix.lower()), []).append((int(numbered[2]), path))
     ordered = [tuple(path for _, path in sorted(run)) for run in runs.values() if len(run) >= _LEAST_PICTURES]
     return sorted((run[0], run) for run in ordered)

@@ -1,0 +1,37 @@
+"""Which files of a folder are frames, and which the empty scene, by their names alone. Light to import."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+_PLATE_NAME = re.compile(r"(.*_)?(plate|background)", re.IGNORECASE)
+
+
+def natural_order(paths: Iterable[Path]) -> list[Path]:
+    """By name, numbers in it as numbers: ``f2.png`` before ``f10.png``."""
+
+    def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+        parts = re.split(r"(\d+)", path.name)
+        return [
+            (0, int(part[:18]), "") if part.isdigit() else (1, 0, part.lower()) for part in parts if part
+        ], path.name
+
+    return sorted(paths, key=key)
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures of a folder in their natural order; none where it cannot be read."""
+    return natural_order(
+        path for path in folder.glob("*") if path.suffix.lower() in PICTURE_SUFFIXES and not is_hidden(path)
+    )
+
+
+def is_plate(path: Path) -> bool:
+    """A picture of the empty scene that lies among the frames is none of them."""
+    return _PLATE_NAME.fullmatch(path.stem) is not None
+
+
+def is_hidden(path: Path) -> bool:
+    """Such as the ._NAME that macOS puts beside NAME on foreign disks."""
+    return path.name.startswith(".")
