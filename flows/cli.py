@@ -71,6 +71,7 @@ def _parsed(words: list[str]) -> argparse.Namespace:
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
         hint = f"did you mean {close[0]}?" if close else f"see `{given.command.prog} --help`"
         raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
+    given.words = words
     return given
 
 
@@ -214,6 +215,8 @@ def _synth(given: argparse.Namespace) -> None:
     if given.set == "clip":
         clips.synth_clip(given)
         return
+    if given.mp4:
+        raise InputError("the cases of a set are pictures: leave --mp4 out, or take `hfb synth clip`")
     spec = judging.set_spec(given, given.frames)
     out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
 

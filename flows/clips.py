@@ -11,6 +11,7 @@ from typing import Any
 from flows.judging import add_worker_flags, positive
 from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
+from hfb.errors import InputError
 from tasks.engine import engine_of
 
 VIDEO_KEYS = (
@@ -18,6 +19,7 @@ VIDEO_KEYS = (
     "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
     "people",
 )  # fmt: skip
+_OF_A_SYNTHETIC_CLIP = ("--mp4", "--frames", "--seed", "--size", "--out", "--json", "--quiet", "--verbose")
 _PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
 
 
@@ -95,7 +97,14 @@ def batch(given: argparse.Namespace) -> int:
 
 
 def synth_clip(given: argparse.Namespace) -> None:
-    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame."""
+    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame.
+
+    Raises:
+        InputError: an option is for the cases of a set.
+    """
+    flags = [word.partition("=")[0] for word in given.words if word.startswith("--")]
+    if other := next((flag for flag in flags if flag not in _OF_A_SYNTHETIC_CLIP), None):
+        raise InputError(f"`hfb synth clip` makes one clip, and {other} is for the cases of a set: leave it out")
     out = given.out or Path("runs/clip")
     with surrounded(given, out, recorded=False):
         from tasks import progress
