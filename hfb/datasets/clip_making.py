@@ -4,6 +4,7 @@ Frame by frame to the disk: memory does not grow with the length. The same bytes
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,11 @@ from hfb.datasets.scenery import draw_scenery
 from hfb.datasets.shooting import NO_NOISE, Sensor
 from hfb.datasets.viewpoints import PlacedCamera, View, front_of, in_camera, place
 from hfb.determinism import one_torch_thread
+from hfb.errors import NotNow
 from hfb.export.motion_file import save_motion
 from hfb.formation import compose
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.footage_names import pictures_in
 from hfb.media.pictures import write_png
 from hfb.media.video_writing import VideoWriter
 from hfb.motion.clock import subframe_times_s
@@ -37,6 +40,9 @@ _EVERY = 13
 _AT_ONCE = 11
 _MARGIN_S = 0.1
 _NOISE = Sensor(0.003, 0.00005, 0.3)
+_BESIDE_FRAMES = ("background.png", "clip.toml", "truth.npz")
+_MADE = re.compile(r"# made by `hfb synth clip`: (\d{1,7}) frames(, clip\.mp4)?\n")
+"""First line of a made clip.toml: tells which files beside it may be replaced."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,11 @@ def make_clip(
         leaves: (first, last) frame in which nobody is there.
         noise: of the sensor.
         on_progress: called after every frame with (frames done, of how many).
+
+    Raises:
+        NotNow: files lie there that no earlier call of this has put there.
     """  # noqa: E501
+    _make_room(folder)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 3]))
     for_person, for_scenery, for_motion, for_sensor = rng.spawn(4)
     body = load_default_body()
@@ -91,13 +101,43 @@ def make_clip(
         seen = _film(motion, body, betas, height, width, for_motion)
         gone = set(range(leaves[0], leaves[1] + 1)) if leaves else set()
         sensor = _NOISE if noise else NO_NOISE
-        folder.mkdir(parents=True, exist_ok=True)
+        # First of all, so that a clip that was stopped half-way is known for ours.
+        write_bytes_atomic(folder / "clip.toml", _clip_toml(seen.lens, fps, shutter, frames, video).encode())
         write_png(folder / "background.png", sensor.expose(plate, for_sensor, sensor.plate_share))
         pictures = _expose(seen, body, scenery.texture_linear, plate, gone, sensor, for_sensor, on_progress)
         source = _store(folder, pictures, fps, video)
     save_motion(folder / "truth.npz", _without(seen.motion, gone), body.betas_space)
-    write_bytes_atomic(folder / "clip.toml", _clip_toml(seen.lens, fps, shutter).encode())
     return MadeClip(source, folder / "background.png", folder / "clip.toml", folder / "truth.npz")
+
+
+def _make_room(folder: Path) -> None:
+    """Take away what an earlier clip left: of a longer one frames would stay, of another kind all of them."""
+    ours, there = _made_before(folder), {name for name in (*_BESIDE_FRAMES, "clip.mp4") if (folder / name).exists()}
+    there |= {f"frames/{path.name}" for path in pictures_in(folder / "frames")}
+    if strange := sorted(there - ours):
+        raise NotNow(
+            f"{folder} holds {strange[0]}, which `hfb synth clip` did not put there: "
+            "move it away, or choose another --out"
+        )
+    for name in there - {"clip.toml"}:  # which tells that they are ours, until it is replaced
+        (folder / name).unlink()
+
+
+def _made_before(folder: Path) -> set[str]:
+    """The files of an earlier clip, by what its clip.toml says."""
+    try:
+        with (folder / "clip.toml").open(encoding="utf-8", errors="replace") as file:
+            made = _MADE.fullmatch(file.readline(80))
+    except OSError:
+        return set()
+    if made is None:
+        return set()
+    frames = ["clip.mp4"] if made[2] else [_frame_name(number) for number in range(int(made[1]))]
+    return {*_BESIDE_FRAMES, *frames}
+
+
+def _frame_name(number: int) -> str:
+    return f"frames/{number:05d}.png"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +240,7 @@ def _store(folder: Path, pictures: Iterator[Float[Array, "H W 3"]], fps: float, 
                 writer.write(picture)
         return folder / "clip.mp4"
     for number, picture in enumerate(pictures):
-        write_png(folder / "frames" / f"{number:05d}.png", picture)
+        write_png(folder / _frame_name(number), picture)
     return folder / "frames"
 
 
@@ -212,6 +252,7 @@ def _without(motion: SampledMotion, gone: set[int]) -> SampledMotion:
     )  # fmt: skip
 
 
-def _clip_toml(lens: PinholeCamera, fps: float, shutter: float) -> str:
+def _clip_toml(lens: PinholeCamera, fps: float, shutter: float, frames: int, video: bool) -> str:
+    made = f"# made by `hfb synth clip`: {frames} frames{', clip.mp4' if video else ''}\n"
     K = [[float(value) for value in row] for row in lens.matrix().tolist()]
-    return f"[camera]\nK = {K}\n\n[exposure]\nfps = {fps!r}\nshutter_fraction = {shutter!r}\n"
+    return f"{made}[camera]\nK = {K}\n\n[exposure]\nfps = {fps!r}\nshutter_fraction = {shutter!r}\n"

@@ -7,6 +7,7 @@ import pytest
 
 from hfb.clip import read_clip
 from hfb.datasets.clip_making import make_clip
+from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.media.footage import open_footage
 from hfb.media.pictures import read_picture_srgb
@@ -53,3 +54,27 @@ def test_a_long_clip_never_stands_or_jumps(tmp_path: Path) -> None:
     truth, _ = load_motion(made.truth)
     assert truth.times_s[-1] > 7
     assert np.isfinite(truth.joints).all()
+
+
+def test_nothing_of_an_earlier_clip_stays(tmp_path: Path) -> None:
+    (tmp_path / "frames").mkdir()
+    (tmp_path / "frames" / "notes.txt").write_text("mine")
+    make_clip(tmp_path, 3, 32, 48, instants=8)
+    (tmp_path / "truth.npz").unlink()  # as if it had been stopped half-way
+    assert open_footage(make_clip(tmp_path, 2, 32, 48, instants=8).source).count == 2
+    make_clip(tmp_path, 2, 32, 48, instants=8, video=True)
+    assert [path.name for path in (tmp_path / "frames").iterdir()] == ["notes.txt"]
+    make_clip(tmp_path, 2, 32, 48, instants=8)
+    assert not (tmp_path / "clip.mp4").exists()
+
+
+@pytest.mark.parametrize("name", ["frames/00002.png", "frames/IMG_1.JPG", "clip.mp4", "truth.npz", "clip.toml"])
+def test_what_somebody_else_put_there_stays(tmp_path: Path, name: str) -> None:
+    if name not in ("clip.toml", "truth.npz"):  # beside a clip of ours too
+        make_clip(tmp_path, 2, 32, 48, instants=8)
+    (tmp_path / name).write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match=rf"holds {name}, .*move it away, or choose another --out"):
+        make_clip(tmp_path, 5, 32, 48, instants=8)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / name).read_text() == "mine"
