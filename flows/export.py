@@ -11,7 +11,7 @@ from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.export.files import Exported, write_motion_file
-from hfb.export.mesh_files import write_meshes
+from hfb.export.mesh_files import earlier_meshes, write_meshes
 from hfb.export.motion_file import load_motion
 from hfb.export.names import NEEDS_BODY, RESULT, check_formats
 from tasks import progress
@@ -43,8 +43,8 @@ def export_result(
         ``out``, ``files`` (name: bytes), how many ``meshes``, and whose betas they are.
 
     Raises:
-        InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, or
-            films are asked for and the pictures are gone.
+        InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, films
+            are asked for and the pictures are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
     with found_result(source, (TEXTURE, RESULT)) as place:
@@ -54,6 +54,8 @@ def export_result(
         texture = (place.folder / TEXTURE).read_bytes() if (place.folder / TEXTURE).is_file() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / "export")
+        for form in meshes:
+            earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
         written = _draw_films(folder, films, place, exported, inputs) if films else []
         if formats:
             with progress.step("motion files"):

@@ -3,6 +3,7 @@
 Large (about 1 MB an .obj), hence on request only. Pose correctives of the model are in it, unlike in motion.glb.
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import torch
 
 from hfb.body.model import Body, ShapedBody
 from hfb.config import MeshFormat
+from hfb.errors import NotNow
 from hfb.media.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
 from hfb.rotations import axis_angle_to_matrix
@@ -19,6 +21,8 @@ from hfb.shapes import Array, Float
 
 _MATERIAL, _TEXTURE = "person.mtl", "texture.png"
 _Y_UP = np.array([1.0, -1.0, -1.0])
+_NAME = re.compile(r"frame_\d{4,}_sub_\d{2,}\.(obj|ply)")
+_MARK = "hfb, metres, y up"
 
 
 def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
@@ -27,14 +31,33 @@ def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
     return f"frame_{frame:04d}_sub_{row - int(motion.rows_of(frame)[0]):02d}.{form}"
 
 
+def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
+    """What an earlier export left: of a longer one, meshes would stay among the new ones.
+
+    Raises:
+        NotNow: a file of such a name is not from hfb.
+    """
+    named = [path for path in sorted(folder.glob(f"frame_*.{form}")) if _NAME.fullmatch(path.name)]
+    for path in named:
+        with path.open("rb") as file:
+            if _MARK.encode() not in file.read(80):
+                raise NotNow(f"{path} is not from this version of hfb: move it away, or choose another --out")
+    return named
+
+
 def write_meshes(
     folder: Path, motion: SampledMotion, body: Body, form: MeshFormat, texture_png: bytes | None = None
 ) -> Iterator[Path]:
-    """Write one file per sub-frame, each whole or not at all; yields them as they are finished.
+    """Write one file per sub-frame in place of earlier ones, each whole or not at all; yields each when it is finished.
 
     Args:
         texture_png: the person's texture as an sRGB picture; .obj files refer to it.
+
+    Raises:
+        NotNow: see `earlier_meshes`.
     """
+    for earlier in earlier_meshes(folder, form):
+        earlier.unlink()
     shaped = body.shape(torch.from_numpy(motion.betas).to(body.template.dtype))
     textured = form == "obj" and texture_png is not None
     if textured:
@@ -70,7 +93,7 @@ def _obj_surface(body: Body, textured: bool) -> bytes:
 
 
 def _obj(vertices: Float[Array, "V 3"], surface: bytes, textured: bool) -> bytes:
-    head = f"mtllib {_MATERIAL}\n" if textured else ""
+    head = f"# {_MARK}\n" + (f"mtllib {_MATERIAL}\n" if textured else "")
     return (head + "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices)).encode() + surface
 
 
@@ -80,7 +103,7 @@ def _ply_surface(body: Body) -> bytes:
 
 def _ply(vertices: Float[Array, "V 3"], surface: bytes) -> bytes:
     head = (
-        f"ply\nformat binary_little_endian 1.0\ncomment hfb, metres, y up\nelement vertex {len(vertices)}\n"
+        f"ply\nformat binary_little_endian 1.0\ncomment {_MARK}\nelement vertex {len(vertices)}\n"
         "property float x\nproperty float y\nproperty float z\n"
         f"element face {len(surface) // struct.calcsize('<B3i')}\nproperty list uchar int vertex_indices\nend_header\n"
     )

@@ -63,6 +63,27 @@ def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsy
     assert "meshes/" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("form", ["obj", "ply"])
+def test_meshes_of_a_longer_result_do_not_stay(form: str, result: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words, meshes = ["export", str(result), "--formats", form, "--json"], result / "export" / "meshes"
+    assert main(words) == 0
+    other = "ply" if form == "obj" else "obj"
+    for name in (f"frame_0001_sub_00.{other}", f"frame_of_mine.{form}"):
+        (meshes / name).write_text("mine")
+    kept = motion_of(load_default_body(torch.float64), frames=1)
+    save_motion(result / "motion.npz", kept, "hfb")
+    assert main(words) == 0
+    assert len(list(meshes.glob(f"frame_*_sub_*.{form}"))) == len(kept.poses) == said(capsys)["meshes"]
+    assert {path.read_text() for path in (meshes / f"frame_0001_sub_00.{other}", meshes / f"frame_of_mine.{form}")} == {
+        "mine"
+    }
+    (meshes / f"frame_0002_sub_00.{form}").write_text("mine")
+    before = {path: path.stat().st_mtime_ns for path in result.rglob("*")}
+    assert main(words) == 2
+    assert f"frame_0002_sub_00.{form} is not from this version of hfb: move it away" in said(capsys)["error"]
+    assert {path: path.stat().st_mtime_ns for path in result.rglob("*")} == before
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
