@@ -7,13 +7,14 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
+from flows.workplace import beside_result
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.export.files import Exported, write_motion_file
 from hfb.export.mesh_files import earlier_meshes, write_meshes
 from hfb.export.motion_file import load_motion
-from hfb.export.names import NEEDS_BODY, RESULT, check_formats
+from hfb.export.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
 from tasks import progress
 from tasks.fitted_body import fitted_body, named_body
 from tasks.found_result import TEXTURE, FoundResult, found_result
@@ -56,10 +57,11 @@ def export_result(
         folder = out or place.new_folder("export", place.folder / "export")
         for form in meshes:
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
-        written = _draw_films(folder, films, place, exported, inputs) if films else []
-        if formats:
-            with progress.step("motion files"):
-                written = [write_motion_file(folder, form, exported) for form in formats] + written
+        with beside_result(folder, [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]):
+            written = _draw_films(folder, films, place, exported, inputs) if films else []
+            if formats:
+                with progress.step("motion files"):
+                    written = [write_motion_file(folder, form, exported) for form in formats] + written
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     return {
         "out": str(folder.resolve()), "files": {path.name: path.stat().st_size for path in written}, "meshes": count,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.workplace import INTERMEDIATE, check_writable
+from flows.workplace import INTERMEDIATE, beside_result, check_writable
 from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
@@ -59,7 +59,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         }
         if run is not None:
             facts = {**facts, "mlflow_run_id": run.run_id, "mlflow_link": run.link}
-        with progress.step("report"):
+        with progress.step("report"), beside_result(folder, [REPORT]):
             write_page(parts, model, facts, versions, folder / REPORT)
     path = (folder / REPORT).resolve()
     return {"report": str(path), "bytes": path.stat().st_size, "film": film is not None, "surface": model is not None}

@@ -11,7 +11,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -105,13 +105,35 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
     staging.mkdir(exist_ok=True)
     for name, path in files.items():
         write_bytes_atomic(staging / name, path.read_bytes())
-    write_bytes_atomic(staging / RESULT, json.dumps(result, indent=2, allow_nan=False).encode() + b"\n")
+    write_bytes_atomic(staging / RESULT, _as_json(result))
     for stale in (out / name for name in ours - files.keys() if _is_a_name_of_hfb(name)):
         if stale.is_file() and not _is_one_of(inputs, stale):
             stale.unlink()
     for name in (*files, RESULT):
         (staging / name).replace(out / name)
     shutil.rmtree(staging)
+
+
+@contextmanager
+def beside_result(out: Path, names: Iterable[str]) -> Iterator[None]:
+    """Where files go that are made of a result later on: beside one they count as its own, and go when another comes.
+
+    Raises:
+        Busy: another process works there.
+    """
+    if _published(out, out) is None:
+        yield
+        return
+    with workplace(out):
+        yield
+        result = json.loads((out / RESULT).read_bytes())
+        if "files" in result:  # else they are known by their names
+            result["files"] = sorted({*result["files"], *names})
+            write_bytes_atomic(out / RESULT, _as_json(result))
+
+
+def _as_json(result: dict[str, Any]) -> bytes:
+    return json.dumps(result, indent=2, allow_nan=False).encode() + b"\n"
 
 
 def _published(folder: Path, out: Path) -> set[str] | None:

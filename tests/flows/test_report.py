@@ -63,6 +63,11 @@ def test_a_fit_leaves_its_page(problem: Problem, store: Path, tmp_path: Path) ->
     assert without["report"] is None
     assert not (out / "report.html").exists()
 
+    make_report(str(out), None)
+    assert (out / "report.html").exists()
+    run(problem, out, report=False)
+    assert not (out / "report.html").exists()  # it would show another fit
+
 
 def reported_clip(out: Path) -> dict[str, Any]:
     """The small clip, fitted before, with its page."""

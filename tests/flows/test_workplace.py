@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from flows import workplace as place
-from flows.workplace import Occupied, publish, workplace
+from flows.workplace import Occupied, beside_result, publish, workplace
 from tasks.handles import sha256_of
 
 
@@ -69,6 +69,19 @@ def test_a_result_of_a_version_that_wrote_no_names_down(tmp_path: Path) -> None:
     published(tmp_path, {"motion.npz": "2", "matte_0.png": "2"})
     kept = {"matte_holiday.png": "mine", "matte_.png": "mine", "curves.json": "1"}
     assert held(tmp_path) == kept | {"motion.npz": "2", "matte_0.png": "2"}
+
+
+def test_what_was_made_of_a_result_goes_with_it(tmp_path: Path) -> None:
+    """As the page of `hfb report`: it would show another fit."""
+    published(tmp_path, {"motion.npz": "1"})
+    (tmp_path / "overlay.mp4").write_text("mine")
+    with beside_result(tmp_path, ["report.html"]):
+        (tmp_path / "report.html").write_text("of 1")
+    assert json.loads((tmp_path / "result.json").read_text())["files"] == ["motion.npz", "report.html"]
+    published(tmp_path, {"motion.npz": "2"})
+    assert held(tmp_path) == {"motion.npz": "2", "overlay.mp4": "mine"}
+    with beside_result(tmp_path / "elsewhere", ["report.html"]):
+        assert not (tmp_path / "elsewhere").exists()
 
 
 @pytest.mark.parametrize("name", ["matte_0.png", "result.json"])
