@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hfb.errors import InputError
+from hfb.export.names import RESULT
+from hfb.media.footage_names import natural_order
 from tasks import tracking
 from tasks.secrets import without_secrets
 from tasks.store_place import tracking_uri
@@ -118,19 +120,37 @@ def _every_run(condition: str) -> Iterator[Any]:
 
 def _id_in(folder: Path) -> str:
     """The run of a result's folder."""
-    path = folder / "result.json"
+    told = _told_in(folder)
+    found = told.get("mlflow_run_id")
+    if isinstance(found, str):
+        return found
+    if "people" in told and (theirs := _recorded_in(folder)):
+        raise InputError(f"{folder} holds a run for each person: give {' or '.join(map(str, theirs))}")
+    raise InputError(f"{folder / RESULT} names no run, since it was not recorded in MLflow: run its own command again")
+
+
+def _recorded_in(folder: Path) -> list[Path]:
+    """The people of a clip whose runs were recorded; of some no motion may have been found."""
+    found = []
+    for one in natural_order(folder.glob("person-*")):
+        with suppress(InputError):
+            if isinstance(_told_in(one).get("mlflow_run_id"), str):
+                found.append(one)
+    return found
+
+
+def _told_in(folder: Path) -> dict[str, Any]:
+    """The content of a folder's result.json; nothing where it is no result's."""
+    path = folder / RESULT
     try:
         if path.stat().st_size > _RESULT_LIMIT_BYTES:
             raise ValueError("too large")
         content = json.loads(path.read_bytes())
     except FileNotFoundError:
-        raise InputError(f"{folder} has no result.json: give the folder of a finished result, or a run's id") from None
+        raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id") from None
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read ({error}): give the run's id") from None
-    found = content.get("mlflow_run_id") if isinstance(content, dict) else None
-    if not isinstance(found, str):
-        raise InputError(f"{path} names no run, since it was not recorded in MLflow: run its own command again")
-    return found
+    return content if isinstance(content, dict) else {}
 
 
 def _stored(run: Any) -> StoredRun:

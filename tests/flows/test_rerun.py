@@ -215,6 +215,22 @@ def test_runs_that_cannot_be_repeated(made: dict[str, Any], store: Path, tmp_pat
         plan_rerun(run_id)
 
 
+def test_everyone_of_a_clip_is_repeated_one_by_one(store: Path, tmp_path: Path) -> None:
+    for name, told in {
+        ".": {"people": []}, "person-10": {"mlflow_run_id": "0123"}, "person-2": {"mlflow_run_id": "4567"},
+        "person-3": {"mlflow_run_id": None}, "person-4": None,
+    }.items():  # fmt: skip
+        (tmp_path / "all" / name).mkdir(parents=True, exist_ok=True)
+        if told is not None:
+            (tmp_path / "all" / name / "result.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=r"a run for each person: give all/person-2 or all/person-10$"):
+        plan_rerun("all")
+    for name in ("person-2", "person-10"):
+        (tmp_path / "all" / name / "result.json").unlink()
+    with pytest.raises(InputError, match="names no run"):
+        plan_rerun("all")
+
+
 def test_options_of_another_version(made: dict[str, Any], store: Path, tmp_path: Path) -> None:
     (recipe,) = (tmp_path / "mlflow-artifacts").rglob(RECIPE)
     content = json.loads(recipe.read_text())
