@@ -9,6 +9,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.counted_frames import read_on
 from hfb.media.video_file import FRAME_LIMIT, check_size, open_video
 from hfb.media.video_packets import loss_of, rate_of, read_packets
 from hfb.media.video_pixels import is_deep, pixel_aspect, upright, zero_to_one
@@ -101,6 +102,10 @@ class VideoIndex:
 
     def _decoded(self, start: int, stop: int) -> Iterator[av.VideoFrame]:
         """Decoded frames by their stamps: the same ones, whether decoding begins at the start or not."""
+        if self.counted:
+            count = len(self.stamps)
+            yield from read_on(self.path, start, min(stop, count), count, lambda: self._from(None))
+            return
         wanted = self.stamps[start:stop]
         keys = self.keys[self.keys <= wanted[0]]
         # One key frame earlier than needed: what refers across a key frame (open groups) is complete then.

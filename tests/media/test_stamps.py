@@ -7,7 +7,9 @@ import av
 import numpy as np
 import pytest
 
+from hfb.media import video_index
 from hfb.media.footage import Footage, open_footage
+from hfb.media.video_file import open_video
 from tests.media.videos import numbers_in, picture, write_video
 
 FRAMES = [picture(number) for number in range(60)]
@@ -77,6 +79,30 @@ def test_stamps_in_the_order_of_decoding(tmp_path: Path) -> None:
     check_all_readable(footage)
     assert np.allclose(footage.times_s, np.arange(60) / 25)
     assert "has time stamps that do not fit its frames: frames are counted, 25 per second" in footage.remarks[0]
+
+
+def test_counted_frames_are_decoded_once_by_who_reads_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = made(tmp_path, "raw")
+    footage = open_footage(path)
+    whole = np.stack(list(footage.frames()))
+    opened: list[Path] = []
+    monkeypatch.setattr(video_index, "open_video", lambda one: opened.append(one) or open_video(one))
+    parts = [list(footage.frames(at, at + 4)) for at in range(0, 60, 4)]
+    assert np.array_equal(np.concatenate(parts), whole)
+    assert len(opened) == 1
+    for start, times in [(8, 2), (20, 2), (20, 3), (24, 3)]:  # on, over some, and back
+        assert np.array_equal(list(footage.frames(start, start + 4)), whole[start : start + 4])
+        assert len(opened) == times
+    for one, other in zip(footage.frames(28, 36), footage.frames(28, 36), strict=True):  # each its own decoder
+        assert np.array_equal(one, other)
+    means = open_footage(path, average=3)
+    opened.clear()
+    assert len(list(means.chosen(range(20)))) == 20
+    assert len(opened) == 1
+
+    list(footage.frames(0, 4))
+    write_video(path, FRAMES[::-1], options=B_FRAMES, rate=30)
+    assert numbers_in(np.stack(list(footage.frames(4, 8)))).tolist() == [7, 6, 5, 4]  # of the file that is there now
 
 
 def test_a_told_rate_settles_a_count(tmp_path: Path) -> None:

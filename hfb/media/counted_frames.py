@@ -1,0 +1,63 @@
+"""Frames that can only be counted: a decoder rests where one reader stopped, for the next one to read on.
+
+A clip is read a few frames at a time; decoded from its start each time, it would cost the square of its length.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+
+Numbered = Iterator[tuple[int, av.VideoFrame]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Resting:
+    """A decoder whose next frame has the number `at`, of a file as it was when it was opened."""
+
+    file: tuple[int, ...]
+    at: int
+    frames: Numbered
+
+
+# One, since a decoder holds pictures. A thread that takes it out has it for itself: both ends are atomic.
+_resting: deque[_Resting] = deque(maxlen=1)
+
+
+def read_on(
+    path: Path, start: int, stop: int, count: int, from_start: Callable[[], Numbered]
+) -> Iterator[av.VideoFrame]:
+    """Frames `start` to `stop` (exclusive) of the `count` that a file has; ends early where the file does.
+
+    Args:
+        from_start: opens the file; (number, frame) of every frame, in order.
+    """
+    file = _version(path)
+    frames = _taken(file, start) or from_start()
+    for number, frame in frames:
+        if number == stop - 1 and stop < count and file:  # before the last is given: who has it may ask for no more
+            _resting.append(_Resting(file, stop, frames))
+        if number >= start:
+            yield frame
+        if number >= stop - 1:
+            return
+
+
+def _taken(file: tuple[int, ...], start: int) -> Numbered | None:
+    """The resting decoder, if it comes to a frame of this very file; another one has had its time."""
+    try:
+        resting = _resting.pop()
+    except IndexError:
+        return None
+    return resting.frames if resting.file == file and resting.at <= start else None
+
+
+def _version(path: Path) -> tuple[int, ...]:
+    """Tells a file from every other one, and from itself when it was changed; empty where there is none."""
+    try:
+        facts = path.stat()
+    except OSError:
+        return ()
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
