@@ -65,6 +65,8 @@ def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, A
 def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     with workplace(out) as folder, records_in(folder):
         scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
+        for remark in scene.remarks:
+            progress.say(f"hfb: {remark}")
         numbers = range(len(scene.frames))
         mattes = tuple(matte(scene, index, config.matting, folder, inputs.matting) for index in numbers)
         if inputs.first_bodies:

@@ -67,7 +67,11 @@ class FileHandle(Record):
 
 
 class ClipHandle(Record):
-    """Pictures of one static camera that fit together, and when and how they were taken."""
+    """Pictures of one static camera that fit together, and when and how they were taken.
+
+    Attributes:
+        remarks: what a person should know about them, one sentence each.
+    """
 
     frames: tuple[FileHandle, ...]
     background: FileHandle
@@ -78,6 +82,7 @@ class ClipHandle(Record):
     interval_s: float
     transfer: Literal["srgb", "linear", "bt709", "gamma22"]
     light: Literal["srgb", "linear"]
+    remarks: tuple[str, ...] = ()
 
 
 class FirstBodyHandle(FileHandle):

@@ -1,7 +1,6 @@
 """The user's pictures: are they pictures, do they fit together, and how were they taken."""
 
 import math
-from pathlib import Path
 
 from hfb.clip import Clip
 from hfb.config import CameraConfig, ExposureConfig
@@ -25,14 +24,20 @@ def prepare(
     Raises:
         InputError: a file is no picture, or its size is not the plate's.
     """
-    height, width = _size(background.path)
+    from hfb.media.plate import HOLDS_PERSON, seems_to_hold_person
+    from hfb.photometry import as_srgb
+
+    plate, doubts = as_srgb(read_picture_srgb(background.path), clip.transfer), []
+    height, width = plate.shape[:2]
     for frame in frames:
-        if _size(frame.path) != (height, width):
-            other = " x ".join(map(str, _size(frame.path)[::-1]))
+        picture = as_srgb(read_picture_srgb(frame.path), clip.transfer)
+        if picture.shape != plate.shape:
+            other = " x ".join(map(str, picture.shape[1::-1]))
             raise InputError(
                 f"{frame.path} is {other} px and the background {background.path} {width} x {height} px: "
                 "give a background of the same camera at the same size"
             )
+        doubts.append(seems_to_hold_person(picture, plate))
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
@@ -50,12 +55,8 @@ def prepare(
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
+        remarks=(f"it seems that {HOLDS_PERSON}",) if all(doubts) else (),
     )
-
-
-def _size(picture: Path) -> tuple[int, int]:
-    height, width = read_picture_srgb(picture).shape[:2]
-    return height, width
 
 
 def calibration(

@@ -1,6 +1,7 @@
 """The whole chain on a real server and a real store."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from flows.fit_image import fit_image
-from hfb.config import DirectionsConfig, FitConfig, InitConfig, RunConfig, Stage
+from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.fit.alternatives import LIMB_NAMES, load_alternatives
@@ -61,6 +62,22 @@ def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> No
     assert params["input.frame_0"] == result["inputs"]["frame_0"]
     artifacts = {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert {"strip.png", "motion.npz", "result.json", "config.json", "matte_0.png"} <= artifacts
+
+
+def test_a_plate_that_still_shows_the_person_is_doubted(
+    problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each time, also where nothing is computed again; a single frame may be misread, so the fit goes on."""
+    said: list[str] = []
+    monkeypatch.setattr("tasks.progress.say", said.append)
+    frame, plate = read_picture_srgb(problem.frame), read_picture_srgb(problem.background)
+    person = np.abs(frame - plate).max(-1) > 0.06
+    plate[:, :-50][person[:, 50:]] = frame[:, 50:][person[:, 50:]]
+    write_png(tmp_path / "plate.png", plate)
+    bare = TINY.model_copy(update={"export": ExportConfig(formats=(), films=(), report=False)})
+    for background, doubts in [(problem.background, 0), (tmp_path / "plate.png", 1), (tmp_path / "plate.png", 2)]:
+        run(replace(problem, background=background), tmp_path / background.stem, bare)
+        assert sum("seems that the background still holds the person: somebody" in line for line in said) == doubts
 
 
 def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Path) -> None:

@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from hfb.errors import InputError
 from hfb.media.footage import Footage, open_footage
 from hfb.media.pictures import write_png
-from hfb.media.plate import check_plate, find_plate
+from hfb.media.plate import check_plate, find_plate, seems_to_hold_person
 
 HEIGHT, WIDTH = 60, 90
 
@@ -101,3 +102,12 @@ def test_who_stands_still_is_no_ghost(tmp_path: Path) -> None:
     for number, picture in enumerate(both):
         write_png(tmp_path / "two" / f"{number:03d}.png", picture)
     check_plate(scene(), open_footage(tmp_path / "two", fps=25))
+
+
+def test_one_frame_may_tell_a_plate_that_holds_the_person() -> None:
+    for left in (2, 14, 66):
+        frame = with_person(scene(), left, left)
+        smeared = cv2.blur(frame, (15, 1))
+        for seen in (frame, np.where(np.abs(frame - scene()).max(-1, keepdims=True) > 0, smeared, frame)):
+            assert not seems_to_hold_person(seen, scene())
+            assert seems_to_hold_person(seen, with_person(scene(), 40, 0))
