@@ -77,10 +77,12 @@ class CpuRasterizer:
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames, without holding the single pictures."""
-        return self._pictures(vertices, texture, camera, mesh, True)[0]
+        return self._pictures(vertices, texture, camera, mesh, True).squeeze(
+            0
+        )  # a view: indexing has a way back that copies
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames."""
-        return pictures(*self.arguments(vertices, None, camera, mesh, True))[0, ..., 0]
+        return pictures(*self.arguments(vertices, None, camera, mesh, True)).squeeze((0, -1))

@@ -94,7 +94,10 @@ def test_against_pytorch3d(scale: Scale, figures: Figures) -> None:
     times = interleaved(drawn, 1)
     for name, found in times.items():
         figures.say(f"1 body, {size_px} px, there and back, 1 thread: {name}: {found}")
-    assert shared_area(drawn["ours"](), drawn["PyTorch3D"]()) > 0.8
+    mine, theirs = (drawn[name]()[..., 3] for name in ("ours", "PyTorch3D"))
+    # Its soft mask is a halo outside the edge (a third more area), so the body has to lie inside of what it covers.
+    assert torch.minimum(mine, theirs).sum() > 0.95 * mine.sum()
+    assert theirs.sum() < 1.5 * mine.sum()
     figures.set("raster_vs_pytorch3d_256", times["PyTorch3D"].best / times["ours"].best)
 
 

@@ -49,6 +49,24 @@ def test_a_misspelt_key_is_no_compose_file() -> None:
         PyCompose.from_yaml("services: {one: {imag: x}}")
 
 
+def _leaves(tree: dict[str, Any], above: str = "") -> list[str]:
+    return [
+        leaf
+        for name, value in tree.items()
+        for leaf in (_leaves(value, f"{above}{name}.") if isinstance(value, dict) else [f"{above}{name}"])
+    ]
+
+
+def test_dask_knows_the_settings_of_its_workers() -> None:
+    import dask.config
+    import distributed  # noqa: F401 (brings the defaults)
+
+    settings = yaml.safe_load((_INFRA / "settings" / "dask.yaml").read_text())
+    unknown = object()
+    assert _leaves(settings)
+    assert [name for name in _leaves(settings) if dask.config.get(name, default=unknown) is unknown] == []
+
+
 @pytest.mark.parametrize("manifest", _manifests(), ids=lambda one: f"{one['kind']}-{one['metadata']['name']}")
 def test_manifests_keep_to_the_schemas(manifest: dict[str, Any]) -> None:
     import kubernetes_validate

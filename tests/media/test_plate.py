@@ -96,6 +96,14 @@ def test_a_plate_that_still_holds_the_person(tmp_path: Path) -> None:
         find_plate(waits, "median")
 
 
+def test_a_few_frames_make_a_doubt_of_it(tmp_path: Path) -> None:
+    write_png(tmp_path / "plate.png", with_person(scene(), 40, 0))
+    _, told = find_plate(footage(tmp_path / "few", WALK[:14]), tmp_path / "plate.png")
+    assert "seems that the background still holds the person" in told
+    with pytest.raises(InputError, match="still holds the person"):
+        find_plate(footage(tmp_path / "more", WALK[:15]), tmp_path / "plate.png")
+
+
 def test_who_stands_still_is_no_ghost(tmp_path: Path) -> None:
     check_plate(scene(), footage(tmp_path / "still", [30] * 15))
     both = [with_person(with_person(scene(), 60, 0), left, left) for left in WALK[:16]]
