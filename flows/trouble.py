@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
-from prefect.exceptions import PrefectHTTPStatusError
+from prefect.exceptions import PrefectHTTPStatusError, TerminationSignal
 from prefect.settings import PREFECT_API_URL
 
 from flows.surroundings import does_not_answer
@@ -28,12 +28,17 @@ _PATIENCE_S = (3.0, 10.0, 30.0)  # a busy server may take its time
 
 @contextmanager
 def told_plainly(out: Path) -> Iterator[None]:
-    """Turn a failure of what is around a run into `Unavailable`; other exceptions pass."""
+    """Turn a failure of what is around a run into `Unavailable`; other exceptions pass.
+
+    Prefect, told to end while it writes down a task's state, may fail by itself: that is an end still, no clip's fault.
+    """
     try:
         yield
     except (InputError, Unavailable):
         raise
     except Exception as error:
+        if end := next(filter(None, map(_end, _causes(error))), None):
+            raise end from error
         if any(isinstance(one, httpx.TransportError) for one in _causes(error)):
             raise _server_lost() from error
         sentence = next((told for one in _causes(error) if (told := _sentence(one, out))), None)
@@ -62,6 +67,13 @@ def ask_server() -> None:
     """Raises ServerLost where Prefect's server has gone."""
     if all(does_not_answer(str(PREFECT_API_URL.value()), patience_s) for patience_s in _PATIENCE_S):
         raise _server_lost()
+
+
+def _end(cause: BaseException) -> BaseException | None:
+    """As a command ends that was told to, if that is what it was."""
+    if isinstance(cause, TerminationSignal):
+        return SystemExit(128 + cause.signal)
+    return type(cause)(*cause.args) if isinstance(cause, KeyboardInterrupt | SystemExit) else None
 
 
 def _server_lost() -> ServerLost:

@@ -69,7 +69,7 @@ def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path
         shown += line
         if line.startswith("matte: "):
             victim.send_signal(sent)
-    assert victim.wait() == code
+    assert victim.wait() == code, shown
     assert "Traceback" not in shown
     assert not (tmp_path / "out" / "result.json").exists()
 
