@@ -92,6 +92,8 @@ class _Pool:
             self._executor.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
+        for process in processes:  # gone when this returns: nobody counts them, or their memory, any more
+            multiprocessing.connection.wait([process.sentinel], _LAST_WORDS_S)
         self._records.close()
 
 

@@ -32,6 +32,7 @@ _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over o
 _CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
 _REFINEMENT = (Stage(64, 40, 0.02, shape=False), Stage(_COMPARE_PX, 30, 0.015))
 _ABOUT_AS_GOOD = 0.03  # a smear hardly shows a pose: the one found at rest is nearer to the truth
+_SAME_DISTANCE = 0.05  # but a smear shows how far away somebody is, and one found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
@@ -153,7 +154,9 @@ def _searched(
                 carried_along(start, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)
                 for start in starts
             ]
-            other = max(tries, key=lambda one: one.shared)
+            distance_m = float(moving.first.translation[2])
+            tries = [one for one in tries if abs(float(one.first.translation[2]) / distance_m - 1) < _SAME_DISTANCE]
+            other = max(tries, key=lambda one: one.shared, default=moving)
             best = other if other.shared > moving.shared - _ABOUT_AS_GOOD else moving
             return best.first, best.shared, best.travel_m
     return first, shared, None
