@@ -77,9 +77,8 @@ class CpuRasterizer:
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames, without holding the single pictures."""
-        return self._pictures(vertices, texture, camera, mesh, True).squeeze(
-            0
-        )  # a view: indexing has a way back that copies
+        # Not indexed: the way back of that fills a picture with zeros and copies.
+        return self._pictures(vertices, texture, camera, mesh, True).squeeze(0)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
