@@ -25,6 +25,7 @@ from hfb.matting.matting import (
     scaled_box,
     shrink,
 )
+from hfb.matting.moving_layer import explained_matte
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float
@@ -37,10 +38,10 @@ _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
 class NetworkMatting:
-    """Two small networks trained on blurred people (infra/train_matting): half a second, the same on every run.
+    """Two small networks trained on blurred people (infra/train_matting): a second or two, the same on every run.
 
     The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
-    sees them, too.
+    sees them, too. What its matte leaves open a moving layer explains (moving_layer.py).
     """
 
     def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:
@@ -64,9 +65,12 @@ class NetworkMatting:
         top, left, bottom, right = scaled_box(matte_region(first, _MARGIN), scale, height, width)
         inner = (slice(top, bottom), slice(left, right))
         gain = _gain_without(first, small_frame, small_plate)
-        looks = [self.look_twice(shrink(frame[inner], px), shrink(plate[inner], px) * gain) for px in _CROPS_PX]
-        size = looks[0].shape[::-1]
-        alpha = clean(np.mean([cv2.resize(look, size, interpolation=cv2.INTER_LINEAR) for look in looks], axis=0))
+        lit = frame[inner], plate[inner] * gain
+        crops = [[np.clip(shrink(one, px), 0, 1) for one in lit] for px in _CROPS_PX]
+        looks = [np.dstack(self.look_twice(crop[0], crop[1])) for crop in crops]
+        size = looks[0].shape[1::-1]
+        alpha, doubt = np.mean([cv2.resize(look, size) for look in looks], axis=0).transpose(2, 0, 1)
+        alpha = explained_matte(crops[0][0], crops[0][1], clean(alpha), doubt)
         matte = np.zeros((height, width), np.float32)
         matte[inner] = cv2.resize(alpha, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
         if matte.sum() < LEAST_SHARE * matte.size:
@@ -83,13 +87,13 @@ class NetworkMatting:
 
     def look_twice(
         self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
-    ) -> Float[Array, "H W"]:
-        """The second network's alpha, which knows the colours that the first one's tells."""
+    ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+        """The second network's alpha, which knows the colours that the first one's tells, and how wrong it may be."""
         frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1)
         seen = features(frame, plate)
         alpha, doubt = _answer(self._network, seen)
         told = colour_evidence(frame, plate, alpha, doubt)
-        return _answer(self._second, np.concatenate([seen, told]))[0]
+        return _answer(self._second, np.concatenate([seen, told]))
 
 
 def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
