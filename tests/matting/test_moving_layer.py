@@ -62,13 +62,15 @@ def test_a_ramp_is_found_from_a_worse_matte() -> None:
     frame, plate, alpha = moved_disc(24)
     band = (alpha > 0.05) & (alpha < 0.95)
     rough = np.where(band, np.clip(alpha + 0.25 * np.sin(np.arange(160) / 3)[None], 0, 1), alpha).astype(np.float32)
-    doubt = np.where(band, np.log(0.15), -6).astype(np.float32)
+    doubt = np.where(band, np.log(0.25), -6).astype(np.float32)
     found = explained_matte(frame, plate, rough, doubt)
     assert found.dtype == np.float32
     assert np.abs(rough - alpha)[band].mean() > 0.1
     assert np.abs(found - alpha)[band].mean() < 0.03
     assert np.abs(found - alpha)[~band].max() < 0.1
     assert np.array_equal(found, explained_matte(frame, plate, rough, doubt))
+    surer = explained_matte(frame, plate, rough, doubt - 2)
+    assert (np.abs(surer - rough) <= np.exp(doubt - 2) + 1e-6).all()
 
 
 def test_a_sure_matte_stays() -> None:
