@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
 from hfb.matting.moving_layer import Smear, explained_matte
 from tests.matting.silhouettes import generated_plate
@@ -42,6 +43,33 @@ def test_gradient_is_that_of_finite_differences() -> None:
 
         measured = (moved(step) - moved(-step)) / (2 * step)
         assert (variable.grad * along).sum().item() == pytest.approx(measured, rel=1e-2)
+
+
+def test_mean_and_gradients_are_those_of_grid_sample() -> None:
+    """Also where a way leads out of the picture."""
+    layers, way = layers_on_ways(5)
+    _, height, width, _ = layers.shape
+    instants = (torch.arange(8) + 0.5) / 8 - 0.5
+    given = torch.randn(layers.shape, generator=torch.Generator().manual_seed(6))
+    found = []
+    for ours in (True, False):
+        moving, along = layers.clone().requires_grad_(), way.clone().requires_grad_()
+        if ours:
+            mean = Smear.apply(moving, along)
+        else:
+            rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+            places = torch.stack([columns, rows], -1) - instants[:, None, None, None, None] * along
+            grid = places * torch.tensor([2 / (width - 1), 2 / (height - 1)]) - 1
+            pictures = moving.permute(0, 3, 1, 2)
+            drawn = [
+                functional.grid_sample(pictures, one, padding_mode="border", align_corners=True).permute(0, 2, 3, 1)
+                for one in grid
+            ]
+            mean = torch.stack(drawn).mean(0)
+        mean.backward(given)
+        found.append((mean.detach(), moving.grad, along.grad))
+    for one, other in zip(*found, strict=True):
+        assert torch.allclose(one, other, atol=1e-5)
 
 
 def moved_disc(width_px: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
