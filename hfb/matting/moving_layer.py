@@ -17,8 +17,8 @@ from torch.nn import functional
 
 from hfb.determinism import one_torch_thread
 from hfb.matting import kernels_smear
-from hfb.matting.diffusion import spread_colours
 from hfb.matting.matte_network import quiet_noise
+from hfb.matting.second_look import unmixed_colours
 from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float, Shaped, Tensor
 
@@ -46,9 +46,9 @@ _ROUNDS = (
     _Round(_LARGE, 3, 20, True),
     _Round(_LARGE, 1, 50, True),
 )
-"""The first ones are short: a soft outline that stands still explains a picture, too, and is found more slowly."""
+"""The first are short: longer ones would choose a soft outline that stands still, which explains a picture, too."""
 
-_LEAST_SHARE = 0.15  # a pixel that is less the body's tells nothing of its colour
+_COLOUR_POWER = 4  # the first colours are of where the body covers most
 _MODEL_ERROR = 0.005  # of the light: what the model leaves out
 _ROBUST = 1.5  # standard deviations from where on errors count singly
 _CORNER = 1e-4  # rounds |x| to sqrt(x^2 + 1e-4)
@@ -94,9 +94,7 @@ class _Layers:
     def moved(scene: _Scene, ways: Float[Array, "N 2"]) -> "_Layers":
         """The network's matte, made sharper the longer the way, and the colours that it tells."""
         frame, plate, alpha = (one.numpy() for one in (scene.frame, scene.plate, scene.alpha))
-        unmixed = np.clip(plate + (frame - plate) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
-        sure = np.where(alpha > _LEAST_SHARE, alpha, 0) ** 4 + 1e-6
-        colours = spread_colours(unmixed.astype(np.float32), sure.astype(np.float32), 6)
+        colours = unmixed_colours(frame, plate, alpha, _COLOUR_POWER)
         steepness = torch.from_numpy(4 + 0.8 * np.linalg.norm(ways, axis=1)).float()[:, None, None]
         return _Layers(
             steepness * (scene.alpha - 0.5),

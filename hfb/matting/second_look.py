@@ -41,11 +41,9 @@ def colour_evidence(
     noise = quiet_noise(linear_to_srgb(frame_linear), linear_to_srgb(plate_linear))
     apart = frame_linear - plate_linear
     opaque = (alpha**_OPAQUE_POWER + 1e-6).astype(np.float32)
-    unmixed = np.clip(plate_linear + apart / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
-    partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** _UNMIXED_POWER + 1e-6).astype(np.float32)
     near = spread_colours(frame_linear, opaque, _NEAR_PX)
     far = spread_colours(frame_linear, opaque, _FAR_PX)
-    own = spread_colours(unmixed.astype(np.float32), partly, _UNMIXED_PX)
+    own = unmixed_colours(frame_linear, plate_linear, alpha, _UNMIXED_POWER)
     channels = [linear_to_srgb(colours) - 0.5 for colours in (near, own)]
     for colours in (near, far, own):
         direction, difference = (colours - plate_linear) / noise, apart / noise
@@ -56,3 +54,12 @@ def colour_evidence(
         channels.extend(one[..., None] for one in told)
     channels.extend([(alpha - 0.5)[..., None], np.clip(doubt, -6, 1)[..., None] / 4])
     return np.ascontiguousarray(np.concatenate(channels, -1).transpose(2, 0, 1), np.float32)
+
+
+def unmixed_colours(
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], alpha: Float[Array, "H W"], power: int
+) -> Float[Array, "H W 3"]:
+    """The body's colours by B + (I - B) / alpha, spread from where alpha is large: weights are alpha to a power."""
+    unmixed = np.clip(plate_linear + (frame_linear - plate_linear) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
+    partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** power + 1e-6).astype(np.float32)
+    return spread_colours(unmixed.astype(np.float32), partly, _UNMIXED_PX)
