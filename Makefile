@@ -34,8 +34,9 @@ check: .venv/dev.stamp
 	@said=$$($(BIN)/lint-imports --no-logo) || { echo "$$said"; exit 1; }
 	@said=$$($(BIN)/python -m pytest tests/infra/test_files.py) || { echo "$$said"; exit 1; }
 
+# A file's tests stay together, so that they share what it starts.
 test: .venv/dev.stamp
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile
 
 bench: .venv/dev.stamp
 	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable

@@ -9,13 +9,12 @@ import numpy as np
 import torch
 from figures import CHANNELS, SIZE_PX, Painter, draw_figure
 from motions import read_recording
+from plates import read_photos
 
 from hfb.body.assets import load_default_body
-from hfb.media.pictures import read_picture_srgb
 from hfb.photometry import srgb_to_linear
 
 HELD_OUT_SUBJECTS = (9, 10, 13)
-_PHOTOS = (".jpg", ".png")
 
 
 def main() -> None:
@@ -31,8 +30,8 @@ def main() -> None:
     torch.set_num_threads(1)
     recordings = [read_recording(path) for path in sorted(options.mocap.glob("*.bvh"))]
     recordings = [one for one in recordings if (one.subject in HELD_OUT_SUBJECTS) == options.held_out]
-    files = [path for folder in options.photos for path in sorted(folder.glob("*.*"))]
-    photos = [srgb_to_linear(read_picture_srgb(path)).astype(np.float32) for path in files if path.suffix in _PHOTOS]
+    photos = read_photos(options.photos, options.held_out)
+    photos = [srgb_to_linear(photo.astype(np.float32) / 255).astype(np.float32) for photo in photos]
     painter, facts = Painter(load_default_body()), []
     bank = np.lib.format.open_memmap(
         options.out, mode="w+", dtype=np.uint8, shape=(options.count, CHANNELS, SIZE_PX, SIZE_PX)
