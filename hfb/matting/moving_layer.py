@@ -35,12 +35,12 @@ class _Round(NamedTuple):
     free: bool
 
 
-_SMALL, _LARGE = 2_500, 10_000
+_SMALL, _LARGE, _LAST = 2_500, 10_000, 25_000
 _ROUNDS = (
     _Round(_SMALL, 8, 6, False),
     _Round(_SMALL, 12, 2, True),
     _Round(_LARGE, 20, 1, True),
-    _Round(_LARGE, 50, 1, True),
+    _Round(_LAST, 40, 1, True),
 )
 
 _COLOUR_POWER = 4  # the first colours are of where the body covers most
@@ -89,13 +89,13 @@ class _Layer:
     bend: Float[Array, "2 h w"]
 
     @staticmethod
-    def moved(scene: _Scene, way: Float[Array, "H W 2"]) -> "_Layer":
-        """The network's matte, made sharper the longer the way, and the colours that it tells."""
-        steepness = 4 + 0.8 * np.linalg.norm(way, axis=-1)
-        colours = unmixed_colours(scene.frame, scene.plate, scene.alpha, _COLOUR_POWER)
-        bend = np.zeros((2, *_cells(scene)), np.float32)
-        logits, roots = steepness * (scene.alpha - 0.5), np.sqrt(np.clip(colours, 0, 1))
-        return _Layer(logits.astype(np.float32), roots.astype(np.float32), way.astype(np.float32), bend)
+    def moved(scene: _Scene, colours: Float[Array, "H W 3"], way: Float[Array, "2"]) -> "_Layer":
+        """The network's matte, made sharper the longer the way, in the colours that it tells."""
+        logits = (4 + 0.8 * np.linalg.norm(way)) * (scene.alpha - 0.5)
+        ways = np.broadcast_to(way.astype(np.float32), (*logits.shape, 2)).copy()
+        return _Layer(
+            logits.astype(np.float32), np.sqrt(np.maximum(colours, 0)), ways, np.zeros((2, *_cells(scene)), np.float32)
+        )
 
     def at(self, scene: _Scene) -> "_Layer":
         """At a scene's size."""
@@ -126,7 +126,7 @@ def explained_matte(
 
     Many straight ways are tried at a small size; the best go on, may bend, and grow. Finer details than the last size
     stay the network's. No pixel goes further from its matte than its expected error, or than some times that where the
-    way is long. About half a second, the same on every run.
+    way is long. About a second, the same on every run.
 
     Args:
         frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
@@ -134,7 +134,8 @@ def explained_matte(
     """
     given = frame_linear, plate_linear, alpha, doubt
     scene, area = _Scene.of(given, _SMALL), _SMALL
-    layers = [_Layer.moved(scene, way) for way in _straight_ways(scene)]
+    colours = unmixed_colours(scene.frame, scene.plate, scene.alpha, _COLOUR_POWER)
+    layers = [_Layer.moved(scene, colours, way) for way in _straight_ways(max(scene.alpha.shape))]
     for step in _ROUNDS:
         if step.area != area:
             scene, area = _Scene.of(given, step.area), step.area
@@ -152,11 +153,11 @@ def explained_matte(
     return np.clip(alpha + np.clip(change, -most, most), 0, 1)
 
 
-def _straight_ways(scene: _Scene) -> list[Float[Array, "H W 2"]]:
+def _straight_ways(longer_px: int) -> list[Float[Array, "2"]]:
     """To all sides, and none."""
     angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
-    ways = max(scene.alpha.shape) * np.array(_LENGTHS)[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], -1)
-    return [np.broadcast_to(way, (*scene.alpha.shape, 2)) for way in (*ways.reshape(-1, 2), np.zeros(2))]
+    ways = longer_px * np.array(_LENGTHS)[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], -1)
+    return [*ways.reshape(-1, 2), np.zeros(2)]
 
 
 class _Answer(NamedTuple):
