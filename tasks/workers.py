@@ -11,6 +11,7 @@ import logging
 import logging.handlers
 import multiprocessing
 import multiprocessing.connection
+import multiprocessing.synchronize
 import os
 import pickle
 import signal
@@ -19,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from tasks.engine import Engine, WorkerLost
@@ -101,21 +102,35 @@ class _Records:
     """What workers log, said by this process: its handlers know the log file and the display."""
 
     def __init__(self, context: multiprocessing.context.SpawnContext) -> None:
-        self.queue: Any = context.Queue()
-        self.queue.cancel_join_thread()
+        self._reader, writer = context.Pipe(duplex=False)
+        self._end_reader, self._end = context.Pipe(duplex=False)
+        self.queue = _RecordQueue(writer, context.Lock())
         self._thread = threading.Thread(target=self._retell, name="hfb-worker-log", daemon=True)
         self._thread.start()
 
     def _retell(self) -> None:
-        try:
-            while (record := self.queue.get()) is not None:
+        try:  # what has arrived is told before the end is heard
+            while self._reader in multiprocessing.connection.wait([self._reader, self._end_reader]):
+                record = self._reader.recv()
                 logging.getLogger(record.name).handle(record)
         except (EOFError, OSError, pickle.UnpicklingError):  # a worker that was killed in the middle of a word
             return
 
     def close(self) -> None:
-        self.queue.put(None)
+        self._end.send(None)
         self._thread.join(_LAST_WORDS_S)
+
+
+class _RecordQueue:
+    """A worker's end. A record is on its way when `put_nowait` returns, so before the result that it precedes:
+    a queue with a thread of its own loses what a worker said last before it is ended."""
+
+    def __init__(self, writer: multiprocessing.connection.Connection, lock: multiprocessing.synchronize.Lock) -> None:
+        self._writer, self._lock = writer, lock
+
+    def put_nowait(self, record: logging.LogRecord) -> None:
+        with self._lock, suppress(OSError):  # nobody hears it: the parent is gone, and this process soon
+            self._writer.send(record)
 
 
 class _Shared:
@@ -231,7 +246,6 @@ def _timed(
 
 def _begin(records: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
-    records.cancel_join_thread()  # nobody waits for a worker's last words
     logging.captureWarnings(True)
     handler = logging.handlers.QueueHandler(records)
     handler.addFilter(WithIds())
