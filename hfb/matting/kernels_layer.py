@@ -158,7 +158,7 @@ def unexplained(scene, weights, smeared, given):
     sum of R (sqrt(1 + |apart|^2 / R^2) - 1) + trust |a - alpha|, apart = (frame - c - (1 - a) plate) / noise.
 
     Args:
-        scene: frame, plate, 1 / noise (H, W, 3 each), alpha and trust, in (H, W, 11). weights: see `descend`.
+        scene: frame, plate, 1 / noise (H, W, 3 each), alpha and trust, in (H, W, 11). weights: see `objective`.
         smeared: (H, W, 4). given: (H, W, 4), filled.
     """
     height, width, _ = scene.shape
