@@ -15,10 +15,13 @@ FIT = """
 import sys
 from pathlib import Path
 from flows.fit_image import fit_image
-from hfb.config import RunConfig, FitConfig, Stage
+from hfb.config import ExportConfig, FitConfig, RunConfig, Stage
 from tasks import displays, progress
 frame, plate, first, out = map(Path, sys.argv[1:])
-config = RunConfig(fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)))
+config = RunConfig(
+    fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)),
+    export=ExportConfig(films=(), report=False),
+)
 with progress.showing(displays.lines_on(sys.stderr, first_s=0.05)):
     fit_image([frame], plate, out, config, first_bodies=[first])
 """

@@ -1,6 +1,7 @@
 """Two recorded runs beside each other."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +15,35 @@ from hfb.media.pictures import read_picture_srgb
 from tasks import tracking
 from tasks.store_place import tracking_uri
 from tests.flows.test_fit_image import TINY, run
-from tests.orchestration import Problem
+from tests.orchestration import Problem, orchestrated
 
 
-@pytest.fixture
-def pair(problem: Problem, store: Path, tmp_path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Two runs whose sub-frames and seeds differ; both begin with a kick whose direction the seed gives."""
+@pytest.fixture(scope="module")
+def pair(problem: Problem, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Two runs whose sub-frames and seeds differ; both begin with a kick whose direction the seed gives.
+
+    All tests look at the same two, in the same store.
+    """
     one, other = (
         TINY.model_copy(
             update={"fit": TINY.fit.model_copy(update={"subframes": count, "root_kick": 0.1}), "seed": count}
         )
         for count in (2, 3)
     )
-    return run(problem, tmp_path / "one", one), run(problem, tmp_path / "other", other)
+    folder = tmp_path_factory.mktemp("pair")
+    with pytest.MonkeyPatch.context() as patch, orchestrated(folder, patch):
+        yield run(problem, folder / "one", one), run(problem, folder / "other", other)
+
+
+def out_of(result: dict[str, Any]) -> Path:
+    """The folder of a run."""
+    return Path(result["strip"]).parent
 
 
 def test_two_fits(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -> None:
     one, other = pair
     out = tmp_path / "compared"
-    found = compare_runs((one["mlflow_run_id"], str(tmp_path / "other")), out)
+    found = compare_runs((one["mlflow_run_id"], str(out_of(other))), out)
 
     assert (found["run_a"], found["run_b"]) == (one["mlflow_run_id"], other["mlflow_run_id"])
     assert found["config"] == [{"name": name, "a": "2", "b": "3"} for name in ("fit.subframes", "seed")]
@@ -44,7 +55,7 @@ def test_two_fits(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -
 
     assert json.loads((out / "comparison.json").read_text()) == found
     picture = read_picture_srgb(Path(found["picture"]))
-    strips = [read_picture_srgb(tmp_path / name / "strip.png") for name in ("one", "other")]
+    strips = [read_picture_srgb(out_of(fitted) / "strip.png") for fitted in pair]
     assert picture.shape[0] > sum(strip.shape[0] for strip in strips)
     page = Path(found["page"]).read_text()
     assert all(words in page for words in ("fit.subframes", "data:image/png;base64,", one["mlflow_run_id"]))

@@ -11,7 +11,7 @@ import pytest
 
 from flows.fit_image import fit_image
 from flows.options import add_config_flags, run_config
-from hfb.config import FitConfig, InitConfig, MattingConfig, RunConfig, Stage
+from hfb.config import ExportConfig, FitConfig, InitConfig, MattingConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.initialize.first_body import load_first_body
 from hfb.initialize.readers.pose_track import save_track
@@ -36,7 +36,8 @@ def wham_result(problem: Problem, path: Path, frames: int = 3) -> Path:
 
 
 def config(path: Path, frame: int | None = 1, **parts: Any) -> RunConfig:
-    return RunConfig(fit=FIT, init=InitConfig(method="file", file=path, frame=frame), **parts)
+    init = InitConfig(method="file", file=path, frame=frame)
+    return RunConfig(fit=FIT, init=init, export=ExportConfig(films=(), report=False), **parts)
 
 
 def test_a_result_and_a_matting_network_of_ones_own(problem: Problem, store: Path, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import tasks.fit_motion
 from flows.fit_image import fit_image
 from flows.rerun import plan_rerun, run_again, with_networks
 from flows.video import run_video
-from hfb.config import FitConfig, InitConfig, PriorConfig, RunConfig, Stage
+from hfb.config import ExportConfig, FitConfig, InitConfig, PriorConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.initialize.first_body import load_first_body, save_first_body
 from hfb.media.pictures import read_picture_srgb, write_png
@@ -32,6 +32,7 @@ MOVING = RunConfig(
     seed=3,
     init=InitConfig(method="matte"),
     fit=FitConfig(subframes=2, texture_px=16, root_kick=0.1, stages=(Stage(size_px=32, iterations=12),)),
+    export=ExportConfig(films=(), report=False),
 )
 CLIP = "[camera]\nfocal_px = 140.0\n[exposure]\nfps = 25\nshutter_fraction = 0.5\n"
 
