@@ -115,6 +115,8 @@ class _Records:
                 logging.getLogger(record.name).handle(record)
         except (EOFError, OSError, pickle.UnpicklingError):  # a worker that was killed in the middle of a word
             return
+        finally:
+            self._reader.close()  # whoever still speaks is told so, and does not wait
 
     def close(self) -> None:
         self._end.send(None)
@@ -129,7 +131,7 @@ class _RecordQueue:
         self._writer, self._lock = writer, lock
 
     def put_nowait(self, record: logging.LogRecord) -> None:
-        with self._lock, suppress(OSError):  # nobody hears it: the parent is gone, and this process soon
+        with self._lock, suppress(OSError):  # nobody listens any more
             self._writer.send(record)
 
 

@@ -37,10 +37,12 @@ def prefect_api() -> str:
     os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"
     os.environ["XDG_STATE_HOME"] = str(_session_folder() / "state")
     from prefect.context import refresh_global_settings_context
+    from prefect.logging.configuration import setup_logging
 
     from flows.surroundings import PrefectServer
 
     refresh_global_settings_context()
+    setup_logging()  # now: the first flow of a process would take caplog's handler away
     PrefectServer().wait()
     return os.environ["PREFECT_API_URL"]
 

@@ -1,5 +1,6 @@
 """Worker processes: the same result wherever it is computed, and none lost when one dies."""
 
+import logging
 import os
 import signal
 import subprocess
@@ -93,6 +94,25 @@ def test_what_is_stopped_does_not_wait() -> None:
         with pytest.raises(Stopped):
             compute(process_id, 0)
     assert time.monotonic() - began < 40
+
+
+class _Deaf(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.name == "hfb.somewhere":
+            raise BrokenPipeError
+
+
+def chatter() -> str:
+    """More than a pipe holds."""
+    for _ in range(200):
+        logging.getLogger("hfb.somewhere").warning("x" * 1000)
+    return "done"
+
+
+def test_nobody_who_listens_holds_no_work_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logging.getLogger(), "handlers", [_Deaf()])
+    with ThreadPoolExecutor(1) as threads, workers(1, apart=True):
+        assert threads.submit(compute, chatter).result(timeout=60) == "done"
 
 
 ORPHANS = """
