@@ -19,7 +19,7 @@ from tasks.export_files import export_files
 from tasks.films import films_of
 from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
-from tasks.given_result import body_of_result, needed, read_result
+from tasks.given_result import Look, body_of_result, needed, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs
 from tasks.matte import matte
@@ -72,9 +72,15 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         if inputs.first_bodies:
             firsts = tuple(given_body(file) for file in inputs.first_bodies)
         elif inputs.init_files:
+            first = config.init.frame
+            looks = tuple(
+                Look(matte=one, frame=None if first is None else first + number) for number, one in enumerate(mattes)
+            )
             given = read_result(
-                inputs.init_files, scene.height, scene.width, config.init.person, inputs.body, folder
-            )  # fmt: skip
+                inputs.init_files, scene.height, scene.width, config.init.person, looks, inputs.body, folder
+            )
+            if whom := given.remark():
+                progress.say(f"hfb: {whom}")
             firsts = tuple(
                 needed(body_of_result(scene, index, number, mattes, given, inputs.body, folder))
                 for index, number in enumerate(given.numbers_of(len(scene.frames), config.init.frame))

@@ -21,6 +21,7 @@ from hfb.toml_file import merged, read_toml, to_record
 
 _PREFIX = "config:"
 _DEFAULT_PRESET = RunConfig().preset
+_NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
 
 
 def add_config_flags(parser: argparse.ArgumentParser) -> None:
@@ -56,6 +57,10 @@ def _add_short_flags(group: argparse._ArgumentGroup) -> None:
     )
     for name, metavar, described in short:
         group.add_argument(f"--{name}", metavar=metavar, action=_Short, default=argparse.SUPPRESS, help=described)
+    group.add_argument(
+        "--weights", metavar="FILE", default=argparse.SUPPRESS,
+        help="of the network that --matting or --init names, where only one of them needs a file",
+    )  # fmt: skip
 
 
 class _Short(argparse.Action):
@@ -81,10 +86,26 @@ def run_config(given: argparse.Namespace) -> RunConfig:
     from_file = read_toml(path) if path else {}
     to_record(RunConfig, from_file, str(path))
     from_flags = _nested({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
+    if "weights" in given:
+        from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": given.weights}})
     to_record(RunConfig, from_flags, "options")
     name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
     content = merged(merged(preset(name).model_dump(), from_file), from_flags)
     return to_record(RunConfig, content, "options")
+
+
+def _room_of_weights(chosen: Mapping[str, Any]) -> str:
+    """Whose file --weights is.
+
+    Raises:
+        InputError: nobody's, or of both ends.
+    """
+    methods = {room: chosen.get(room, {}).get("method") for room in _NEED_WEIGHTS}
+    rooms = [room for room, method in methods.items() if method in _NEED_WEIGHTS[room]]
+    if len(rooms) != 1:
+        said = "both --matting and --init" if rooms else "neither --matting bgmv2|rvm nor --init metro"
+        raise InputError(f"--weights: {said} ask for a file; use --matting-weights and --init-weights")
+    return rooms[0]
 
 
 def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo, Any]]:

@@ -18,14 +18,22 @@ import torch
 
 from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
+from hfb.network_files import check_torchscript, is_onnx
 from hfb.shapes import Array, Float
 
 _MAX_CODE_BYTES = 64 << 20
-_OLDER_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
+_TOO_FEW = ("k argument", "selected index k out of range")
+"""What onnxruntime and torch say where the k largest of fewer numbers are wanted."""
+_HALF = torch.bfloat16
+"""float16 takes twelve times as long on processors without instructions of its own, which are most."""
 _IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]
 Given = Float[Array, "..."] | float | None
 """An input: numbers, a setting, or nothing where a network makes it up itself, such as the first state of a memory."""
 _IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
+
+
+class PictureTooSmall(InputError):
+    """A network that chooses a fixed number of places was given fewer; a larger picture has enough."""
 
 
 @dataclass(frozen=True)
@@ -67,59 +75,60 @@ class Network(Protocol):
         ...
 
 
-def load_network(path: Path, settings: Mapping[str, float | str] | None = None) -> Network:
+def load_network(path: Path, settings: Mapping[str, float | str] | None = None, half: bool = False) -> Network:
     """Open a network file.
 
     Args:
         settings: attributes of a TorchScript network to set, as far as it has them; an ONNX one keeps its own.
+        half: a TorchScript network computes in 16 bits; an ONNX one in its file's.
 
     Raises:
         InputError: missing, damaged, or neither TorchScript nor ONNX.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a TorchScript or ONNX network")
-    if path.suffix.lower() == ".onnx":
+    if is_onnx(path):
         return OnnxNetwork(path)
-    _check_torchscript(path)
-    return TorchScriptNetwork(path, settings or {})
+    check_torchscript(path)
+    return TorchScriptNetwork(path, settings or {}, half)
 
 
 class TorchNetwork:
     """A `Network` out of a module of torch."""
 
-    def __init__(self, path: Path, module: torch.nn.Module) -> None:
-        """`path`: where its weights are from, for messages."""
+    def __init__(self, path: Path, module: torch.nn.Module, half: bool = False) -> None:
+        """`path`: where its weights are from, for messages. `half`: compute in 16 bits, in half the memory."""
         self._path = path
-        self._module = module
+        self._kind = _HALF if half else torch.float32
+        self._module = module.to(self._kind)
 
     def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """See `Network`."""
         try:
             with torch.inference_mode(), one_torch_thread():
                 result = self._module(*[
-                    torch.from_numpy(np.ascontiguousarray(one)) if isinstance(one, np.ndarray) else one
+                    torch.from_numpy(np.ascontiguousarray(one)).to(self._kind) if isinstance(one, np.ndarray) else one
                     for one in inputs
                 ])  # fmt: skip
         except (RuntimeError, TypeError, ValueError) as error:
-            raise _failed(self._path, inputs, error) from None
+            raise _failed(self._path, inputs, error, half=self._kind == _HALF) from None
         return _finite(self._path, *_flat(result, self._path))
 
 
 class TorchScriptNetwork(TorchNetwork):
     """A `Network` out of torch.jit.save's archive."""
 
-    def __init__(self, path: Path, settings: Mapping[str, float | str]) -> None:
+    def __init__(self, path: Path, settings: Mapping[str, float | str], half: bool = False) -> None:
         """Raises InputError where torch cannot read it."""
         try:
             _declare_roi_align(path)
             module = torch.jit.load(str(path), map_location="cpu").eval()
         except Exception as error:  # a damaged file makes it raise nearly anything
             raise InputError(f"{path}: torch cannot read this TorchScript file ({_first_line(error)})") from None
-        module.float()  # processors compute in half precision slowly or not at all
         for name, value in settings.items():
             if hasattr(module, name):
                 setattr(module, name, value)
-        super().__init__(path, module)
+        super().__init__(path, module, half)
 
 
 class OnnxNetwork:
@@ -135,7 +144,7 @@ class OnnxNetwork:
         self._path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
+        options.log_severity_level = 4  # we say what failed, and try again
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its own exception classes share no base but this
@@ -207,31 +216,6 @@ def _declare_roi_align(path: Path) -> None:
             _roi_align_schema()
 
 
-def holds_weights(path: Path) -> bool:
-    """Whether a file of torch.save is no network that runs by itself: weights, or a pickled model."""
-    if not path.is_file() or path.suffix.lower() == ".onnx":
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = {name.partition("/")[2] for name in archive.namelist()}
-    except Exception:  # no archive, or a broken one
-        with path.open("rb") as file:
-            return file.read(len(_OLDER_TORCH)) == _OLDER_TORCH
-    return "data.pkl" in members and not any(name.startswith("code/") for name in members)
-
-
-def _check_torchscript(path: Path) -> None:
-    """TorchScript is an archive with code; a state dict or a whole pickled model has none."""
-    advice = "export it with torch.jit.trace(model, example).save(FILE), or as ONNX"
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = {name.partition("/")[2] for name in archive.namelist()}
-    except Exception:  # see `holds_weights`
-        raise InputError(f"{path} is a plain pickle or no network; for safety none is opened: {advice}") from None
-    if "constants.pkl" not in members or not any(name.startswith("code/") for name in members):
-        raise InputError(f"{path} holds weights or a pickled model but no network that runs by itself: {advice}")
-
-
 def _flat(result: Any, path: Path) -> tuple[tuple[str, ...], tuple[Float[Array, "..."], ...]]:
     """Tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
     if isinstance(result, torch.Tensor):
@@ -260,11 +244,16 @@ def _finite(path: Path, names: tuple[str, ...], arrays: tuple[Float[Array, "..."
     return Outputs(path, names, arrays)
 
 
-def _failed(path: Path, inputs: Sequence[Given], error: Exception) -> InputError:
+def _failed(path: Path, inputs: Sequence[Given], error: Exception, half: bool = False) -> InputError:
     shapes = ", ".join(str(one.shape) for one in inputs if isinstance(one, np.ndarray))
+    if any(said in str(error) for said in _TOO_FEW):
+        return PictureTooSmall(
+            f"{path} chooses more places than inputs of {shapes} have ({_first_line(error)}); give larger pictures"
+        )
     return InputError(
         f"{path} failed on inputs of {shapes} ({_first_line(error)}); "
         "check that it is the network it was named, and the layout in its chains file where it has one"
+        + (", or leave half precision away" if half else "")
     )
 
 

@@ -9,6 +9,7 @@ from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
 from hfb.initialize.networks import NETWORKS, network_path
 from hfb.initialize.readers.beside import companions
+from hfb.network_files import check_network_file
 from tasks.handles import FileHandle, sha256_of
 
 _OWN_MATTING = ("bgmv2", "rvm")
@@ -18,7 +19,7 @@ def matting_file(config: RunConfig) -> Path | None:
     """The matting network's file, where the method needs one.
 
     Raises:
-        InputError: it needs one and none is given, or one is given that it does not need.
+        InputError: it needs one and none is given, one is given that it does not need, or what is given is no network.
     """
     own = config.matting.method in _OWN_MATTING
     if own != (config.matting.weights is not None):
@@ -27,7 +28,10 @@ def matting_file(config: RunConfig) -> Path | None:
             if own
             else f"--matting {config.matting.method} takes no --matting-weights: say bgmv2 or rvm"
         )
-    return config.matting.weights
+    weights = config.matting.weights
+    if weights is not None and weights.is_file():
+        check_network_file(weights, weights_too=config.matting.method == "bgmv2")
+    return weights
 
 
 def init_files(config: RunConfig) -> tuple[Path, ...]:
@@ -51,6 +55,8 @@ def init_files(config: RunConfig) -> tuple[Path, ...]:
             if init.method == "file"
             else f"init.file does not go with init.method {init.method}: leave one of them out"
         )
+    if init.weights is not None and init.weights.is_file():
+        check_network_file(init.weights)
     if init.file is not None:
         return (init.file, *companions(init.file))
     return tuple(file for file in (init.weights, init.mesh_sampling) if file is not None)

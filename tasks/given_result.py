@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from hfb.config import Record
 from hfb.errors import InputError
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
 from tasks.task import task
 from tasks.video_handles import BodyFound, FootageHandle
 from tasks.workers import compute
+
+_MOST_LOOKS = 8
 
 
 class ResultHandle(FileHandle):
@@ -16,23 +20,46 @@ class ResultHandle(FileHandle):
 
     Attributes:
         system: whose result it is. frames: numbers of the frames in which it saw the person.
+        person: the system's name for them. others: of everybody else in it.
+        rate_hz: of a motion with a clock of its own, see `PoseTrack`.
     """
 
     system: str
     frames: tuple[int, ...]
+    person: str = "0"
+    others: tuple[str, ...] = ()
+    rate_hz: float | None = None
 
-    def number_in_clip(self, number: int, first: int | None, began: int, average: int) -> int:
-        """Which frame of the result a clip's frame is; a motion of our own counts the clip's, all others the video's.
+    def remark(self) -> str | None:
+        """Whom of several it is about; None where there is one."""
+        if not self.others:
+            return None
+        count, shown = len(self.others), ", ".join(self.others[:8])
+        return (
+            f"the {self.system} result has {count + 1} people; taken is {self.person}, another one by --init.person "
+            f"({shown}{' ...' if count > 8 else ''})"
+        )
+
+    def number_in_clip(
+        self, number: int, first: int | None, began: int, average: int, video_hz: float | None = None
+    ) -> int:
+        """Which frame of the result a clip's frame is; a motion of our own counts the clip's, one with a clock of its
+        own the rows of its time, all others the video's.
 
         Args:
             first: of the result, where it is told. began, average: of the clip, see `hfb.media.footage.Footage`.
+            video_hz: frames per second of the video, before they are averaged.
         """
         from hfb.initialize.readers import own
 
         if self.system == own.SYSTEM:
             return (first or 0) + number
         # The middle one of the frames that are averaged: there the body is nearest to the middle of the motion.
-        return (began if first is None else first) + number * average + average // 2
+        middle = number * average + average // 2
+        if self.rate_hz is None or video_hz is None:
+            return (began if first is None else first) + middle
+        rows_per_frame = self.rate_hz / video_hz
+        return round((began + middle) * rows_per_frame) if first is None else first + round(middle * rows_per_frame)
 
     def numbers_of(self, count: int, first: int | None) -> tuple[int, ...]:
         """Which frames of the result the given pictures are.
@@ -50,20 +77,47 @@ class ResultHandle(FileHandle):
         )
 
 
+class Look(Record):
+    """A picture's matte, and the number of its frame in a result; None where only the pictures' order tells."""
+
+    matte: FileHandle
+    frame: int | None
+
+
+def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: int | None) -> tuple[Look, ...]:
+    """Some of a clip's frames, by which one tells whom of a result's several people it is about.
+
+    Args:
+        mattes: by the clip's numbers. first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
+    """
+    from tasks.video_clip import load_footage
+
+    known = load_footage(footage)
+    middle = (known.first if first is None else first) + known.average // 2
+    chosen = sorted(mattes)[:: -(-len(mattes) // _MOST_LOOKS)]
+    return tuple(Look(matte=mattes[number], frame=middle + number * known.average) for number in chosen)
+
+
 @task("other system's result")
 def read_result(
-    files: tuple[FileHandle, ...], height: int, width: int, person: str | None, body: FileHandle | None, folder: Path
+    files: tuple[FileHandle, ...],
+    height: int,
+    width: int,
+    person: str | None,
+    looks: tuple[Look, ...],
+    body: FileHandle | None,
+    folder: Path,
 ) -> ResultHandle:
     """Everything about one person, as a file that has only numbers in it.
 
     Args:
         files: the result, then what lies beside it.
-        person: the system's name; the one who is seen longest where it is None.
+        person: the system's name; where it is None the one whom the looks show, or who is seen longest.
 
     Raises:
         InputError: it cannot be read, is about other pictures, or has no such person.
     """
-    return compute(_read_result, files, height, width, person, body, folder)
+    return compute(_read_result, files, height, width, person, looks, body, folder)
 
 
 @task("first body of the result")
@@ -116,18 +170,39 @@ def needed(found: BodyFound) -> FirstBodyHandle:
 
 
 def _read_result(
-    files: tuple[FileHandle, ...], height: int, width: int, person: str | None, body: FileHandle | None, folder: Path
+    files: tuple[FileHandle, ...],
+    height: int,
+    width: int,
+    person: str | None,
+    looks: tuple[Look, ...],
+    body: FileHandle | None,
+    folder: Path,
 ) -> ResultHandle:
-    from hfb.initialize.readers.pose_track import save_track
+    from hfb.initialize.readers.pose_track import PoseTrack, save_track
     from hfb.initialize.readers.sniff import choose_person, read_tracks
-    from hfb.initialize.track_bodies import with_poses
+    from hfb.initialize.track_bodies import share_on_matte, with_poses
+    from hfb.media.pictures import read_matte
     from tasks.scene import load_chosen_body
 
-    chosen = choose_person(read_tracks([file.path for file in files], height, width), person)
-    track = with_poses(chosen, load_chosen_body(body))
+    model = load_chosen_body(body)
+
+    def shown(track: PoseTrack) -> float:
+        in_order = track.frames if len(track) == len(looks) else [-1] * len(looks)
+        numbers = [look.frame if look.frame is not None else int(in_order[at]) for at, look in enumerate(looks)]
+        mattes = [read_matte(look.matte.path) for look in looks]
+        shares = [share_on_matte(track, number, matte, model) for number, matte in zip(numbers, mattes, strict=True)]
+        return round(sum(shares), 3)  # who is seen longer decides between equals
+
+    tracks = read_tracks([file.path for file in files], height, width)
+    chosen = choose_person(tracks, person, shown if len(tracks) > 1 else None)
+    track = with_poses(chosen, model)
     path = folder / "init_result.npz"
     save_track(path, track)
-    return ResultHandle.of(path, system=track.system, frames=tuple(int(frame) for frame in track.frames))
+    others = tuple(one.person for one in tracks if one is not chosen)
+    frames = tuple(int(frame) for frame in track.frames)
+    return ResultHandle.of(
+        path, system=track.system, frames=frames, person=track.person, others=others, rate_hz=track.rate_hz
+    )
 
 
 def _body_of_result(
@@ -173,5 +248,5 @@ def _find_given_body(
     from tasks.video_clip import load_footage
 
     known = load_footage(footage)
-    at = result.number_in_clip(number, first, known.first, known.average)
+    at = result.number_in_clip(number, first, known.first, known.average, known.average / known.interval_s)
     return _body_of_result(still, 0, at, (matte,), result, body, folder)

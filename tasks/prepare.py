@@ -24,12 +24,14 @@ def prepare(
     Raises:
         InputError: a file is no picture, or its size is not the plate's.
     """
+    from hfb.matting.plate_doubts import doubt_plate
     from hfb.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.photometry import as_srgb
+    from hfb.photometry import as_srgb, srgb_to_linear
 
     plate, doubts = as_srgb(read_picture_srgb(background.path), clip.transfer), []
+    told: str | None = None
     height, width = plate.shape[:2]
-    for frame in frames:
+    for number, frame in enumerate(frames):
         picture = as_srgb(read_picture_srgb(frame.path), clip.transfer)
         if picture.shape != plate.shape:
             other = " x ".join(map(str, picture.shape[1::-1]))
@@ -38,6 +40,8 @@ def prepare(
                 "give a background of the same camera at the same size"
             )
         doubts.append(seems_to_hold_person(picture, plate))
+        if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
+            told = doubt_plate(*(one if clip.transfer == "linear" else srgb_to_linear(one) for one in (picture, plate)))
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
@@ -55,7 +59,7 @@ def prepare(
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
-        remarks=(f"it seems that {HOLDS_PERSON}",) if all(doubts) else (),
+        remarks=(told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(doubts) else (),
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from hfb.body.pickle_stream import Steps
 from hfb.body.pickled_arrays import to_array
 from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
@@ -56,8 +57,9 @@ def _text(name: Any) -> str:
 
 
 def _from_zip(data: bytes, wanted: Collection[str]) -> tuple[dict[str, Shaped[Array, "..."]], frozenset[str]]:
+    steps = Steps(len(data))
     try:
-        arrays = read_arrays_of(data, wanted, MAX_BYTES, lambda pickled: to_array(load_pickle(pickled)))
+        arrays = read_arrays_of(data, wanted, MAX_BYTES, lambda pickled: to_array(load_pickle(pickled, steps)))
         names = names_in(data)
     except InputError:
         raise

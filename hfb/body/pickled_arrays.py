@@ -1,10 +1,11 @@
 """From what stands for arrays and tensors in a pickle to numpy arrays, rebuilt by hand from the bytes it held."""
 
+import math
 from typing import Any
 
 import numpy as np
 
-from hfb.body.pickles import raw_bytes
+from hfb.body.pickle_stream import sides_of
 from hfb.body.placeholders import (
     ChumpyArray,
     JoblibArray,
@@ -15,6 +16,7 @@ from hfb.body.placeholders import (
     SparseMatrix,
     TorchStorage,
     TorchTensor,
+    raw_bytes,
 )
 from hfb.errors import InputError
 from hfb.shapes import Array, Shaped
@@ -114,14 +116,10 @@ def _shape_like(strides: Any) -> tuple[int, ...]:
 def _shape(shape: Any) -> tuple[int, ...]:
     if isinstance(shape, NumpyArray):
         shape = tuple(to_array(shape).tolist())
-    if not isinstance(shape, tuple) or not all(isinstance(size, int) and size >= 0 for size in shape):
-        raise InputError("it holds an array of an impossible shape")
-    entries = 1
-    for size in shape:
-        entries *= size
-    if entries > _MAX_ENTRIES or len(shape) > 4:
-        raise InputError(f"it holds an array of an absurd shape {shape[:5]}")
-    return shape
+    sides = sides_of(shape)
+    if math.prod(sides) > _MAX_ENTRIES or len(sides) > 4:
+        raise InputError(f"it holds an array of an absurd shape {sides[:5]}")
+    return sides
 
 
 def _from_bytes(shape: Any, dtype: Any, fortran: bool, data: Any) -> Shaped[Array, "..."]:

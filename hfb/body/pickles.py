@@ -5,11 +5,12 @@ or to an error, so nothing of numpy, scipy, chumpy, torch, joblib or the system 
 rebuilds arrays by hand from the bytes that the placeholders collected.
 """
 
-import io
+import math
 import pickle
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from hfb.body.pickle_stream import Bytes, Steps, item_bytes, sides_of, weight_of
 from hfb.body.placeholders import (
     ChumpyArray,
     JoblibArray,
@@ -22,82 +23,38 @@ from hfb.body.placeholders import (
     TorchStorage,
     TorchTensor,
     check_keys,
+    check_number,
+    encode,
+    from_buffer,
+    new_object,
+    nothing,
+    parameter,
+    raw_bytes,
+    reconstruct,
+    size_of,
 )
 from hfb.errors import InputError
 
-_SPARSE = {"csc_matrix", "csr_matrix", "coo_matrix", "csc_array", "csr_array", "coo_array"}
+_SPARSE = {
+    f"{form}_{kind}": type(f"{form}_{kind}", (SparseMatrix,), {"form": form})
+    for form in ("csc", "csr", "coo")
+    for kind in ("matrix", "array")
+}
 _PATHS = {"PosixPath", "WindowsPath", "PurePosixPath", "PureWindowsPath"}
 _STORAGES = {
     "FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "bf2", "LongStorage": "i8",
     "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1", "BoolStorage": "b1",
 }  # fmt: skip
-_MAX_ITEM_BYTES = 1 << 16
-_MAX_STEPS = 3_000_000
-
-
-def _reconstruct(*_arguments: Any) -> NumpyArray:
-    return NumpyArray()
-
-
-def _from_buffer(data: Any, dtype: Any, shape: Any, order: Any) -> NumpyArray:
-    array = NumpyArray()
-    array.state = (shape, dtype, order == "F", data)
-    return array
-
-
-def _encode(text: Any, encoding: Any = "latin1") -> bytes:
-    if not isinstance(text, str) or encoding not in ("latin1", "latin-1", "iso-8859-1"):
-        raise InputError("it encodes text in an unexpected way")
-    return text.encode("latin1")
-
-
-def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
-    """bytes() and bytearray(), but never of a bare size."""
-    if isinstance(data, str):
-        return _encode(data, encoding)
-    if not isinstance(data, (bytes, bytearray)):
-        raise InputError("it holds an array without its bytes")
-    return bytes(data)
-
-
-def _new_object(cls: Any, *_arguments: Any) -> Any:
-    if not (isinstance(cls, type) and issubclass(cls, Placeholder | PlainDict)):
-        raise InputError("it builds an unexpected object")
-    return cls()
-
-
-def _plain(*_arguments: Any) -> None:
-    """Sets and the like, which chumpy keeps beside its values; they are of no use here."""
-
-
-def _tuple(values: Any = ()) -> tuple[Any, ...]:
-    if not isinstance(values, list | tuple):
-        raise InputError("it holds a size that is none")
-    return tuple(values)
-
-
-def _parameter(tensor: Any = None, *_arguments: Any) -> Any:
-    return tensor
-
-
-def _saved_by_torch(data: Any = b"") -> Any:
-    """A file of torch within the pickle, as tensors outside torch.save are kept."""
-    from hfb.body.torch_files import load_torch  # it needs this module
-
-    inner = raw_bytes(data)
-    if inner[:2] == b"PK":  # torch writes its older kind there; archives within archives are bombs
-        raise InputError("it holds an archive within itself")
-    return load_torch(inner)
-
+_MAX_NAME = 200
 
 _ALLOWED: dict[str, Any] = {
     "numpy.ndarray": NumpyArray,
     "numpy.dtype": NumpyDtype,
-    "_codecs.encode": _encode,
+    "_codecs.encode": encode,
     "builtins.bytes": raw_bytes,
     "builtins.bytearray": raw_bytes,
-    "builtins.set": _plain,
-    "builtins.frozenset": _plain,
+    "builtins.set": nothing,
+    "builtins.frozenset": nothing,
     "builtins.object": Placeholder,
     "builtins.dict": PlainDict,
     "collections.OrderedDict": PlainDict,
@@ -105,47 +62,21 @@ _ALLOWED: dict[str, Any] = {
     "joblib.numpy_pickle.NumpyArrayWrapper": JoblibArray,
     "torch._utils._rebuild_tensor": TorchTensor,
     "torch._utils._rebuild_tensor_v2": TorchTensor,
-    "torch._utils._rebuild_parameter": _parameter,
-    "torch.storage._load_from_bytes": _saved_by_torch,
-    "torch.Size": _tuple,
-    "torch.device": _plain,
+    "torch._utils._rebuild_parameter": parameter,
+    "torch.Size": size_of,
+    "torch.device": nothing,
     **{f"torch.{name}": type(name, (TorchStorage,), {"code": code}) for name, code in _STORAGES.items()},
     **{f"pathlib.{name}": Placeholder for name in _PATHS},
     **{f"pathlib._local.{name}": Placeholder for name in _PATHS},
-    "copyreg._reconstructor": _new_object,
-    **{f"numpy.{core}.multiarray._reconstruct": _reconstruct for core in ("core", "_core")},
+    "copyreg._reconstructor": new_object,
+    **{f"numpy.{core}.multiarray._reconstruct": reconstruct for core in ("core", "_core")},
     **{f"numpy.{core}.multiarray.scalar": NumpyScalar for core in ("core", "_core")},
-    **{f"numpy.{core}.numeric._frombuffer": _from_buffer for core in ("core", "_core")},
+    **{f"numpy.{core}.numeric._frombuffer": from_buffer for core in ("core", "_core")},
 }
-
-
-def _sparse_placeholder(name: str) -> type[SparseMatrix]:
-    return type(name, (SparseMatrix,), {"form": name[:3]})
 
 
 # The interpreter's unpickler written in Python: the C one grows its memo to any index that a file names.
 _PythonUnpickler: Any = pickle._Unpickler
-
-
-class Bytes(io.BytesIO):
-    """A stream over bytes in memory, parts of which can be had without a copy."""
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__(data)
-        self._whole = memoryview(data)
-        self.steps_left = _MAX_STEPS
-
-    def view(self, size: int) -> memoryview:
-        """The next bytes.
-
-        Raises:
-            InputError: there are not so many.
-        """
-        start = self.tell()
-        if not 0 <= size <= len(self._whole) - start:
-            raise InputError("it is cut off")
-        self.seek(start + size)
-        return self._whole[start : start + size]
 
 
 class _Unpickler(_PythonUnpickler):
@@ -159,7 +90,7 @@ class _Unpickler(_PythonUnpickler):
         self._outside = outside
 
     def load(self) -> Any:
-        """As the base class, for so many steps: each takes a byte of the file and half a microsecond."""
+        """As the base class, for so many steps: each takes a byte of the stream and half a microsecond."""
         self._unframer = pickle._Unframer(self._file_read, self._file_readline)  # type: ignore[attr-defined]
         self.read, self.readinto = self._unframer.read, self._unframer.readinto
         self.readline = self._unframer.readline
@@ -167,25 +98,38 @@ class _Unpickler(_PythonUnpickler):
         self.stack: list[Any] = []
         self.proto = 0
         self.append = self.stack.append
-        read, dispatch, stream = self.read, self.dispatch, self._stream
+        read, dispatch, steps = self.read, self.dispatch, self._stream.steps
         try:
-            while stream.steps_left > 0:
-                stream.steps_left -= 1
+            while steps.left > 0:
+                steps.left -= 1
                 dispatch[read(1)[0]](self)
         except pickle._Stop as stop:  # type: ignore[attr-defined]
             return stop.value
-        raise InputError("it takes millions of steps to read, as no file of arrays does")
+        raise steps.spent()
 
     def find_class(self, module: str, name: str) -> Any:
         module = {"__builtin__": "builtins", "copy_reg": "copyreg"}.get(module, module)
+        if len(module) + len(name) > _MAX_NAME:
+            raise InputError("its pickle asks for something with an endless name, which hfb does not run")
         full = f"{module}.{name}"
         if full in _ALLOWED:
             return _ALLOWED[full]
+        if full == "torch.storage._load_from_bytes":
+            return self._saved_by_torch
         if module.split(".")[0] == "chumpy":
             return ChumpyArray
         if module.startswith("scipy.sparse") and name in _SPARSE:
-            return _sparse_placeholder(name)
+            return _SPARSE[name]
         raise InputError(f"its pickle asks for {full}, which plain numbers do not need and hfb does not run")
+
+    def _saved_by_torch(self, data: Any = b"") -> Any:
+        """A file of torch within the pickle, as tensors outside torch.save are kept."""
+        from hfb.body.torch_files import load_torch  # it needs this module
+
+        inner = raw_bytes(data)
+        if inner[:2] == b"PK":  # torch writes its older kind there; archives within archives are bombs
+            raise InputError("it holds an archive within itself")
+        return load_torch(inner, self._stream.steps)
 
     def persistent_load(self, pid: Any) -> Any:
         if self._outside is None:
@@ -216,10 +160,51 @@ class _Unpickler(_PythonUnpickler):
             return
         if array.state.get("numpy_array_alignment_bytes") is not None:
             self._stream.read(int.from_bytes(self._stream.read(1), "little"))
-        size = item_bytes(code)
-        for side in array.field("shape"):
-            size *= side
-        array.data = self._stream.view(size)
+        array.data = self._stream.view(item_bytes(code) * math.prod(sides_of(array.field("shape"))))
+
+    def _count(self, arguments: Any) -> None:
+        """Takes steps for what a call looks at: the same long list may be handed over again and again."""
+        if not isinstance(arguments, tuple):
+            raise InputError("it calls something with arguments that are none")
+        self._stream.steps.take(len(arguments) + sum(map(weight_of, arguments)))
+
+    def load_reduce(self) -> None:
+        """As the base class, see `_count`."""
+        self._count(self.stack[-1])
+        super().load_reduce()
+
+    def load_newobj(self) -> None:
+        """As the base class, see `_count`."""
+        self._count(self.stack[-1])
+        super().load_newobj()
+
+    def load_newobj_ex(self) -> None:
+        """As the base class, see `_count`."""
+        self._count((*self.stack[-2], self.stack[-1]))
+        super().load_newobj_ex()
+
+    def _instantiate(self, klass: Any, arguments: Any) -> None:
+        self._count(tuple(arguments))
+        super()._instantiate(klass, arguments)
+
+    def load_put(self) -> None:
+        """As the base class, for a place that cannot be made to collide: its line may say any number."""
+        place = int(self.readline()[:-1])
+        check_number(place)
+        self.memo[place] = self.stack[-1]
+
+    def load_empty_set(self) -> None:
+        """Nothing instead of a set: its entries could collide, and it is of no use here."""
+        self.append(None)
+
+    def load_additems(self) -> None:
+        """See `load_empty_set`."""
+        self.pop_mark()
+
+    def load_frozenset(self) -> None:
+        """See `load_empty_set`."""
+        self.pop_mark()
+        self.append(None)
 
     def load_setitem(self) -> None:
         """As the base class, for keys that cannot be made to collide."""
@@ -244,6 +229,13 @@ class _Unpickler(_PythonUnpickler):
             raise InputError("it is cut off")
         self.append(data)
 
+    dispatch[pickle.REDUCE[0]] = load_reduce
+    dispatch[pickle.NEWOBJ[0]] = load_newobj
+    dispatch[pickle.NEWOBJ_EX[0]] = load_newobj_ex
+    dispatch[pickle.PUT[0]] = load_put
+    dispatch[pickle.EMPTY_SET[0]] = load_empty_set
+    dispatch[pickle.ADDITEMS[0]] = load_additems
+    dispatch[pickle.FROZENSET[0]] = load_frozenset
     dispatch[pickle.BUILD[0]] = load_build
     dispatch[pickle.SETITEM[0]] = load_setitem
     dispatch[pickle.SETITEMS[0]] = load_setitems
@@ -251,29 +243,17 @@ class _Unpickler(_PythonUnpickler):
     dispatch[pickle.BYTEARRAY8[0]] = load_bytearray8
 
 
-def item_bytes(code: Any) -> int:
-    """Bytes of one entry of numpy's type code, such as "f4" or "U12".
-
-    Raises:
-        InputError: no such code.
-    """
-    text = code.decode("latin1") if isinstance(code, bytes) else code
-    if not isinstance(text, str) or not text.lstrip("<>=|")[1:].isdigit():
-        raise InputError("it holds an array of things that are not numbers")
-    kind, size = text.lstrip("<>=|")[0], int(text.lstrip("<>=|")[1:])
-    if kind not in "biufcUS" or size > _MAX_ITEM_BYTES:
-        raise InputError("it holds an array of things that are not numbers")
-    return 4 * size if kind == "U" else size
-
-
-def load_pickle(data: bytes) -> Any:
+def load_pickle(data: bytes, steps: Steps | None = None) -> Any:
     """What a pickle holds, with placeholders for everything that is not a plain Python value.
+
+    Args:
+        steps: what reading it takes from, where it is a part of a file, or was compressed.
 
     Raises:
         InputError: it names anything but arrays, or is not a whole pickle; the text continues "FILE cannot be
             used: ".
     """
-    return load_from(Bytes(data))
+    return load_from(Bytes(data, steps))
 
 
 def load_from(stream: Bytes, outside: Callable[[Any], Any] | None = None) -> Any:
@@ -289,5 +269,7 @@ def load_from(stream: Bytes, outside: Callable[[Any], Any] | None = None) -> Any
         return _Unpickler(stream, outside).load()
     except InputError:
         raise
+    except MemoryError as error:
+        raise InputError("it needs more memory than there is") from error
     except Exception as error:  # garbage makes the machine raise nearly anything
         raise InputError(f"it is not a readable pickle ({type(error).__name__})") from error

@@ -1,4 +1,4 @@
-"""What stands for the objects of a pickle: nothing but the values they were made with."""
+"""What stands for the objects of a pickle, nothing but the values they were made with, and for its functions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 from hfb.errors import InputError
 
 _MAX_KEY = 1 << 60
+_MAX_KEY_TEXT = 1 << 12  # a longer one would be compared, letter by letter, each time it is set again
 
 
 class Placeholder:
@@ -100,13 +101,93 @@ class PlainDict(dict[Any, Any]):
 
 
 def check_keys(keys: Sequence[Any]) -> None:
-    """Texts and numbers: large integers, floats and tuples can be chosen so that a dictionary's time is quadratic.
+    """Texts, numbers, and a text with a number: large integers, floats and other tuples can be chosen so that a
+    dictionary's time is quadratic. A text's hash is secret, and beside the same text no two numbers have the same.
 
     Raises:
         InputError: a key is something else.
     """
     for key in keys:
-        if not isinstance(key, str | bytes | Placeholder | type | None) and not (
-            isinstance(key, int) and abs(key) < _MAX_KEY
-        ):
-            raise InputError(f"it holds a dictionary with a {type(key).__name__} for a key")
+        paired = type(key) is tuple and len(key) == 2 and isinstance(key[0], str)
+        text, number = key if paired else (key, key)
+        if isinstance(text, str | bytes) and len(text) > _MAX_KEY_TEXT:
+            raise InputError(f"it holds a dictionary with a key of {len(text)} letters")
+        if paired or not isinstance(key, str | bytes | Placeholder | type | None):
+            check_number(number)
+
+
+def check_number(key: Any) -> None:
+    """A number below which integers are their own hash.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if not isinstance(key, int) or abs(key) >= _MAX_KEY:
+        raise InputError(f"it holds a dictionary with a {type(key).__name__} for a key")
+
+
+def reconstruct(*_arguments: Any) -> NumpyArray:
+    """numpy's constructor of empty arrays, whose state follows."""
+    return NumpyArray()
+
+
+def from_buffer(data: Any, dtype: Any, shape: Any, order: Any) -> NumpyArray:
+    """numpy's constructor of arrays in pickles of protocol 5."""
+    array = NumpyArray()
+    array.state = (shape, dtype, order == "F", data)
+    return array
+
+
+def encode(text: Any, encoding: Any = "latin1") -> bytes:
+    """How pickles of Python 2 say bytes.
+
+    Raises:
+        InputError: no text, or another encoding.
+    """
+    if not isinstance(text, str) or encoding not in ("latin1", "latin-1", "iso-8859-1"):
+        raise InputError("it encodes text in an unexpected way")
+    return text.encode("latin1")
+
+
+def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
+    """bytes() and bytearray(), but never of a bare size.
+
+    Raises:
+        InputError: it was given something else.
+    """
+    if isinstance(data, str):
+        return encode(data, encoding)
+    if not isinstance(data, (bytes, bytearray)):
+        raise InputError("it holds an array without its bytes")
+    return bytes(data)
+
+
+def new_object(cls: Any, *_arguments: Any) -> Any:
+    """What makes the objects of old pickles.
+
+    Raises:
+        InputError: of a class that is none of ours.
+    """
+    if not (isinstance(cls, type) and issubclass(cls, Placeholder | PlainDict)):
+        raise InputError("it builds an unexpected object")
+    return cls()
+
+
+def nothing(*_arguments: Any) -> None:
+    """Sets and the like, which chumpy keeps beside its values; they are of no use here."""
+
+
+def size_of(values: Any = ()) -> tuple[Any, ...]:
+    """torch.Size.
+
+    Raises:
+        InputError: it was given no row of sides.
+    """
+    if not isinstance(values, list | tuple):
+        raise InputError("it holds a size that is none")
+    return tuple(values)
+
+
+def parameter(tensor: Any = None, *_arguments: Any) -> Any:
+    """torch's parameters are read as their tensors."""
+    return tensor

@@ -4,7 +4,8 @@ import io
 import zipfile
 from typing import Any
 
-from hfb.body.pickles import Bytes, load_from
+from hfb.body.pickle_stream import Bytes, Steps
+from hfb.body.pickles import load_from
 from hfb.body.placeholders import TorchStorage
 from hfb.errors import InputError
 from hfb.media.array_files import UNPACKED_LIMIT
@@ -13,14 +14,18 @@ _MAGIC = 0x1950A86A20F9469CFC6C
 _ITEM_BYTES = {"bf2": 2}
 
 
-def load_torch(data: bytes) -> Any:
+def load_torch(data: bytes, steps: Steps | None = None) -> Any:
     """What torch.save wrote, with placeholders for its tensors (see `hfb.body.pickled_arrays.to_array`).
+
+    Args:
+        steps: what reading it takes from, where it is a part of a file.
 
     Raises:
         InputError: no such file, a damaged one, or one whose pickle names anything but tensors; the text continues
             "FILE cannot be used: ".
     """
-    return _zipped(data) if data[:2] == b"PK" else _older(data)
+    steps = Steps(len(data)) if steps is None else steps
+    return _zipped(data, steps) if data[:2] == b"PK" else _older(data, steps)
 
 
 def looks_like_torch(data: bytes) -> bool:
@@ -28,7 +33,7 @@ def looks_like_torch(data: bytes) -> bool:
     return data[:14] in (b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19", b"\x80\x03\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19")
 
 
-def _zipped(data: bytes) -> Any:
+def _zipped(data: bytes, steps: Steps) -> Any:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
         members = {info.filename: info for info in archive.infolist()}
@@ -56,12 +61,12 @@ def _zipped(data: bytes) -> Any:
             storages[key] = _filled(kind, read(f"{folder}data/{key}"), count)
         return storages[key]
 
-    return load_from(Bytes(read(program)), outside)
+    return load_from(Bytes(read(program), steps), outside)
 
 
-def _older(data: bytes) -> Any:
+def _older(data: bytes, steps: Steps) -> Any:
     """Four pickles (a number, a version, a machine, the content), the storages' names, and their numbers."""
-    stream = Bytes(data)
+    stream = Bytes(data, steps)
     if load_from(stream) != _MAGIC:
         raise InputError("it is not a readable file of torch")
     load_from(stream)
@@ -77,10 +82,10 @@ def _older(data: bytes) -> Any:
 
     content = load_from(stream, outside)
     names = load_from(stream)
-    if not isinstance(names, list) or set(map(str, names)) != set(storages):
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names) or set(names) != set(storages):
         raise InputError("it is damaged: its list of tensors is not that of its content")
     for name in names:
-        storage, count = storages[str(name)]
+        storage, count = storages[name]
         if int.from_bytes(stream.read(8), "little") != count:
             raise InputError("it is damaged: a tensor has another size than it says")
         storage.data = stream.view(count * _item_bytes(storage.code))
@@ -92,9 +97,11 @@ def _reference(reference: Any) -> tuple[type[TorchStorage], str, int]:
     if not isinstance(reference, tuple) or len(reference) < 5 or reference[0] not in ("storage", b"storage"):
         raise InputError("its pickle refers to something outside the file")
     kind, key, count = reference[1], reference[2], reference[4]
+    if not isinstance(key, str):  # str() of a list may be endless
+        raise InputError("it holds a tensor without a name")
     if not (isinstance(kind, type) and issubclass(kind, TorchStorage)) or not isinstance(count, int) or count < 0:
         raise InputError("it holds a tensor of things that are not numbers")
-    return kind, str(key), count
+    return kind, key, count
 
 
 def _filled(kind: type[TorchStorage], data: bytes, count: int) -> TorchStorage:

@@ -11,6 +11,9 @@ from hfb.shapes import Array, Float
 _14_OF_17 = (3, 2, 1, 4, 5, 6, 16, 15, 14, 11, 12, 13, 8, 10)
 _LEFT_HIP, _RIGHT_HIP = 1, 2
 
+JOINT_COUNTS: tuple[int, ...] = (JOINT_COUNT, 17, 14)
+"""How many joints the known layouts have."""
+
 MHR70_AS_24: dict[int, int] = {
     JOINT_NAMES.index(name): keypoint
     for name, keypoint in {
@@ -32,7 +35,7 @@ def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
     """
     if len(joints) == JOINT_COUNT:
         return joints
-    if len(joints) not in (14, 17):
+    if len(joints) not in JOINT_COUNTS:
         raise InputError(f"{len(joints)} joints are of no known layout; give 24, 17 or 14")
     full = np.full((JOINT_COUNT, 3), np.nan, joints.dtype)
     full[list(H36M_14)] = joints if len(joints) == 14 else joints[list(_14_OF_17)]

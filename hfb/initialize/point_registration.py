@@ -17,7 +17,6 @@ from hfb.errors import InputError
 from hfb.initialize.limb_angles import kabsch, rotations_from_joints
 from hfb.initialize.registration import natural_pose
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.render.camera import PinholeCamera
 from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.shapes import Array, Bool, Float, Int, Tensor
 
@@ -25,8 +24,6 @@ _LEAST_JOINTS = 6
 _JOINT_SPREAD_M = 0.012
 _VERTEX_SPREAD_M = 0.02
 """Of single vertices; neighbours err together, so that hundreds of them are no hundredfold evidence."""
-_PIXEL_SPREAD = 0.01
-"""Of 2D joints, in units of the person's size in the picture."""
 _PRIOR = 0.1
 _SHAPE_INSTANTS, _CHUNK = 12, 128
 _MOSTLY, _PARTLY, _LEAST_MEMBERS = 0.5, 0.2, 10
@@ -56,8 +53,6 @@ def register_joints(
     joints: Float[Array, "S 24 3"],
     body: Body,
     betas: Float[Tensor, "K"] | None = None,
-    pixels: Float[Array, "S 24 2"] | None = None,
-    camera: PinholeCamera | None = None,
     iterations: int = 120,
 ) -> Registered:
     """Lay the body onto joints.
@@ -65,7 +60,6 @@ def register_joints(
     Args:
         joints: SMPL's [m] in the target frame, NaN where unknown (`hfb.initialize.joint_layouts`).
         betas: held fixed where given.
-        pixels, camera: where joints were seen besides, NaN where they were not.
 
     Raises:
         InputError: fewer than six joints are known at some instant.
@@ -79,17 +73,14 @@ def register_joints(
     natural = axis_angle_to_matrix(torch.cat([torch.zeros(1, 3, dtype=dtype), natural_pose(dtype)]))
     rotations = rotations_from_joints(target, body.rest_joints(shape), natural)
     goal = torch.where(known[..., None], target, torch.zeros_like(target))
-    seen = None if pixels is None or camera is None else _Seen.of(pixels, camera, dtype)
 
     def misfit(shaped: ShapedBody, turns: Tensor, places: Tensor) -> tuple[Tensor, Tensor]:
-        found = shaped.joints_of(turns, places)
-        square = ((found - goal) ** 2).sum(-1) * known
-        loss = square.sum(1) / (2 * _JOINT_SPREAD_M**2)
-        return (loss if seen is None else loss + seen.misfit(found)), square.detach().sqrt().sum(1) / known.sum(1)
+        square = ((shaped.joints_of(turns, places) - goal) ** 2).sum(-1) * known
+        return square.sum(1) / (2 * _JOINT_SPREAD_M**2), square.detach().sqrt().sum(1) / known.sum(1)
 
     places = _places(body.shape(shape).joints_of(rotations, target.new_zeros(len(target), 3)), goal, known)
-    start = _Start(rotations, places, shape, betas is None)
-    return _settled(start, body, misfit, iterations, 0.03)
+    start = Start(rotations, places, shape, betas is None)
+    return settle(start, body, misfit, iterations, 0.03)
 
 
 def register_vertices(
@@ -154,8 +145,8 @@ def _laid(vertices: Float[Array, "S V 3"], body: Body, betas: Tensor | None, ite
         square = ((shaped.pose(turns, places).vertices - target) ** 2).sum(-1)
         return _WORTH_OF_A_MESH * square.mean(1) / (2 * _VERTEX_SPREAD_M**2), square.detach().sqrt().mean(1)
 
-    start = _Start(rotations, _places(still, target, every), shape, betas is None)
-    return _settled(start, body, misfit, iterations, _RATE)
+    start = Start(rotations, _places(still, target, every), shape, betas is None)
+    return settle(start, body, misfit, iterations, _RATE)
 
 
 def _part_rotations(target: Float[Tensor, "S V 3"], body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "S 24 3 3"]:
@@ -233,43 +224,17 @@ def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"]
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Joints in the picture."""
+class Start:
+    """Where `settle` begins: turns, places [m] and betas, which may be held."""
 
-    pixels: Float[Tensor, "S 24 2"]
-    known: Bool[Tensor, "S 24"]
-    spread_px: Float[Tensor, "S 1"]
-    camera: PinholeCamera
-
-    @staticmethod
-    def of(pixels: Float[Array, "S 24 2"], camera: PinholeCamera, dtype: torch.dtype) -> "_Seen":
-        given = torch.as_tensor(pixels).to(dtype)
-        known = torch.isfinite(given).all(-1)
-        filled = torch.where(known[..., None], given, torch.zeros_like(given))
-        low, high = (
-            torch.where(known[..., None], given, torch.full_like(given, end)) for end in (torch.inf, -torch.inf)
-        )
-        size = (high.amax(1) - low.amin(1)).amax(1, keepdim=True)
-        return _Seen(filled, known, _PIXEL_SPREAD * size.clamp(1, 1e5), camera)
-
-    def misfit(self, joints: Float[Tensor, "S 24 3"]) -> Float[Tensor, "S"]:
-        in_front = torch.cat([joints[..., :2], joints[..., 2:].clamp_min(0.1)], -1)
-        miss = (self.camera.project(in_front) - self.pixels).norm(dim=-1) / self.spread_px
-        # Geman-McClure: a joint seen in the wrong place must not drag the whole body along.
-        square = miss * miss * self.known
-        return (25 * square / (square + 25)).sum(1) / 2
-
-
-@dataclass(frozen=True)
-class _Start:
     rotations: Float[Tensor, "S 24 3 3"]
     places: Float[Tensor, "S 3"]
     betas: Float[Tensor, "K"]
     shape_is_free: bool
 
 
-def _settled(
-    start: _Start,
+def settle(
+    start: Start,
     body: Body,
     misfit: Callable[[ShapedBody, Tensor, Tensor], tuple[Tensor, Tensor]],
     iterations: int,

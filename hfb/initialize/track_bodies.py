@@ -13,6 +13,7 @@ import torch
 from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.initialize.first_body import FirstBody
+from hfb.initialize.keypoint_registration import register_keypoints
 from hfb.initialize.point_registration import register_joints
 from hfb.initialize.rays import between_rays
 from hfb.initialize.readers.pose_track import PoseTrack
@@ -27,6 +28,8 @@ _SMPL_PELVIS_M = (-0.002, -0.23, 0.028)
 _SAME = 1e-6
 _SHAPE_FRAMES, _CHUNK = 48, 256
 _COMPARE_PX = 96
+_LEAST_DEPTH_M = 0.1
+_LEAST_OVERLAP = 0.02
 _TURNS = 12
 _STAGES = (Stage(64, 30, 0.02, shape=False), Stage(_COMPARE_PX, 20, 0.015, shape=False))
 _STAY = Stay(pose=0.05, root=0.1, place=0.1)
@@ -67,6 +70,8 @@ def with_poses(track: PoseTrack, body: Body) -> PoseTrack:
     """
     if track.poses is not None:
         return track
+    if track.pixels is not None:
+        return _with_seen_poses(track, track.pixels, body)
     if track.joints is None:
         raise InputError(f"the {track.system} result has neither poses nor joints")
     some = np.unique(np.linspace(0, len(track) - 1, min(len(track), _SHAPE_FRAMES)).round().astype(int))
@@ -80,6 +85,21 @@ def with_poses(track: PoseTrack, body: Body) -> PoseTrack:
         betas_space=body.betas_space,
         pelvis=places.numpy(),
         joints=None,
+    )
+
+
+def _with_seen_poses(track: PoseTrack, pixels: Float[Array, "R 24 2"], body: Body) -> PoseTrack:
+    """The mean person laid onto where the joints are seen, before the camera that the track assumes."""
+    if track.K is None or track.size is None:
+        raise InputError(f"the {track.system} result has keypoints without a camera")
+    camera = PinholeCamera.from_matrix(torch.from_numpy(track.K[0]), *track.size)
+    parts = [register_keypoints(pixels[at : at + _CHUNK], camera, body) for at in range(0, len(track), _CHUNK)]
+    places = torch.cat([part.translations for part in parts]).double() + _rest_pelvis(body, parts[0].betas)
+    return replace(
+        track,
+        poses=torch.cat([part.poses for part in parts]).double().numpy(),
+        pelvis=places.numpy(),
+        pixels=None,
     )
 
 
@@ -97,7 +117,7 @@ def on_matte(
     known either, twelve are tried.
 
     Raises:
-        InputError: the matte is empty.
+        InputError: the matte is empty, or the body stands elsewhere.
     """
     level = matte_level(matte, camera, _COMPARE_PX)
     unplaced = bool(first.translation.isnan().any())
@@ -106,7 +126,49 @@ def on_matte(
         tries = [_placed(_yawed(first, 2 * np.pi * turn / _TURNS), level, body) for turn in turns]
         first = max(tries, key=lambda one: overlap(one, level, body, rasterizer))
     closer = refine(first, matte, camera, body, rasterizer, _STAGES, _STAY_UNPLACED if unplaced else _STAY)
-    return max((closer, first), key=lambda one: overlap(one, level, body, rasterizer))
+    best = max((closer, first), key=lambda one: overlap(one, level, body, rasterizer))
+    if overlap(best, level, body, rasterizer) < _LEAST_OVERLAP:
+        raise InputError(
+            f"the {first.source} result has the body where the picture shows nobody: another frame (--init.frame), "
+            "another person (--init.person), or a result for other pictures"
+        )
+    return best
+
+
+def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
+    """Mean of a matte at a person's joints, where their system's camera shows them: tells whom of several it is of.
+
+    0 where the system did not see them in that frame, or knows no camera.
+
+    Args:
+        track: with poses or joints. frame: the system's number of the matte's picture.
+    """
+    row = np.flatnonzero(track.frames == frame)
+    if not row.size or track.K is None:
+        return 0.0
+    camera = PinholeCamera.from_matrix(torch.from_numpy(track.K[row[0]]), *matte.shape)
+    if track.pixels is None:
+        seen = camera.project(_joints_at(track, int(row[0]), camera, body))
+    else:
+        seen = torch.from_numpy(track.pixels[row[0]])
+    pixels = seen[torch.isfinite(seen).all(-1)].floor().long()
+    inside = ((pixels >= 0) & (pixels < torch.tensor(matte.shape[::-1]))).all(-1)
+    columns, rows = pixels[inside].numpy().T
+    return float(matte[rows, columns].sum() / max(1, len(pixels)))
+
+
+def _joints_at(track: PoseTrack, row: int, camera: PinholeCamera, body: Body) -> Float[Tensor, "n 3"]:
+    """Those in front of the system's own camera [m]."""
+    if track.poses is None:
+        joints = torch.from_numpy(track.joints[row]) if track.joints is not None else torch.zeros(0, 3)
+    else:
+        first = body_at(track, int(track.frames[row]), camera, body)
+        if first is None:
+            return torch.zeros(0, 3)
+        turns = axis_angle_to_matrix(first.pose)[None].to(body.template.dtype)
+        shaped = body.shape(first.betas.to(turns))
+        joints = shaped.joints_of(turns, first.translation[None].to(turns))[0]
+    return joints[joints[:, 2] > _LEAST_DEPTH_M]  # NaN is not
 
 
 def _standing(one: PoseTrack, body: Body) -> tuple[Tensor, Tensor, Tensor]:

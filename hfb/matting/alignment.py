@@ -15,7 +15,9 @@ from hfb.shapes import Array, Float
 
 _LEVELS_PX = (160, 320, 640)
 _ROUNDS = 8
-_LEAST_PX, _MOST_PX = 0.08, 4.0
+_LEAST_PX = 0.08
+MOST_PX = 4.0
+"""How far a plate is moved, in a picture of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
 _EDGE_SHARE = 0.3
 _LEAST_EDGE = 0.004  # a plain wall cannot tell
@@ -53,8 +55,11 @@ _NONE = Movement(np.zeros(2), 0.0, 0.0)
 def aligned_plate(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
     """The plate moved onto the frame; itself where it already lies there, or where no small movement explains it."""
     movement = find_movement(frame_linear, plate_linear)
-    if movement is None:
-        return plate_linear
+    return plate_linear if movement is None else moved_plate(plate_linear, movement)
+
+
+def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Float[Array, "H W 3"]:
+    """The plate where the frame's pixels lie; its border is drawn out."""
     height, width = plate_linear.shape[:2]
     how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(
@@ -64,19 +69,24 @@ def aligned_plate(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array
     return np.maximum(moved, 0)
 
 
-def find_movement(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Movement | None:
+def find_movement(
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], most_px: float = MOST_PX
+) -> Movement | None:
     """The small movement between frame and plate; None where there is none to speak of, or none that helps.
 
-    Up to 4 px in a picture of 640 px, found to some hundredths of a pixel where the background has edges.
+    Found to some hundredths of a pixel where the background has edges.
+
+    Args:
+        most_px: a larger one is none, in a picture of 640 px.
     """
     movement = _NONE
     frame, plate = _gray(frame_linear), _gray(plate_linear)
     for longer_px in _LEVELS_PX:
         small = [_shrunk(one, longer_px) for one in (frame, plate)]
         if longer_px == _LEVELS_PX[0] or max(frame.shape) > longer_px / 2:
-            movement = _improved(movement, *small)
+            movement = _improved(movement, small[0], small[1], most_px)
     height, width = small[0].shape
-    if not _LEAST_PX <= movement.farthest_px(height, width) <= _MOST_PX:
+    if not _LEAST_PX <= movement.farthest_px(height, width) <= most_px:
         return None
     before, after = (_edge_difference(one, *small) for one in (_NONE, movement))
     return movement if after < (1 - _LEAST_GAIN) * before else None
@@ -117,7 +127,7 @@ def _edges(across: Float[Array, "h w"], down: Float[Array, "h w"]) -> Array:
     return np.flatnonzero(steep.ravel() > max(_LEAST_EDGE, float(np.quantile(steep, 1 - _EDGE_SHARE))))
 
 
-def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"]) -> Movement:
+def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"], most_px: float) -> Movement:
     """Gauss-Newton at one size; as it was where there are no edges."""
     height, width = frame.shape
     longer = max(height, width)
@@ -142,7 +152,7 @@ def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array
             usual = 1.5 * 1.4826 * float(np.median(np.abs(rest))) + 1e-4
             weights = 1 / (1 + (rest / usual) ** 2) ** 2
         movement = Movement(movement.shift + step[:2], movement.scale + float(step[2]), movement.turn + float(step[3]))
-        if movement.farthest_px(height, width) > 2 * _MOST_PX:
+        if movement.farthest_px(height, width) > 2 * most_px:
             return _NONE
     return movement
 

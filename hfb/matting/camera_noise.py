@@ -8,10 +8,12 @@ from hfb.shapes import Array, Bool, Float
 
 _LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit pictures, plus compression that leaves flat areas untouched
 _MOST_NOISE = 12 / 255
-_GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light and another scene cannot be told apart
+GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light and another scene cannot be told apart
 
 
-def exposure_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "3"]:
+def exposure_gain(
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], limits: tuple[float, float] = GAINS
+) -> Float[Array, "3"]:
     """Per channel, what the plate is multiplied with to match the frame's background (0.8 to 1.25).
 
     The median ratio over the pixels that differ least, found again three times: the person and clipped
@@ -27,7 +29,7 @@ def exposure_gain(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array
     for _ in range(3):
         distance = np.abs(np.log(plate * gain / frame)).max(-1)
         near = distance <= 1.5 * np.median(distance)
-        gain = np.clip(np.median(frame[near] / plate[near], axis=0), *_GAINS).astype(np.float32)
+        gain = np.clip(np.median(frame[near] / plate[near], axis=0), *limits).astype(np.float32)
     return gain
 
 

@@ -12,7 +12,9 @@ from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.matting.bgmv2_network import MattingNetwork, network_of
 from hfb.matting.matting import LEAST_SHARE, Matting, Picture, Plate, check_sizes, nobody_found, shrink
-from hfb.networks import Given, Network, Outputs, TorchNetwork, holds_weights, load_network
+from hfb.media.array_files import weights_file
+from hfb.network_files import holds_weights, is_onnx
+from hfb.networks import Given, Network, Outputs, PictureTooSmall, TorchNetwork, load_network
 from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float
 
@@ -25,6 +27,10 @@ _COARSE_PX = 480
 """Longer side of BackgroundMattingV2's first pass: 1/4 of an HD frame, as its authors recommend."""
 _COARSE_SCALES = (0.125, 0.5)
 _REFINED_PIXELS = 80_000
+"""At HD and below, as its authors recommend; of larger pictures the same share (4K: 320,000)."""
+_REFINED_SHARE = _REFINED_PIXELS / (1920 * 1080)
+_MOST_ENLARGED = 8
+"""A network whose file fixes the number of refined pixels fails on a small picture, which is then shown larger."""
 _RVM_PX = 512
 _RVM_LOOKS = 4
 """How often a recurrent network sees the same frame: frames are computed beside each other, none waits for another."""
@@ -52,10 +58,10 @@ def external_matting(config: MattingConfig) -> Matting:
 def _loaded(config: MattingConfig, changed: int) -> Matting:
     assert config.weights is not None
     if config.method == "rvm":
-        return RobustVideoMatting(config.weights, config.tile_px)
+        return RobustVideoMatting(config.weights, config.tile_px, config.half)
     return BackgroundMattingV2(
         config.weights, config.backbone_scale, config.refine_mode, config.refine_pixels, config.refine_threshold,
-        config.tile_px,
+        config.tile_px, config.half,
     )  # fmt: skip
 
 
@@ -73,11 +79,13 @@ class BackgroundMattingV2:
         refine_pixels: int | None = None,
         refine_threshold: float | None = None,
         tile_px: int | None = None,
+        half: bool = False,
     ) -> None:
         """Options are those of the released networks; None chooses by the frame's size, or leaves the file's own.
 
         Args:
             tile_px: larger frames are seen in tiles of this size.
+            half: compute in 16 bits; not for ONNX, whose precision and options are the file's.
 
         Raises:
             InputError: the file cannot be used.
@@ -86,7 +94,9 @@ class BackgroundMattingV2:
         self._scale, self._pixels, self._tile_px = backbone_scale, refine_pixels, tile_px
         own = {"refine_mode": refine_mode, "refine_threshold": refine_threshold}
         self._settings = {name: value for name, value in own.items() if value is not None}
+        self._half = half
         self._networks: dict[tuple[float, int], Network] = {}
+        self._factors: dict[tuple[int, ...], int] = {}
         self._weights = weights_of(path) if holds_weights(path) else None
         if self._weights is None:
             load_network(path)  # what is wrong with it is said at once
@@ -100,35 +110,54 @@ class BackgroundMattingV2:
     def look(self, frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
         """The network's own alpha at the picture's size; sides are padded to multiples of four."""
         height, width = frame_srgb.shape[:2]
-        frame, plate = _padded(frame_srgb), _padded(plate_srgb)
-        outputs = self._network(*frame.shape[:2])([_planes(frame), _planes(plate)])
-        return _alpha(outputs, "pha", 0, frame.shape[:2])[:height, :width]
+        pictures = _padded(frame_srgb), _padded(plate_srgb)
+        size = pictures[0].shape[:2]
+        factor = self._factors.get(size, 1)
+        while True:
+            frame, plate = (_enlarged(one, factor) for one in pictures)
+            try:
+                outputs = self._network(*frame.shape[:2])([_planes(frame), _planes(plate)])
+            except PictureTooSmall:
+                if factor == _MOST_ENLARGED:
+                    raise self._too_small(height, width) from None
+                factor *= 2
+            else:
+                break
+        self._factors[size] = factor
+        return _reduced(_alpha(outputs, "pha", 0, frame.shape[:2]), size)[:height, :width]
+
+    def _too_small(self, height: int, width: int) -> InputError:
+        return InputError(
+            f"{self._path} refines a fixed number of pixels, more than a picture of {width} x {height} px has even at "
+            f"{_MOST_ENLARGED} times its size: give a larger picture, or the network's TorchScript file"
+        )
 
     def _network(self, height: int, width: int) -> Network:
         """With the coarse scale and the refined pixels for a picture of this size."""
         scale = self._scale or float(np.clip(_COARSE_PX / max(height, width), *_COARSE_SCALES))
         # More pixels than there are, and the network's own choice of the worst fails.
-        pixels = min(self._pixels or _REFINED_PIXELS, height * width)
+        usual = max(_REFINED_PIXELS, round(_REFINED_SHARE * height * width))
+        pixels = min(self._pixels or usual, height * width)
         key = (scale, pixels)
         if key not in self._networks:
             settings = {"backbone_scale": scale, "refine_sample_pixels": pixels, **self._settings}
             if self._weights is None:
-                self._networks = {key: load_network(self._path, settings)}
+                self._networks = {key: load_network(self._path, settings, self._half)}
             else:
                 for name, value in settings.items():
                     setattr(self._weights, name, value)
-                self._networks = {key: TorchNetwork(self._path, self._weights)}
+                self._networks = {key: TorchNetwork(self._path, self._weights, self._half)}
         return self._networks[key]
 
 
 class RobustVideoMatting:
     """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not looked at."""
 
-    def __init__(self, path: Path, tile_px: int | None = None) -> None:
+    def __init__(self, path: Path, tile_px: int | None = None, half: bool = False) -> None:
         """Raises InputError where the file cannot be used."""
-        self._network = load_network(path)
+        self._network = load_network(path, half=half)
         self._tile_px = tile_px
-        self._onnx = path.suffix.lower() == ".onnx"
+        self._onnx = is_onnx(path)
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""
@@ -160,15 +189,29 @@ def weights_of(path: Path) -> MattingNetwork:
     """
     advice = "give BackgroundMattingV2's TorchScript file, its ONNX file, or its plain weights as released"
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        file = weights_file(path)
+    except ValueError as error:
+        raise InputError(f"{path} cannot be used: {error}; {advice}") from error
+    try:
+        state = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # damaged files make it raise nearly anything
         raise InputError(f"{path} holds more than weights, or is damaged: {advice}") from error
+    state = _unwrapped(state)
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
         raise InputError(f"{path} holds something other than weights: {advice}")
     try:
         return network_of({str(name).removeprefix("module."): value.float() for name, value in state.items()})
     except ValueError as error:
         raise InputError(f"{path} holds weights of another network: {advice}") from error
+
+
+def _unwrapped(checkpoint: object) -> object:
+    """The weights of a checkpoint that holds the state of a training besides."""
+    if isinstance(checkpoint, dict):
+        for name in ("state_dict", "model_state_dict"):
+            if isinstance(checkpoint.get(name), dict):
+                return checkpoint[name]
+    return checkpoint
 
 
 def _srgb(picture: Picture | Plate) -> Float[Array, "H W 3"]:
@@ -219,6 +262,18 @@ def _tiles(length: int, tile_px: int) -> Iterator[tuple[int, int, Float[Array, "
 def _padded(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
     height, width = picture.shape[:2]
     return np.pad(picture, [(0, -height % _MULTIPLE_PX), (0, -width % _MULTIPLE_PX), (0, 0)], mode="edge")
+
+
+def _enlarged(picture: Float[Array, "H W 3"], factor: int) -> Float[Array, "h w 3"]:
+    if factor == 1:
+        return picture
+    return cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+
+
+def _reduced(alpha: Float[Array, "h w"], size: tuple[int, ...]) -> Float[Array, "H W"]:
+    if alpha.shape == size:
+        return alpha
+    return cv2.resize(alpha, size[::-1], interpolation=cv2.INTER_AREA)
 
 
 def _planes(picture: Float[Array, "H W 3"]) -> Float[Array, "1 3 H W"]:

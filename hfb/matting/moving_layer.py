@@ -7,7 +7,7 @@ matte says where to begin and, by its doubt, how far to go from there.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -52,7 +52,11 @@ _CHOICE = 30.0
 """Added to _SOFT where candidates are compared: a soft outline that stands still explains a moving picture, too, and
 its colours change less. So much while descending would leave a body of several ways nothing to make up for it with."""
 _FAR = 0.03
-"""Of the longer side: a way of this length may take a pixel twice as far from the network's matte as one of none."""
+"""Of the longer side: where a way is this long a pixel may go twice as far from the network's matte as where it stands
+still, and in the end that matte is trusted half as much."""
+_COVERED, _CLEARLY = 0.02, 3.0  # alpha; standard deviations
+_STRAYED = 0.01
+_INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places among what a scene tells the kernels
 _RATES = (0.15, 0.02, 0.3)
 """Adam's, of the outline's logits, the colours' roots and the way [px]."""
 
@@ -77,6 +81,21 @@ class _Scene:
         trust = _MATTE / np.exp(np.clip(doubt, -6, 1))
         told = np.dstack([frame, plate, 1 / noise, alpha, trust]).astype(np.float32)
         return _Scene(frame, plate, alpha, told)
+
+    def trusted_less(self, far: Float[Array, "H W"]) -> "_Scene":
+        """The network's matte counts the less the farther a place goes: a smear is where it is wrong most.
+
+        Not where the picture differs from the plate beside the person, too: shadows would be explained as a body.
+        """
+        told = self.told.copy()
+        told[..., _TRUST] /= 1 + np.exp(-self._strayed() / _STRAYED) * (far / _FAR) ** 2
+        return replace(self, told=told)
+
+    def _strayed(self) -> float:
+        """The share of what nobody covers that differs clearly from the plate."""
+        apart = np.linalg.norm((self.frame - self.plate) * self.told[..., _INVERSE_NOISE], axis=-1)
+        beside = cv2.dilate((self.alpha > _COVERED).astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
+        return float((apart[beside] > _CLEARLY).mean()) if beside.any() else 1.0
 
 
 @dataclass(frozen=True)
@@ -136,21 +155,27 @@ def explained_matte(
     scene, area = _Scene.of(given, _SMALL), _SMALL
     colours = unmixed_colours(scene.frame, scene.plate, scene.alpha, _COLOUR_POWER)
     layers = [_Layer.moved(scene, colours, way) for way in _straight_ways(max(scene.alpha.shape))]
+    answers: list[_Answer] = []
     for step in _ROUNDS:
         if step.area != area:
             scene, area = _Scene.of(given, step.area), step.area
             layers = [layer.at(scene) for layer in layers]
-        answers = [_follow(layer, scene, step) for layer in layers]
-        best = np.argsort([answer.oddness for answer in answers], kind="stable")[: step.kept]
-        layers = [layers[which] for which in best]
-    found = answers[best[0]]
+        if step is _ROUNDS[-1]:  # one is left: nothing is compared any more
+            scene = scene.trusted_less(_far(answers[0].way, scene.alpha.shape[::-1]))
+        answers = sorted((_follow(layer, scene, step) for layer in layers), key=lambda answer: answer.oddness)
+        layers = [answer.layer for answer in answers[: step.kept]]
+    found = answers[0]
     size = alpha.shape[::-1]
     change = _resized(found.alpha - scene.alpha, size)
     # The layer takes every change for the body, a shadow of somebody who stands, too: the network knows better. What
     # goes far and is sharp all the same explains itself.
-    far = _resized(np.linalg.norm(found.way, axis=-1) / max(scene.alpha.shape), size)
-    most = np.exp(doubt) * (1 + far / _FAR)
+    most = np.exp(doubt) * (1 + _far(found.way, size) / _FAR)
     return np.clip(alpha + np.clip(change, -most, most), 0, 1)
+
+
+def _far(way: Float[Array, "h w 2"], size: tuple[int, int]) -> Float[Array, "H W"]:
+    """How long a way is, as shares of the picture's longer side, at (width, height)."""
+    return _resized(np.linalg.norm(way, axis=-1) / max(way.shape[:2]), size)
 
 
 def _straight_ways(longer_px: int) -> list[Float[Array, "2"]]:
@@ -166,6 +191,7 @@ class _Answer(NamedTuple):
     oddness: float
     alpha: Float[Array, "H W"]
     way: Float[Array, "H W 2"]
+    layer: _Layer
 
 
 def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
@@ -180,4 +206,4 @@ def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
         way, layers, planes, *rest,
     )  # fmt: skip
     softness = float((planes[0] * (1 - planes[0])).sum())
-    return _Answer(loss + _CHOICE * softness, layers[1, ..., 0], way)
+    return _Answer(loss + _CHOICE * softness, layers[1, ..., 0], way, layer)

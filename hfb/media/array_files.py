@@ -14,7 +14,7 @@ from hfb.shapes import Array, Shaped
 UNPACKED_LIMIT = 512 << 20
 """Bytes of all arrays that are read from one file; with a copy and the file itself they stay below 2 GB."""
 
-_FILE_LIMIT, _MEMBER_LIMIT = 1 << 30, 10_000
+_FILE_LIMIT, _MEMBER_LIMIT, _NAME_LIMIT = 1 << 30, 10_000, 1000
 _NUMBERS_AND_TEXTS = "fiubUS"
 
 Objects = Callable[[bytes], Any]
@@ -49,6 +49,37 @@ def names_in(file: Path | bytes) -> tuple[str, ...]:
     """What an .npz archive holds. Raises OSError or ValueError as `read_arrays`."""
     with _opened(file) as archive:
         return tuple(_members(archive))
+
+
+def weights_file(path: Path) -> io.BytesIO:
+    """A file of torch.save, in memory, for torch.load: that inflates whatever is packed and never asks to how much.
+
+    torch packs nothing. An archive is written anew from the members that were looked at, since two readers of
+    archives may find different ones in the same bytes.
+
+    Raises:
+        OSError: no file there, or it cannot be read.
+        ValueError: too large, or a damaged archive, one with packed members, or with more than its own size.
+    """
+    if path.stat().st_size > _FILE_LIMIT:
+        raise ValueError(f"it is larger than {_FILE_LIMIT >> 20} MB")
+    with path.open("rb") as file:
+        is_archive = file.read(2) == b"PK"
+    if not is_archive and not zipfile.is_zipfile(path):
+        return io.BytesIO(path.read_bytes())
+    written = io.BytesIO()
+    with _opened(path) as archive, zipfile.ZipFile(written, "w", zipfile.ZIP_STORED) as copy:
+        members = _members(archive)
+        if any(info.compress_type != zipfile.ZIP_STORED for info in members.values()):
+            raise ValueError("its contents are compressed, as torch never does: save it again with torch.save")
+        if sum(info.file_size for info in members.values()) > path.stat().st_size:
+            raise ValueError("it is damaged: it announces more than it has")
+        if any(len(name) > _NAME_LIMIT for name in members):
+            raise ValueError("it is damaged: it has a member with an endless name")
+        for info in members.values():
+            copy.writestr(zipfile.ZipInfo(info.filename), _content(archive, info))
+    written.seek(0)
+    return written
 
 
 def _opened(file: Path | bytes) -> zipfile.ZipFile:

@@ -14,7 +14,7 @@ from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 from hfb.body.pickled_arrays import to_array
 from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
-from hfb.media.array_files import UNPACKED_LIMIT, read_arrays
+from hfb.media.array_files import UNPACKED_LIMIT, read_arrays, weights_file
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
 from hfb.priors.mixture import LIMITS_KEY, MixturePrior, shipped_mixture
@@ -79,6 +79,8 @@ def _read(path: Path) -> Mapping[str, object]:
             return _read_torch(path)
         if head[8:9] == b"{":
             return load_file(path)
+    except InputError:
+        raise
     except Exception as error:  # damaged files make these readers raise nearly anything
         raise InputError(f"{path}: this file is damaged, or holds more than arrays; {_ACCEPTED}") from error
     return _read_pickle(path)
@@ -97,9 +99,14 @@ def _read_torch(path: Path) -> Mapping[str, object]:
     VPoser v2 comes as a Lightning checkpoint with objects of its training run in it: their classes are replaced by
     `_Ignored` instead of being imported.
     """
-    unknown = get_unsafe_globals_in_checkpoint(path) if zipfile.is_zipfile(path) else []
+    try:
+        file = weights_file(path)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; {_ACCEPTED}") from error
+    unknown = get_unsafe_globals_in_checkpoint(file) if zipfile.is_zipfile(path) else []
+    file.seek(0)
     with safe_globals([(_Ignored, name) for name in unknown]):
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
+        loaded = torch.load(file, map_location="cpu", weights_only=True)
     state = loaded.get("state_dict", loaded) if isinstance(loaded, dict) else {}
     return {str(name): value for name, value in state.items() if isinstance(value, torch.Tensor)}
 

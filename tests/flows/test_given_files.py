@@ -14,7 +14,7 @@ from flows.options import add_config_flags, run_config
 from hfb.config import ExportConfig, FitConfig, InitConfig, MattingConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.initialize.first_body import load_first_body
-from hfb.initialize.readers.pose_track import save_track
+from hfb.initialize.readers.pose_track import load_track, save_track
 from hfb.initialize.readers.sniff import read_tracks
 from tasks.given_result import ResultHandle
 from tests.matting.networks import DifferenceMatting, save_scripted
@@ -24,14 +24,16 @@ from tests.small_clips import FRAMES, finished, run_clip, small_clip
 FIT = FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=3),))
 
 
-def wham_result(problem: Problem, path: Path, frames: int = 3) -> Path:
-    """The example's true middle pose as WHAM would write it, in every frame."""
+def wham_result(problem: Problem, path: Path, frames: int = 3, bystander: bool = False) -> Path:
+    """The example's true middle pose as WHAM would write it, in every frame; a bystander is seen longer."""
     true = load_first_body(problem.first_body)
     one = {
         "pose": np.tile(true.pose.numpy().reshape(1, 72), (frames, 1)), "betas": np.zeros((frames, 10)),
         "trans": np.tile(true.translation.numpy(), (frames, 1)), "frame_ids": np.arange(frames),
     }  # fmt: skip
-    joblib.dump({0: one}, path)
+    beside = {name: np.repeat(array, 2, 0) for name, array in one.items()}
+    beside |= {"trans": beside["trans"] + [1.5, 0, 0], "frame_ids": np.arange(2 * frames)}
+    joblib.dump({0: beside, 7: one} if bystander else {7: one}, path)
     return path
 
 
@@ -41,12 +43,13 @@ def config(path: Path, frame: int | None = 1, **parts: Any) -> RunConfig:
 
 
 def test_a_result_and_a_matting_network_of_ones_own(problem: Problem, store: Path, tmp_path: Path) -> None:
-    path = wham_result(problem, tmp_path / "wham_output.pkl")
+    path = wham_result(problem, tmp_path / "wham_output.pkl", bystander=True)
     network = save_scripted(DifferenceMatting(), tmp_path / "bgm.pth")
     given = config(path, matting=MattingConfig(method="bgmv2", weights=network))
     out = tmp_path / "out"
     result = fit_image([problem.frame], problem.background, out, given)
     assert result["first_bodies"] == ["WHAM"]
+    assert load_track(out / "intermediate" / "init_result.npz").person == "7"  # whom the matte shows
     assert {"init_file_0", "matting", "frame_0"} <= result["inputs"].keys()
     assert json.loads((out / "result.json").read_text()) == result
     params = dict(mlflow_rows(store, "select key, value from params"))
@@ -55,7 +58,7 @@ def test_a_result_and_a_matting_network_of_ones_own(problem: Problem, store: Pat
     # another result under the same name is another start
     before = (out / "motion.npz").read_bytes()
     content = joblib.load(path)
-    content[0]["pose"][:, 3:] = 0
+    content[7]["pose"][:, 3:] = 0
     joblib.dump(content, path)
     again = fit_image([problem.frame], problem.background, out, given)
     assert again["inputs"]["init_file_0"] != result["inputs"]["init_file_0"]
@@ -70,6 +73,12 @@ def test_what_cannot_be_meant_is_said_before_anything_is_made(problem: Problem, 
         fit_image([problem.frame], problem.background, tmp_path / "out", config(path, frame=7))
     with pytest.raises(InputError, match="does not exist"):
         fit_image([problem.frame], problem.background, tmp_path / "out", config(tmp_path / "missing.pkl"))
+
+    content = joblib.load(path)
+    content[7]["trans"] = content[7]["trans"] + [1.5, 0, 0]
+    joblib.dump(content, path)
+    with pytest.raises(InputError, match=r"where the picture shows nobody: another frame \(--init\.frame\)"):
+        fit_image([problem.frame], problem.background, tmp_path / "out", config(path))
 
     class Attack:
         def __reduce__(self) -> Any:
@@ -106,6 +115,13 @@ def test_a_result_with_a_row_per_picture_needs_no_number() -> None:
     assert handle.numbers_of(2, 5) == (5, 6)
 
 
+def test_one_of_several_people_is_named() -> None:
+    alone = ResultHandle(path=Path("x"), sha256="0", system="WHAM", frames=(0,))
+    assert alone.remark() is None
+    one = alone.model_copy(update={"person": "7", "others": ("0", "3")})
+    assert one.remark() == "the WHAM result has 3 people; taken is 7, another one by --init.person (0, 3)"
+
+
 def test_which_frame_of_a_result_a_clips_frame_is(tmp_path: Path) -> None:
     path = tmp_path / "result"
     path.write_bytes(b"x")
@@ -132,6 +148,13 @@ def test_short_flags() -> None:
     matting = parsed("--matting", "bgmv2", "--matting-weights", "b.pth", "--matting.backbone-scale", "0.25").matting
     assert matting == MattingConfig(method="bgmv2", weights=Path("b.pth"), backbone_scale=0.25)
     assert parsed("--init.frame", "3", "--init.person", "7").init == InitConfig(frame=3, person="7")
+    assert parsed("--matting", "bgmv2", "--weights", "b.pth").matting == MattingConfig(
+        method="bgmv2", weights=Path("b.pth")
+    )
+    assert parsed("--init", "metro", "--weights", "m.pt").init == InitConfig(method="metro", weights=Path("m.pt"))
+    for words in (["--init", "matte"], ["--matting", "rvm", "--init", "metro"]):
+        with pytest.raises(InputError, match="use --matting-weights and --init-weights"):
+            parsed(*words, "--weights", "x.pt")
 
 
 def test_a_result_of_a_whole_clip(store: Path, tmp_path: Path) -> None:

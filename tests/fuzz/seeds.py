@@ -209,7 +209,7 @@ def _archives(folder: Path) -> Iterator[tuple[str, Path]]:
             "frames": np.arange(4), "names": np.array(["RHip", "LHip"]), "xyz": rng.normal(0, 1, (4, 2, 3)),
         }),
         "poses.npz": ("stored poses", {"poses": rng.normal(0, 0.2, (8, 72)), "trans": np.zeros((8, 3))}),
-        "joints.npz": ("result", {"joints": rng.normal(0, 0.4, (5, 24, 3)) + [0, 0, 4], "K": motion.K}),
+        "joints.npz": ("result", {"joints": rng.normal(0, 0.1, (5, 24, 3)) + [0, 0, 4], "K": motion.K}),
     }  # fmt: skip
     for name, (kind, content) in arrays.items():
         np.savez_compressed(folder / name, **content) if len(name) % 2 else np.savez(folder / name, **content)

@@ -31,12 +31,13 @@ def composite(
     colour, alpha = (np.mean([layer[k] for layer in layers], 0) for k in (0, 1))
     lit = plate_linear * (1 - shadow * _shadow(height, width)[..., None])
     frame = (colour + (1 - alpha[..., None]) * lit) * gain
+    return Composite(seen(frame, noise, rng), seen(plate_linear, noise / 3, rng), alpha.astype(np.float32))
 
-    def seen(light: np.ndarray, sigma: float) -> np.ndarray:
-        encoded = linear_to_srgb(np.clip(light, 0, 1)) + rng.normal(0, sigma, light.shape)
-        return srgb_to_linear(np.round(np.clip(encoded, 0, 1) * 255) / 255).astype(np.float32)
 
-    return Composite(seen(frame, noise), seen(plate_linear, noise / 3), alpha.astype(np.float32))
+def seen(light: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndarray:
+    """Light as a camera gives it: noise and eight bits in sRGB, in linear light again."""
+    encoded = linear_to_srgb(np.clip(light, 0, 1)) + rng.normal(0, sigma, light.shape)
+    return srgb_to_linear(np.round(np.clip(encoded, 0, 1) * 255) / 255).astype(np.float32)
 
 
 def generated_plate(kind: str, height: int = 300, width: int = 240) -> np.ndarray:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from hfb.clip import ClipCamera
 from hfb.datasets.real.clip_lens import clip_lens
 from hfb.errors import InputError
 from hfb.media import video_file
-from hfb.media.array_files import names_in, parse_array, read_arrays
+from hfb.media.array_files import names_in, parse_array, read_arrays, weights_file
 from hfb.media.footage import open_footage
 from hfb.toml_file import read_toml
 from tests.media.videos import picture, write_video
@@ -124,3 +125,49 @@ def test_a_calibration_that_ends_opencv(tmp_path: Path, name: str, text: str, sa
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=says):
         clip_lens(ClipCamera(calibration=tmp_path / name), "a.mp4", 48, 64)
+
+
+def archive_of(members: dict[str, bytes], packing: int = zipfile.ZIP_STORED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", packing) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("zipped", [True, False])
+def test_weights_come_back(tmp_path: Path, zipped: bool) -> None:
+    state = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=torch.float16)}
+    torch.save(state, tmp_path / "größe.pth", _use_new_zipfile_serialization=zipped)
+    found = torch.load(weights_file(tmp_path / "größe.pth"), weights_only=True)
+    assert found.keys() == state.keys()
+    assert all(torch.equal(found[name], state[name]) for name in state)
+
+
+def test_weights_that_are_bombs(tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    members = {"archive/data.pkl": b"N.", "archive/data/0": bytes(1 << 20)}
+    path.write_bytes(archive_of(members, zipfile.ZIP_DEFLATED))
+    with pytest.raises(ValueError, match="compressed, as torch never does: save it again"):
+        weights_file(path)
+    whole = archive_of({"archive/data.pkl": b"N."})
+    path.write_bytes(whole + b"PK\x05\x06")
+    with pytest.raises(ValueError, match="not a readable archive"):
+        weights_file(path)
+    lying = bytearray(whole)
+    at = whole.index(b"PK\x01\x02")
+    lying[at + 20 : at + 28] = (0x70000000).to_bytes(4, "little") * 2
+    path.write_bytes(lying)
+    with pytest.raises(ValueError, match="announces more than it has"):
+        weights_file(path)
+
+
+def test_one_file_is_one_archive(tmp_path: Path) -> None:
+    """Python finds the directory before the end, others where the end says that it is: torch sees Python's."""
+    packed = archive_of({"archive/data.pkl": b"N." * 1000}, zipfile.ZIP_DEFLATED)
+    stored = archive_of({"archive/data.pkl": b"N."})
+    path = tmp_path / "two.pth"
+    path.write_bytes(packed + stored)
+    with zipfile.ZipFile(weights_file(path)) as archive:
+        assert [info.compress_type for info in archive.infolist()] == [zipfile.ZIP_STORED]
+        assert archive.start_dir < len(stored)

@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+import zipfile
 from pathlib import Path
 from types import ModuleType
 
@@ -140,3 +141,14 @@ def test_a_missing_file_and_one_of_something_else(tmp_path):
     np.savez(tmp_path / "words.npz", words=np.array(["a"]))
     with pytest.raises(InputError, match="other than numbers"):
         load_pose_prior(tmp_path / "words.npz")
+
+
+def test_packed_weights_are_refused_before_torch_unpacks_them(tmp_path, monkeypatch):
+    plain, packed = tmp_path / "plain.pt", tmp_path / "packed.pt"
+    torch.save({"a": torch.zeros(1000)}, plain)
+    with zipfile.ZipFile(plain) as given, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in given.namelist():
+            archive.writestr(name, given.read(name))
+    monkeypatch.setattr(torch, "load", lambda *_arguments, **_options: pytest.fail("it was opened"))
+    with pytest.raises(InputError, match=r"packed\.pt: its contents are compressed, as torch.*; give SMPLify"):
+        load_pose_prior(packed)

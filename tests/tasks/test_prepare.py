@@ -14,6 +14,7 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 from tasks.handles import ClipHandle, FileHandle
 from tasks.prepare import prepare
 from tasks.scene import load_camera, load_picture
+from tests.matting.silhouettes import composite, generated_plate
 
 
 @pytest.fixture
@@ -75,3 +76,28 @@ def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None
     torch.testing.assert_close(
         load_picture(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path, transfer: str) -> None:
+    """By one sentence that names the fix, and only where every frame shows it."""
+    scene = composite(generated_plate("clouds"), 16, 3)
+    pictures = {
+        "right": scene.frame, "plate": scene.plate,
+        "beside": np.roll(scene.frame, (4, 3), (0, 1)), "bright": np.clip(1.6 * scene.frame, 0, 1),
+    }  # fmt: skip
+    for name, picture in pictures.items():
+        write_png(tmp_path / f"{name}.png", linear_to_srgb(picture) if transfer == "srgb" else picture, bits=16)
+    files = {name: FileHandle.of(tmp_path / f"{name}.png") for name in pictures}
+    clip, options = Clip.model_validate({"transfer": transfer}), (CameraConfig(), ExposureConfig())
+
+    def remarks(*names: str) -> tuple[str, ...]:
+        return prepare.fn(tuple(files[name] for name in names), files["plate"], clip, *options).remarks
+
+    assert remarks("right") == ()
+    (beside,), (bright,) = remarks("beside"), remarks("bright")
+    assert "do not lie on each other (about 5 px apart)" in beside
+    assert "register the plate to the frame, or give a plate of the same clip" in beside
+    assert "differ in exposure (by a factor of about 1.6)" in bright
+    assert "(--background)" in bright
+    assert remarks("right", "beside") == remarks("beside", "right") == ()

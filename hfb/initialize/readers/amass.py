@@ -1,6 +1,7 @@
 """AMASS (SMPL-H and SMPL-X, z up) and plain SMPL motions (y up): poses without a camera.
 
 How the body stands in an upright world is known; from where it is seen and where it stands, the matte must tell.
+Its clock is its own: `rate_hz` says which row a video's frame is.
 """
 
 from typing import Any
@@ -8,13 +9,16 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.initialize.readers.contents import array_in, named, numbers
+from hfb.initialize.readers.contents import array_in, named
+from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack
 from hfb.initialize.readers.rotations import turned, y_up_to_camera
 from hfb.initialize.readers.smplx import smpl_poses
 
 SYSTEM = "AMASS"
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+_WIDTHS = (66, 72, 156, 165)
+"""66: body joints alone."""
 _Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
@@ -26,9 +30,28 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     given = array_in(one["poses"])
     if not given.size:
         raise InputError("it holds no pose")
-    flat = numbers(given.reshape(len(given), -1), None, None)
+    flat = given.reshape(len(given), -1)
     width = flat.shape[1]
+    if width not in _WIDTHS:
+        raise InputError(f"its poses have {width} columns; SMPL's have 72, SMPL-H's 156, SMPL-X's 165")
     poses = flat.reshape(-1, 24, 3) if width == 72 else smpl_poses(flat[:, :3], flat[:, 3:66])
     if "fps" not in one or any(rate in one for rate in _RATES[:2]):
         poses = turned(_Y_UP_FROM_Z_UP, poses)
-    return [PoseTrack(SYSTEM, "0", np.arange(len(poses)), poses=y_up_to_camera(poses), turn_is_known=False)]
+    return [
+        PoseTrack(
+            SYSTEM,
+            "0",
+            np.arange(len(poses)),
+            poses=y_up_to_camera(poses),
+            turn_is_known=False,
+            rate_hz=_rate_hz(one),
+        )
+    ]
+
+
+def _rate_hz(one: dict[str, Any]) -> float:
+    name = next(rate for rate in _RATES if rate in one)
+    rate_hz = float(numbers_at(one, name, 1)[0])
+    if rate_hz <= 0:
+        raise InputError(f"its {name} is {rate_hz:g}; give its frames per second")
+    return rate_hz

@@ -3,13 +3,16 @@
 import bz2
 import json
 import lzma
+import math
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hfb.body.pickle_stream import Steps, sides_of
 from hfb.body.pickled_arrays import to_array
 from hfb.body.pickles import load_pickle
 from hfb.body.placeholders import JoblibArray, NumpyArray, NumpyScalar
@@ -21,6 +24,7 @@ from hfb.shapes import Array, Float
 _MAX_BYTES = 768 << 20
 _MAX_JSON_BYTES = 32 << 20  # Python takes twenty times as much for nested lists
 _MAX_NUMBERS = 1 << 26  # of one array that is really read: half a GiB as float64
+_MAX_OBJECT_SIDES = 4
 _MAX_ENTRIES, _MAX_DEPTH = 1 << 22, 8  # of lists that stand for an array
 _NPY, _GZIP, _BZ2, _XZ = b"\x93NUMPY", b"\x1f\x8b", b"BZh", b"\xfd7zXZ"
 _ZLIB = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
@@ -45,16 +49,21 @@ def read_contents(path: Path) -> Any:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); {_WHAT}") from error
     try:
-        return _loaded(data)
+        return _loaded(data, Steps(len(data)))
     except InputError as error:
         raise InputError(f"{path} cannot be used: {error}; {_WHAT}") from error
+    except MemoryError as error:
+        raise InputError(f"{path} cannot be used: it needs more memory than there is; {_WHAT}") from error
+    except Exception as error:  # what a hostile file combines is not foreseeable
+        raise InputError(f"{path} cannot be used: it is damaged ({type(error).__name__}); {_WHAT}") from error
 
 
-def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
+def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array, "..."]:
     """The array that a part of a file stands for, as float64; sides of size 1 may be missing or too many.
 
     Args:
         shape: what it must be; None for a side of any length.
+        finite: false where a row that is not finite leaves the others as they are.
 
     Raises:
         InputError: no numbers, another shape, or not finite; the text continues "FILE cannot be used: ".
@@ -70,7 +79,7 @@ def numbers(value: Any, *shape: int | None) -> Float[Array, "..."]:
     lengths = iter(squeezed)
     full = tuple(1 if side == 1 else next(lengths) for side in shape)
     result = array.reshape(full)
-    if not np.isfinite(result).all():
+    if finite and not np.isfinite(result).all():
         raise InputError("it holds numbers that are not finite")
     return result
 
@@ -81,27 +90,37 @@ def array_in(value: Any) -> Float[Array, "..."]:
     Raises:
         InputError: no numbers, or more of them than any file of motions has.
     """
-    array = np.asarray(_gathered(value, [_MAX_ENTRIES]))
-    if array.size > _MAX_NUMBERS:
-        raise InputError(f"it holds an array of {array.size} numbers where a few were expected")
+    array = np.asarray(_gathered(value, _Room()))
     if array.dtype.kind not in "fiub":
         raise InputError("it holds something else where numbers should be")
     return array.astype(np.float64)
 
 
-def _gathered(value: Any, room: list[int], depth: int = 0) -> Any:
-    """An array, or lists of them: JSON has nothing else.
-
-    Args:
-        room: how many more entries are looked at. In a pickle a list may hold itself, or the same one ten times, and
-            that one another ten times: a few hundred bytes are endless.
+class _Room:
+    """How much more is looked at. In a pickle a list may hold itself, or the same one ten times, and that one another
+    ten times, or one large tensor: a few hundred bytes are endless.
     """
+
+    def __init__(self) -> None:
+        self.entries, self.numbers = _MAX_ENTRIES, _MAX_NUMBERS
+
+    def array(self, value: Any) -> Any:
+        """What stands for an array, as one."""
+        array = to_array(value)
+        self.numbers -= array.size
+        if self.numbers < 0:
+            raise InputError(f"it holds arrays of more than {_MAX_NUMBERS} numbers where a few were expected")
+        return array
+
+
+def _gathered(value: Any, room: _Room, depth: int = 0) -> Any:
+    """An array, or lists of them: JSON has nothing else."""
     if not isinstance(value, list | tuple):
-        return to_array(value)
-    room[0] -= len(value)
-    if room[0] < 0 or depth > _MAX_DEPTH:
+        return room.array(value)
+    room.entries -= len(value)
+    if room.entries < 0 or depth > _MAX_DEPTH:
         raise InputError("it holds lists within lists without end where numbers should be")
-    parts = [_gathered(one, room, depth + 1) if isinstance(one, list | tuple) else to_array(one) for one in value]
+    parts = [_gathered(one, room, depth + 1) for one in value]
     if len({np.shape(part) for part in parts}) > 1:
         raise InputError("it holds lists of different lengths where numbers should be")
     return np.asarray(parts)
@@ -152,29 +171,29 @@ def _shown(shape: tuple[int | None, ...]) -> str:
     return "(" + ", ".join("N" if side is None else str(side) for side in shape) + ")"
 
 
-def _loaded(data: bytes) -> Any:
+def _loaded(data: bytes, steps: Steps) -> Any:
     if data[:2] == b"PK":
-        return _zipped(data)
+        return _zipped(data, steps)
     if data[:6] == _NPY:
-        return _npy(data)
+        return _npy(data, steps)
     if looks_like_torch(data):
-        return load_torch(data)
+        return load_torch(data, steps)
     if data[:2] == _GZIP:
-        return _loaded_inside(_inflated(data, zlib.decompressobj(31).decompress))
+        return _loaded_inside(_inflated(data, zlib.decompressobj(31).decompress), steps)
     if data[:2] in _ZLIB:
-        return _loaded_inside(_inflated(data, zlib.decompressobj().decompress))
+        return _loaded_inside(_inflated(data, zlib.decompressobj().decompress), steps)
     if data[:3] == _BZ2:
-        return _loaded_inside(_inflated(data, bz2.BZ2Decompressor().decompress))
+        return _loaded_inside(_inflated(data, bz2.BZ2Decompressor().decompress), steps)
     if data[:5] == _XZ or data[:1] == b"\x5d":
-        return _loaded_inside(_inflated(data, lzma.LZMADecompressor(memlimit=1 << 28).decompress))
+        return _loaded_inside(_inflated(data, lzma.LZMADecompressor(memlimit=1 << 28).decompress), steps)
     if data[:512].lstrip()[:1] in (b"{", b"["):
         return _json(data)
-    return load_pickle(data)
+    return load_pickle(data, steps)
 
 
-def _loaded_inside(data: bytes) -> Any:
+def _loaded_inside(data: bytes, steps: Steps) -> Any:
     """joblib compresses pickles; a file within a file within a file is nobody's."""
-    return load_pickle(data)
+    return load_pickle(data, steps)
 
 
 def _inflated(data: bytes, decompress: Callable[..., bytes]) -> bytes:
@@ -196,11 +215,11 @@ def _json(data: bytes) -> Any:
         raise InputError("it is not readable JSON") from error
 
 
-def _zipped(data: bytes) -> Any:
+def _zipped(data: bytes, steps: Steps) -> Any:
     try:
         if any(name.endswith("data.pkl") for name in names_in(data)):
-            return load_torch(data)
-        arrays = read_arrays(data, objects=_objects)
+            return load_torch(data, steps)
+        arrays = read_arrays(data, objects=partial(_objects, steps))
     except InputError:
         raise
     except ValueError as error:
@@ -208,18 +227,18 @@ def _zipped(data: bytes) -> Any:
     return {name: _texts_as_list(array) for name, array in arrays.items()}
 
 
-def _npy(data: bytes) -> Any:
+def _npy(data: bytes, steps: Steps) -> Any:
     """An array of numbers or texts; what an array of objects holds, where it is a single one."""
     try:
-        return _texts_as_list(parse_array(data, _objects))
+        return _texts_as_list(parse_array(data, partial(_objects, steps)))
     except InputError:
         raise
     except ValueError as error:
         raise InputError(str(error)) from error
 
 
-def _objects(pickled: bytes) -> Any:
-    return _single(load_pickle(pickled))
+def _objects(steps: Steps, pickled: bytes) -> Any:
+    return _single(load_pickle(pickled, steps))
 
 
 def _texts_as_list(array: Any) -> Any:
@@ -231,16 +250,17 @@ def _single(value: Any) -> Any:
     if isinstance(value, NumpyArray) and isinstance(value.state, tuple) and len(value.state) == 4:
         objects = value.state[3]
         if isinstance(objects, list):
-            return _nested(objects, value.state[0]) if isinstance(value.state[0], tuple) else objects
+            return _nested(objects, sides_of(value.state[0]))
     return value
 
 
-def _nested(objects: list[Any], shape: tuple[Any, ...]) -> Any:
+def _nested(objects: list[Any], shape: tuple[int, ...]) -> Any:
     """A flat list as lists of lists; the thing itself where the array had no sides."""
     if not shape:
         return objects[0] if len(objects) == 1 else objects
-    rows = shape[0] if isinstance(shape[0], int) else 0
-    if len(shape) == 1 or rows < 1 or len(objects) % rows:
+    if len(shape) > _MAX_OBJECT_SIDES or len(objects) != math.prod(shape):
+        raise InputError("it holds an array of objects of an impossible shape")
+    if len(shape) == 1 or not objects:
         return objects
-    each = len(objects) // rows
+    rows, each = shape[0], len(objects) // shape[0]
     return [_nested(objects[at * each : (at + 1) * each], shape[1:]) for at in range(rows)]

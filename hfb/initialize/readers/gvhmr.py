@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from hfb.initialize.readers.contents import named, numbers
-from hfb.initialize.readers.pose_track import PoseTrack
+from hfb.initialize.readers.contents import named
+from hfb.initialize.readers.parts import numbers_at
+from hfb.initialize.readers.pose_track import PoseTrack, size_seen
 from hfb.initialize.readers.smplx import smpl_poses, smplx_pelvis
 
 SYSTEM = "GVHMR"
@@ -20,18 +21,20 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     body = named(one.get("smpl_params_incam"))
     if "K_fullimg" not in one or not {"body_pose", "global_orient", "transl"} <= body.keys():
         return None
-    place = numbers(body["transl"], None, 3)
+    place = numbers_at(body, "transl", None, 3, finite=False)
     count = len(place)
+    K = numbers_at(one, "K_fullimg", count, 3, 3, finite=False)
+    root = numbers_at(body, "global_orient", count, 3, finite=False)
     return [
         PoseTrack(
             SYSTEM,
             "0",
             np.arange(count),
-            size,
-            poses=smpl_poses(numbers(body["global_orient"], count, 3), numbers(body["body_pose"], count, 63)),
-            betas=numbers(body["betas"], count, 10) if "betas" in body else None,
+            size_seen(K, size),
+            poses=smpl_poses(root, numbers_at(body, "body_pose", count, 63, finite=False)),
+            betas=numbers_at(body, "betas", count, 10, finite=False) if "betas" in body else None,
             betas_space="smplx",
             pelvis=smplx_pelvis(place),
-            K=numbers(one["K_fullimg"], count, 3, 3),
+            K=K,
         )
     ]

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.initialize.readers.contents import named, numbers, texts
+from hfb.initialize.readers.contents import array_in, named, texts
+from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole
 from hfb.initialize.readers.rotations import from_matrices, from_quaternions
 from hfb.shapes import Array, Float, Int
@@ -24,14 +25,13 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     one = named(content)
     if not {"pred_thetas", "transl", "bbox"} <= one.keys():
         return None
-    place = numbers(one["transl"], None, 3)
+    place = numbers_at(one, "transl", None, 3, finite=False)
     count = len(place)
-    boxes = numbers(one["bbox"], count, 4)
-    widths = boxes[:, 2] - boxes[:, 0]
-    if (widths <= 0).any():
-        raise InputError("it has boxes without width")
+    if not count:
+        raise InputError("it holds nobody")
+    boxes = numbers_at(one, "bbox", count, 4, finite=False)
     height, width = _sides(one, count) or size
-    focal_px = _FOCAL_PX / _CROP_PX * widths
+    focal_px = _FOCAL_PX / _CROP_PX * (boxes[:, 2] - boxes[:, 0])
     return [
         PoseTrack(
             SYSTEM,
@@ -39,7 +39,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
             _frames(one, count),
             (height, width),
             poses=_poses(one["pred_thetas"], count),
-            betas=numbers(one["pred_betas"], count, 10) if "pred_betas" in one else None,
+            betas=numbers_at(one, "pred_betas", count, 10, finite=False) if "pred_betas" in one else None,
             pelvis=place,
             K=np.stack([pinhole(float(focal), width / 2, height / 2) for focal in focal_px]),
         )
@@ -48,18 +48,23 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 def _poses(value: Any, count: int) -> Float[Array, "N 24 3"]:
     """Matrices; quaternions in the releases of 2021."""
-    flat = numbers(value, count, None) if count > 1 else numbers(value, None)[None]
+    given = array_in(value)
+    if given.size % count:
+        raise InputError(f"it has poses of the shape {given.shape} for {count} frames")
+    flat = given.reshape(count, -1)
     if flat.shape[1] == 24 * 9:
         return from_matrices(flat.reshape(count, 24, 3, 3))
     if flat.shape[1] == 24 * 4:
         return from_quaternions(flat.reshape(count, 24, 4))
+    if flat.shape[1] in (55 * 9, 55 * 4):
+        raise InputError("it has the 55 joints of HybrIK-X, whose body is SMPL-X; give HybrIK's own result, of SMPL")
     raise InputError(f"it has poses of {flat.shape[1]} numbers; 24 matrices are 216")
 
 
 def _sides(one: dict[str, Any], count: int) -> tuple[int, int] | None:
     if "height" not in one or "width" not in one:
         return None
-    height, width = (np.unique(numbers(one[name], count)) for name in ("height", "width"))
+    height, width = (np.unique(numbers_at(one, name, count)) for name in ("height", "width"))
     if len(height) != 1 or len(width) != 1:
         raise InputError("it is about pictures of several sizes; hfb needs those of one camera")
     return int(height[0]), int(width[0])

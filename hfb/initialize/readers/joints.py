@@ -1,10 +1,13 @@
-"""Any system's 3D joints: an .npz or JSON with `joints` (frames, 24 | 17 | 14, 3) [m] in the camera's axes (y down).
+"""Any system's 3D joints: an .npz or JSON with `joints` (frames, 24 | 17 | 14, 3) in the camera's axes (y down) [m].
 
-joints        SMPL's 24, Human3.6M's 17 or the usual 14; or as many as joint_names has
+joints        SMPL's 24, Human3.6M's 17 or the usual 14; or as many as joint_names has; NaN where unknown. Also
+              joints3d, joints_3d, keypoints3d, keypoints_3d, or an array alone
 joint_names   SMPL's names (pelvis, left_hip, ...), for joints in another order or number
 K             (3, 3) or (frames, 3, 3), where the joints are placed before a camera; else only the pose is taken
 frame_index   the video's frame numbers, from 0 on; each row is the next frame where it is missing
 y_up          true where y points up and z towards the viewer
+
+Millimetres and centimetres are told from the bones' lengths.
 """
 
 from typing import Any
@@ -13,34 +16,54 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
-from hfb.initialize.joint_layouts import joints_as_24
+from hfb.initialize.joint_layouts import JOINT_COUNTS, joints_as_24
 from hfb.initialize.readers.contents import array_in, named, numbers, text_of
+from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack
+from hfb.initialize.readers.units import in_metres
 from hfb.shapes import Array, Float
 
 SYSTEM = "joints"
+_NAMES = ("joints", "joints3d", "joints_3d", "keypoints3d", "keypoints_3d")
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
     """The one person of a joints file; None where it is something else."""
     one = named(content)
-    if "joints" not in one or "poses" in one:
+    given = _given(content, one)
+    if given is None or "poses" in one:
         return None
-    joints = _joints(one)
-    if "y_up" in one and bool(numbers(one["y_up"], 1)[0]):
+    joints = _joints(given, one)
+    if "y_up" in one and bool(numbers_at(one, "y_up", 1)[0]):
         joints = joints * np.array([1.0, -1.0, -1.0])
-    frames = numbers(one["frame_index"], len(joints)) if "frame_index" in one else np.arange(len(joints))
-    K = None
-    if "K" in one:
-        given = array_in(one["K"])
-        K = np.tile(numbers(given, 3, 3), (len(joints), 1, 1)) if given.ndim == 2 else numbers(given, len(joints), 3, 3)
-        if (joints[..., 2] <= 0).any():
-            raise InputError("it has a camera K, but joints behind it")
-    return [PoseTrack(SYSTEM, "0", frames.astype(np.int64), size, joints=joints, K=K)]
+    frames = numbers_at(one, "frame_index", len(joints)) if "frame_index" in one else np.arange(len(joints))
+    K = _cameras(one["K"], len(joints)) if "K" in one else None
+    return [PoseTrack(SYSTEM, "0", frames.astype(np.int64), size, joints=in_metres(joints), K=K)]
 
 
-def _joints(one: dict[str, Any]) -> Float[Array, "R 24 3"]:
-    given = array_in(one["joints"])
+def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
+    """The joints by their name, or an array alone that can be nothing else."""
+    name = next((name for name in _NAMES if name in one), None)
+    if name is not None:
+        return array_in(one[name])
+    alone = one.get("arr_0") if len(one) == 1 else content  # numpy.savez's name for an array without one
+    if alone is None or isinstance(alone, dict):
+        return None
+    try:
+        array = array_in(alone)
+    except InputError:
+        return None
+    return array if array.ndim == 3 and array.shape[1] in JOINT_COUNTS and array.shape[2] == 3 else None
+
+
+def _cameras(value: Any, count: int) -> Float[Array, "R 3 3"]:
+    given = array_in(value)
+    if given.ndim == 2:
+        return np.tile(numbers(given, 3, 3), (count, 1, 1))
+    return numbers(given, count, 3, 3, finite=False)
+
+
+def _joints(given: Float[Array, "..."], one: dict[str, Any]) -> Float[Array, "R 24 3"]:
     if given.ndim != 3 or given.shape[2] != 3 or not len(given):
         raise InputError(f"its joints are {given.shape} instead of (frames, 24, 3)")
     if "joint_names" not in one:

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from hfb.initialize.readers.contents import named, numbers, text_of
+from hfb.initialize.readers.contents import named, text_of
+from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack, track_of
 
 SYSTEM = "hfb"
@@ -17,10 +18,10 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         return [track_of(one)]
     if not {"poses", "trans", "betas", "frame_index", "K", "betas_space"} <= one.keys():
         return None
-    poses = numbers(one["poses"], None, 72)
-    frame_of_row = numbers(one["frame_index"], len(poses)).astype(np.int64)
-    frames = np.unique(frame_of_row)
-    middle = [rows[len(rows) // 2] for rows in (np.flatnonzero(frame_of_row == frame) for frame in frames)]
+    poses = numbers_at(one, "poses", None, 72, finite=False)
+    frame_of_row = numbers_at(one, "frame_index", len(poses)).astype(np.int64)
+    frames, begins, counts = np.unique(np.sort(frame_of_row), return_index=True, return_counts=True)
+    middle = np.argsort(frame_of_row, kind="stable")[begins + counts // 2]
     return [
         PoseTrack(
             SYSTEM,
@@ -28,9 +29,9 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
             frames,
             None,
             poses=poses.reshape(-1, 24, 3)[middle],
-            trans=numbers(one["trans"], len(poses), 3)[middle],
-            betas=np.tile(numbers(one["betas"], 10), (len(frames), 1)),
+            trans=numbers_at(one, "trans", len(poses), 3, finite=False)[middle],
+            betas=np.tile(numbers_at(one, "betas", 10), (len(frames), 1)),
             betas_space="hfb" if text_of(one["betas_space"]) == "hfb" else "smpl",
-            K=np.tile(numbers(one["K"], 3, 3), (len(frames), 1, 1)),
+            K=np.tile(numbers_at(one, "K", 3, 3), (len(frames), 1, 1)),
         )
     ]

@@ -13,25 +13,23 @@ _HALF_TURN = np.diag([1.0, -1.0, -1.0])
 def from_matrices(matrices: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     """A network's matrix is a rotation only nearly: its first two columns, made orthonormal, are one.
 
+    Single ones that are none, or not finite, become NaN.
+
     Raises:
-        InputError: matrices that are none of rotations.
+        InputError: none of them is a rotation.
     """
     columns = torch.from_numpy(np.ascontiguousarray(matrices[..., :2].swapaxes(-1, -2)))
     tidy = six_d_to_matrix(columns.flatten(-2))
-    if matrices.size and float((tidy - torch.from_numpy(matrices)).abs().max()) > 0.2:
+    far = ((tidy - torch.from_numpy(matrices)).abs() > 0.2).flatten(-2).any(-1) | (tidy.norm(dim=-2) < 0.9).any(-1)
+    if far.numel() and bool(far.all()):
         raise InputError("it holds matrices that are no rotations")
-    return matrix_to_axis_angle(tidy).numpy()
+    return matrix_to_axis_angle(tidy).masked_fill(far[..., None], torch.nan).numpy()
 
 
 def from_quaternions(quaternions: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    """(w, x, y, z), of any length but zero.
-
-    Raises:
-        InputError: one of length zero.
-    """
+    """(w, x, y, z), of any length but zero, which becomes NaN."""
     length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
-    if (length < 1e-6).any():
-        raise InputError("it holds quaternions of length zero")
+    length[length < 1e-6] = np.nan
     return quaternion_to_axis_angle(torch.from_numpy(quaternions / length)).numpy()
 
 

@@ -1,66 +1,102 @@
 """SAM 3D Body: what its estimator returns, saved as a pickle, .npy, .npz or JSON: per person pred_keypoints_3d (70, 3),
-pred_cam_t, focal_length, pred_keypoints_2d; a dictionary, a list of persons, or a list (or dictionary) of frames.
+pred_cam_t, focal_length, pred_keypoints_2d.
+
+- one dictionary, or a flat list of them: the people of one picture, as the system's own call returns them
+- a list of lists: the people of each frame, counted from 0
+- a dictionary of lists: by frame numbers, or by pictures' names that end with one
 
 Its body is MHR, not SMPL: the joints are taken, and hfb's body is laid onto them.
 """
 
-from collections.abc import Iterator
+import logging
+import re
+from collections import defaultdict
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from hfb.errors import InputError
 from hfb.initialize.joint_layouts import MHR70_AS_24
-from hfb.initialize.readers.contents import named, numbers
-from hfb.initialize.readers.pose_track import PoseTrack, pinhole
+from hfb.initialize.readers.contents import named
+from hfb.initialize.readers.parts import MAX_PEOPLE, has_keys, named_all, numbers_at
+from hfb.initialize.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.shapes import Array, Float
 
 SYSTEM = "SAM 3D Body"
 _NEEDED = {"pred_keypoints_3d", "pred_cam_t", "focal_length"}
+_REACH_M, _MOST_STEPS = 1.0, 3
+"""How far a pelvis moves from one frame to the next, and over how many frames this grows."""
+_REMEMBERED, _MOST_IN_FRAME = 5, 128
+"""After so many given frames without them people are new; more in a frame are not told apart."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A person in a frame: joints [m], NaN where unknown, and the camera."""
+
+    number: int
+    joints: Float[Array, "24 3"]
+    K: Float[Array, "3 3"]
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a saved estimate, numbered by their place in each frame; None where it is something else."""
-    frames = list(_frames(content))
-    if not any(frames):
+    """The persons of a saved estimate, numbered as they come; None where it is something else."""
+    frames = _frames(content)
+    if sum(len(people) for _, people in frames) > MAX_PEOPLE:
+        raise InputError(f"it holds people more than {MAX_PEOPLE} times")
+    found = named_all((one for _, people in frames for one in people), _NEEDED)
+    if not found:
         return None
-    people: dict[int, list[tuple[int, dict[str, Any]]]] = {}
-    for number, found in enumerate(frames):
-        for person, one in enumerate(found):
-            people.setdefault(person, []).append((number, one))
-    return [_person(str(person), found, size) for person, found in sorted(people.items())]
+    numbers = [number for number, people in frames for _ in people]
+    seen = [_look(number, one, size) for number, one in zip(numbers, found, strict=True)]
+    placed = [one for one in seen if one.joints[0, 2] > 0]
+    if len(placed) < len(seen):
+        _log.warning(
+            "%s: %d of %d people are left out: not before the camera", SYSTEM, len(seen) - len(placed), len(seen)
+        )
+    return [_person(str(name), rows, size) for name, rows in enumerate(_linked(placed))]
 
 
-def _frames(content: Any) -> Iterator[list[dict[str, Any]]]:
-    if named(content).keys() >= _NEEDED:
-        yield [named(content)]
-    elif isinstance(content, list) and content and all(named(one).keys() >= _NEEDED for one in content):
-        yield [named(one) for one in content]
-    elif isinstance(content, dict) and len(content) == 1:  # an .npz with one array of them
-        yield from _frames(next(iter(content.values())))
-    else:
-        parts = content if isinstance(content, list) else list(named(content).values())
-        for part in parts:
-            people = part if isinstance(part, list) else [part]
-            if not all(named(one).keys() >= _NEEDED for one in people):
-                return
-            yield [named(one) for one in people]
+def _frames(content: Any) -> list[tuple[int, list[Any]]]:
+    """(frame number, people) of each frame, as far as it looks like frames."""
+    if isinstance(content, dict) and len(content) == 1:
+        (inner,) = content.values()
+        if not has_keys(inner, _NEEDED) and not (isinstance(inner, list) and _are_people(inner)):
+            content = inner  # an .npz with one array of frames
+    if has_keys(content, _NEEDED):
+        return [(0, [content])]
+    if isinstance(content, dict):
+        parts = [one if isinstance(one, list) else [one] for one in content.values()]
+        return list(zip(_written(list(named(content))), parts, strict=False))
+    if not isinstance(content, list):
+        return []
+    if _are_people(content):
+        return [(0, content)]
+    return list(enumerate(one if isinstance(one, list) else [one] for one in content))
 
 
-def _person(name: str, found: list[tuple[int, dict[str, Any]]], size: tuple[int, int]) -> PoseTrack:
-    joints, cameras = [], []
-    for _, one in found:
-        points = numbers(one["pred_keypoints_3d"], 70, 3) + numbers(one["pred_cam_t"], 3)
-        focal_px = float(numbers(one["focal_length"], 1)[0])
-        if (points[:, 2] <= 0).any() or focal_px <= 0:
-            raise InputError("it has keypoints behind the camera")
-        full = np.full((24, 3), np.nan)
-        full[list(MHR70_AS_24)] = points[list(MHR70_AS_24.values())]
-        full[0] = (full[1] + full[2]) / 2
-        joints.append(full)
-        cameras.append(_camera(one, points, focal_px, size))
-    frames = np.array([number for number, _ in found], np.int64)
-    return PoseTrack(SYSTEM, name, frames, size, joints=np.stack(joints), K=np.stack(cameras))
+def _are_people(part: list[Any]) -> bool:
+    return not any(isinstance(one, list) for one in part)
+
+
+def _written(names: list[str]) -> list[int]:
+    """The last number in each name before its suffix; places where one has none, or two the same."""
+    found = [re.findall(r"\d{1,15}", re.sub(r"\.[A-Za-z]\w*$", "", name)) for name in names]
+    numbers = [int(each[-1]) for each in found if each]
+    return numbers if len(set(numbers)) == len(names) else list(range(len(names)))
+
+
+def _look(number: int, one: dict[str, Any], size: tuple[int, int]) -> _Seen:
+    place = numbers_at(one, "pred_cam_t", 3, finite=False)
+    points = numbers_at(one, "pred_keypoints_3d", 70, 3, finite=False) + place
+    focal_px = float(numbers_at(one, "focal_length", 1, finite=False)[0])
+    joints = np.full((24, 3), np.nan)
+    joints[list(MHR70_AS_24)] = points[list(MHR70_AS_24.values())]
+    joints[0] = (joints[1] + joints[2]) / 2
+    return _Seen(number, joints, _camera(one, points, focal_px, size))
 
 
 def _camera(
@@ -69,6 +105,48 @@ def _camera(
     """The principal point is not stored; it follows from where the system saw its own keypoints."""
     if one.get("pred_keypoints_2d") is None:
         return pinhole(focal_px, size[1] / 2, size[0] / 2)
-    offsets = numbers(one["pred_keypoints_2d"], 70, 2) - focal_px * points[:, :2] / points[:, 2:]
-    cx, cy = np.median(offsets, 0)
+    pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
+    known = np.isfinite(pixels).all(1) & np.isfinite(points).all(1) & (points[:, 2] > 0)
+    if not known.any():
+        return pinhole(focal_px, np.nan, np.nan)
+    cx, cy = np.median(pixels[known] - focal_px * points[known, :2] / points[known, 2:], 0)
     return pinhole(focal_px, float(cx), float(cy))
+
+
+def _linked(seen: list[_Seen]) -> list[list[_Seen]]:
+    """Everybody's rows. The order of detections says nothing: a person is who stands nearest to where it stood."""
+    frames: dict[int, list[_Seen]] = defaultdict(list)
+    for one in seen:
+        frames[one.number].append(one)
+    if len(frames) > 1 and max(map(len, frames.values())) > _MOST_IN_FRAME:
+        raise InputError(f"it holds more than {_MOST_IN_FRAME} people in a frame")
+    people: list[list[_Seen]] = []
+    recent: list[set[int]] = []
+    for number in sorted(frames):
+        known = sorted(set().union(*recent[-_REMEMBERED:]))
+        follows = _followed([people[person][-1] for person in known], frames[number])
+        recent.append(set())
+        for at, one in enumerate(frames[number]):
+            person = known[follows[at]] if at in follows else len(people)
+            if person == len(people):
+                people.append([])
+            people[person].append(one)
+            recent[-1].add(person)
+    return people
+
+
+def _followed(before: list[_Seen], now: list[_Seen]) -> dict[int, int]:
+    """Whom of `before` those of `now` continue, by their places in the lists."""
+    if not before:
+        return {}
+    steps = [min(now[0].number - one.number, _MOST_STEPS) for one in before]
+    away = np.stack([one.joints[0] for one in before])[:, None] - np.stack([one.joints[0] for one in now])
+    cost = np.linalg.norm(away, axis=-1) / (_REACH_M * np.array(steps, np.float64)[:, None])
+    pairs = zip(*linear_sum_assignment(np.minimum(cost, 1)), strict=True)
+    return {int(new): int(old) for old, new in pairs if cost[old, new] < 1}
+
+
+def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:
+    K = np.stack([one.K for one in rows])
+    frames = np.array([one.number for one in rows], np.int64)
+    return PoseTrack(SYSTEM, name, frames, size_seen(K, size), joints=np.stack([one.joints for one in rows]), K=K)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.initialize.readers.contents import named, numbers
-from hfb.initialize.readers.pose_track import PoseTrack, pinhole
+from hfb.initialize.readers.contents import named
+from hfb.initialize.readers.parts import numbers_at
+from hfb.initialize.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.initialize.readers.rotations import from_matrices
 from hfb.shapes import Array, Float
 
@@ -24,19 +25,19 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     one = named(content)
     if not {"pred_rotmat", "pred_shape", "pred_trans", "frame"} <= one.keys():
         return None
-    frames = numbers(one["frame"], None)
+    frames = numbers_at(one, "frame", None)
     count = len(frames)
-    K = _camera(named(beside.get(CAMERA_FILE)), size)
+    K = np.tile(_camera(named(beside.get(CAMERA_FILE)), size), (count, 1, 1))
     return [
         PoseTrack(
             SYSTEM,
             "0",
             frames.astype(np.int64),
-            size,
-            poses=from_matrices(numbers(one["pred_rotmat"], count, 24, 3, 3)),
-            trans=numbers(one["pred_trans"], count, 1, 3)[:, 0],
-            betas=numbers(one["pred_shape"], count, 10),
-            K=np.tile(K, (count, 1, 1)),
+            size_seen(K, size),
+            poses=from_matrices(numbers_at(one, "pred_rotmat", count, 24, 3, 3, finite=False)),
+            trans=numbers_at(one, "pred_trans", count, 1, 3, finite=False)[:, 0],
+            betas=numbers_at(one, "pred_shape", count, 10, finite=False),
+            K=K,
         )
     ]
 
@@ -47,5 +48,5 @@ def _camera(camera: dict[str, Any], size: tuple[int, int]) -> Float[Array, "3 3"
         return pinhole(math.hypot(height, width), width / 2, height / 2)
     if not {"img_focal", "img_center"} <= camera.keys():
         raise InputError(f"the {CAMERA_FILE} beside it has no img_focal and img_center")
-    cx, cy = numbers(camera["img_center"], 2)
-    return pinhole(float(numbers(camera["img_focal"], 1)[0]), float(cx), float(cy))
+    cx, cy = numbers_at(camera, "img_center", 2)
+    return pinhole(float(numbers_at(camera, "img_focal", 1)[0]), float(cx), float(cy))

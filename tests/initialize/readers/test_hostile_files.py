@@ -15,9 +15,12 @@ import numpy as np
 import pytest
 import torch
 
+from hfb.body import pickle_stream
 from hfb.body.pickled_arrays import to_array
 from hfb.body.torch_files import load_torch
 from hfb.errors import InputError
+from hfb.initialize.readers import contents
+from hfb.initialize.readers.contents import read_contents
 from hfb.initialize.readers.sniff import read_tracks
 from tests.initialize.readers import files
 from tests.initialize.readers.files import HEIGHT, PICKLED, WIDTH, Person
@@ -188,3 +191,73 @@ def test_lists_of_the_same_list_are_not_multiplied_out(tmp_path: Path, place: st
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
     assert "MemoryError" not in str(refused.value)
+
+
+def object_array(path: Path, shape: bytes, objects: list[Any]) -> Path:
+    """A .npy file whose pickle says that its objects have this shape."""
+    stream = io.BytesIO()
+    held = np.empty(len(objects), dtype=object)
+    held[:] = objects
+    np.save(stream, held, allow_pickle=True)
+    whole = stream.getvalue()
+    start = whole.index(b"\n") + 1
+    before, _, after = pickle.dumps(held, 2).rpartition(b"K%c\x85" % len(objects))
+    path.write_bytes(whole[:start] + before + shape + after)
+    return path
+
+
+def test_objects_in_an_array_of_many_sides(tmp_path: Path) -> None:
+    many, some, other, text = b"(" + b"K\x01" * 5000 + b"t", b"(" + b"K\x01" * 20 + b"t", b"K\x02\x85", b"U\x01a\x85"
+    for shape in (many, some, other, text):
+        with pytest.raises(InputError, match="impossible shape"):
+            read_contents(object_array(tmp_path / "a.npy", shape, [{"a": 1}]))
+    rows_of_none = b"\x8a\x05\0\0\0\0\x40K\x00\x86"  # 2 ** 38 of them
+    assert read_contents(object_array(tmp_path / "a.npy", rows_of_none, [])) == []
+    assert read_contents(object_array(tmp_path / "a.npy", b"K\x02K\x01\x86", [3, 4])) == [[3], [4]]
+    assert read_contents(object_array(tmp_path / "a.npy", b")", [{"a": 1}])) == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [(KeyError("a"), r"damaged \(KeyError"), (RecursionError(), "damaged"), (MemoryError(), "memory")],
+)
+def test_what_nobody_foresaw_is_a_sentence(
+    tmp_path: Path, error: Exception, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_arguments: Any) -> None:
+        raise error
+
+    (tmp_path / "a.pkl").write_bytes(b"N.")
+    monkeypatch.setattr(contents, "load_pickle", fail)
+    with pytest.raises(InputError, match=rf"a\.pkl cannot be used: it .*{says}.*; give a result file of"):
+        read_contents(tmp_path / "a.pkl")
+
+
+def test_all_members_of_a_file_take_from_the_same_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The budget is the file's as it lies on the disk: what it unpacks to counts nothing."""
+    monkeypatch.setattr(pickle_stream, "_LEAST_STEPS", 6000)
+    for count, path in ((1, tmp_path / "one.npz"), (10, tmp_path / "many.npz")):
+        members = {f"a{n}": np.array([[None] * 5000, None], dtype=object) for n in range(count)}
+        np.savez_compressed(path, **members)
+    assert len(read_contents(tmp_path / "one.npz")) == 1
+    with pytest.raises(InputError, match=r"many\.npz cannot be used: it takes millions of steps.*shorter files"):
+        read_contents(tmp_path / "many.npz")
+    joblib.dump([None] * 100_000, tmp_path / "packed.pkl", compress=9)
+    assert (tmp_path / "packed.pkl").stat().st_size < 3000
+    with pytest.raises(InputError, match="millions of steps"):
+        read_contents(tmp_path / "packed.pkl")
+
+
+def test_long_files_of_phalp_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many small objects per frame: what it takes grows with the file, also where it is packed."""
+    monkeypatch.setattr(pickle_stream, "_LEAST_STEPS", 0)
+    written = files.phalp(tmp_path, Person.some(count=files.COUNT))
+    _, frame = sorted(written.content.items())[-1]
+    rng = np.random.default_rng(0)
+    frames = {}
+    for n in range(60):
+        smpl = {name: value + rng.normal(0, 1e-3, value.shape) for name, value in frame["smpl"][0].items()}
+        frames["walk", n] = {**frame, "time": n, "smpl": [smpl]}  # so are its keys with extract_video=False
+    joblib.dump(frames, written.path, compress=3)
+    (track,) = read_tracks([written.path], HEIGHT, WIDTH)
+    assert list(track.frames) == list(range(60))

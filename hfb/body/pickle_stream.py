@@ -1,0 +1,103 @@
+"""The bytes that a pickle is read from, and how much it may make of them."""
+
+import io
+from typing import Any
+
+from hfb.errors import InputError
+
+_MAX_ITEM_BYTES = 1 << 16
+_MAX_SIDES, _MAX_SIDE = 32, 1 << 62
+_LEAST_STEPS, _STEPS_PER_BYTE = 3_000_000, 4  # PHALP, compressed: 458 steps in 300 bytes per person and frame
+_BYTES_PER_STEP = 1 << 12  # that a call copies
+
+
+class Steps:
+    """How many steps reading one file may take: all its pickles, and those within them, take from the same.
+
+    Args:
+        file_bytes: of the file as it lies on the disk; what is unpacked is as long as somebody wishes.
+    """
+
+    def __init__(self, file_bytes: int) -> None:
+        self.left = _LEAST_STEPS + _STEPS_PER_BYTE * file_bytes
+
+    def take(self, count: int) -> None:
+        """So many steps more.
+
+        Raises:
+            InputError: there are not so many left.
+        """
+        self.left -= count
+        if self.left < 0:
+            raise self.spent()
+
+    def spent(self) -> InputError:
+        """What is to be said when none is left."""
+        return InputError(
+            "it takes millions of steps to read, far more than a file of arrays of its size: save it without masks "
+            "and features, or split it into shorter files"
+        )
+
+
+class Bytes(io.BytesIO):
+    """A stream over bytes in memory, parts of which can be had without a copy.
+
+    Args:
+        steps: what reading it takes from; by default the bytes are taken for the file.
+    """
+
+    def __init__(self, data: bytes, steps: Steps | None = None) -> None:
+        super().__init__(data)
+        self._whole = memoryview(data)
+        self.steps = Steps(len(data)) if steps is None else steps
+
+    def room(self) -> int:
+        """How many bytes are to come."""
+        return len(self._whole) - self.tell()
+
+    def view(self, size: int) -> memoryview:
+        """The next bytes.
+
+        Raises:
+            InputError: there are not so many.
+        """
+        start = self.tell()
+        if not 0 <= size <= self.room():
+            raise InputError("it is cut off")
+        self.seek(start + size)
+        return self._whole[start : start + size]
+
+
+def weight_of(argument: Any) -> int:
+    """Steps for what a function looks at, or copies."""
+    if isinstance(argument, list | tuple | dict):
+        return len(argument)
+    return len(argument) // _BYTES_PER_STEP if isinstance(argument, str | bytes | bytearray) else 0
+
+
+def sides_of(shape: Any) -> tuple[int, ...]:
+    """The sides of an array as a pickle has them: a text among them would be repeated, not multiplied.
+
+    Raises:
+        InputError: something else, or beyond what any array has.
+    """
+    if not isinstance(shape, tuple) or len(shape) > _MAX_SIDES:
+        raise InputError("it holds an array of an impossible shape")
+    if not all(type(side) is int and 0 <= side <= _MAX_SIDE for side in shape):
+        raise InputError("it holds an array of an impossible shape")
+    return shape
+
+
+def item_bytes(code: Any) -> int:
+    """Bytes of one entry of numpy's type code, such as "f4" or "U12".
+
+    Raises:
+        InputError: no such code.
+    """
+    text = code.decode("latin1") if isinstance(code, bytes) else code
+    if not isinstance(text, str) or not text.lstrip("<>=|")[1:].isdigit():
+        raise InputError("it holds an array of things that are not numbers")
+    kind, size = text.lstrip("<>=|")[0], int(text.lstrip("<>=|")[1:])
+    if kind not in "biufcUS" or size > _MAX_ITEM_BYTES:
+        raise InputError("it holds an array of things that are not numbers")
+    return 4 * size if kind == "U" else size

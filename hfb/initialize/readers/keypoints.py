@@ -1,0 +1,132 @@
+"""Any system's 2D keypoints [px]: only where the joints are seen, not how deep they lie.
+
+keypoints     (frames, J, 2 | 3) in an .npz or JSON, the third a confidence; J is 17 (COCO), 25 (OpenPose) or 24 (SMPL).
+              Also keypoints2d, keypoints_2d, joints2d, joints_2d
+joint_names   SMPL's names, for joints in another order or number
+frame_index   the video's frame numbers, from 0 on
+
+COCO's and AlphaPose's results: a JSON list of {image_id, keypoints: [x, y, confidence, ...]}, 17 or more of them; an
+image's number is its id, or the last digits of its name. People are told apart by track_id or idx, else by score.
+OpenPose's: {people: [{pose_keypoints_2d}]}, one picture.
+"""
+
+import math
+import re
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+from hfb.body.skeleton import JOINT_NAMES
+from hfb.errors import InputError
+from hfb.initialize.readers.contents import array_in, named, numbers, text_of
+from hfb.initialize.readers.parts import named_all
+from hfb.initialize.readers.pose_track import PoseTrack, pinhole
+from hfb.shapes import Array, Float
+
+SYSTEM = "2D keypoints"
+_NAMES = ("keypoints", "keypoints2d", "keypoints_2d", "joints2d", "joints_2d")
+_LEAST_CONFIDENCE = 0.2
+_MOST = 1 << 17  # of single detections
+_COCO = (
+    None, None, None, None, None, "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
+    "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
+)  # fmt: skip
+_OPENPOSE = (
+    None, "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
+    "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", *10 * (None,),
+)  # fmt: skip
+_LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
+_MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
+_Detection = tuple[int, Float[Array, "_ c"]]
+
+
+def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
+    """The persons of a file of keypoints; None where it is something else."""
+    one = named(content)
+    name = next((name for name in _NAMES if name in one), None)
+    if name is not None and "poses" not in one:
+        return [_of_array(array_in(one[name]), one, size)]
+    if isinstance(one.get("people"), list):
+        people = named_all(one["people"], ("pose_keypoints_2d",))
+        points = [_points(person["pose_keypoints_2d"]) for person in people or ()]
+        return [_person(str(at), [(0, found)], size) for at, found in enumerate(points)] or None
+    detections = named_all(content, ("image_id", "keypoints")) if isinstance(content, list) else None
+    return _of_detections(detections, size) if detections else None
+
+
+def _of_array(given: Float[Array, "..."], one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
+    if given.ndim == 2:
+        given = given[None]
+    if given.ndim != 3 or given.shape[2] not in (2, 3) or not len(given):
+        raise InputError(f"its keypoints are {given.shape} instead of (frames, 17 | 24 | 25, 2 | 3)")
+    names = tuple(text_of(name) for name in one["joint_names"]) if "joint_names" in one else None
+    frames = numbers(one["frame_index"], len(given)) if "frame_index" in one else np.arange(len(given))
+    return _person("0", list(zip(frames.astype(int).tolist(), given, strict=True)), size, names)
+
+
+def _of_detections(parts: list[dict[str, Any]], size: tuple[int, int]) -> list[PoseTrack]:
+    if len(parts) > _MOST:
+        raise InputError(f"it holds {len(parts)} people one by one; give the frames of one clip")
+    people: dict[str, list[_Detection]] = defaultdict(list)
+    in_image: dict[int, int] = defaultdict(int)
+    for part in sorted(parts, key=lambda part: -float(numbers(part.get("score", 0), 1)[0])):
+        image = _number(part["image_id"])
+        mark = part.get("track_id", part.get("idx"))
+        person = str(in_image[image]) if not isinstance(mark, int | float | str) else text_of(mark)
+        in_image[image] += 1
+        people[person].append((image, _points(part["keypoints"])))
+    return [_person(person, found, size) for person, found in sorted(people.items())]
+
+
+def _number(image: Any) -> int:
+    """Of an image: its id, or the last digits of its name."""
+    if isinstance(image, int):
+        return image
+    digits = re.findall(r"\d+", text_of(image))
+    if not digits:
+        raise InputError(f"its image_id {text_of(image)[:40]} has no number in it")
+    return int(digits[-1][-9:])
+
+
+def _points(value: Any) -> Float[Array, "J 3"]:
+    flat = numbers(value, None)
+    if len(flat) % 3:
+        raise InputError(f"it has a list of {len(flat)} numbers for keypoints; x, y, confidence of each are expected")
+    return flat.reshape(-1, 3)
+
+
+def _person(
+    name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
+) -> PoseTrack:
+    """A camera is assumed, whose focal length is the picture's diagonal: it only says how large a person is."""
+    found = sorted(found, key=lambda detection: detection[0])
+    height, width = size
+    K = pinhole(math.hypot(height, width), width / 2, height / 2)
+    pixels = np.stack([_as_24(points, names) for _, points in found])
+    frames = np.array([frame for frame, _ in found], np.int64)
+    return PoseTrack(SYSTEM, name, frames, size, pixels=pixels, K=np.tile(K, (len(found), 1, 1)))
+
+
+def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:
+    """By SMPL's joints, NaN where unknown or not trusted; pelvis and neck between hips and shoulders."""
+    if names is None:
+        count = 17 if len(points) in _MORE_THAN_COCO else len(points)
+        names = _LAYOUTS.get(count)
+        if names is None:
+            raise InputError(
+                f"{len(points)} keypoints are of no known layout: give COCO's 17, OpenPose's 25, SMPL's 24, or any "
+                "with joint_names"
+            )
+        points = points[:count]
+    if len(names) != len(points):
+        raise InputError(f"it has {len(points)} keypoints and {len(names)} joint_names")
+    full = np.full((24, 2), np.nan)
+    for point, name in zip(points, names, strict=True):
+        if name in JOINT_NAMES and not (len(point) == 3 and not point[2] >= _LEAST_CONFIDENCE):
+            full[JOINT_NAMES.index(name)] = point[:2]
+    for middle, sides in (("pelvis", "hip"), ("neck", "shoulder")):
+        at = JOINT_NAMES.index(middle)
+        if np.isnan(full[at]).any():
+            full[at] = (full[JOINT_NAMES.index(f"left_{sides}")] + full[JOINT_NAMES.index(f"right_{sides}")]) / 2
+    return full

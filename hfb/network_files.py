@@ -1,0 +1,61 @@
+"""What a network's file is, by its first bytes and its archive's contents: told without torch."""
+
+import zipfile
+from pathlib import Path
+
+from hfb.errors import InputError
+
+_OLDER_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
+_ONNX = b"\x08"  # the version of the format, an ONNX file's first field
+
+
+def is_onnx(path: Path) -> bool:
+    """Whether a file is named as an ONNX network."""
+    return path.suffix.lower() == ".onnx"
+
+
+def check_network_file(path: Path, weights_too: bool = False) -> None:
+    """Refuse what is certainly no network, without reading it whole.
+
+    Args:
+        weights_too: plain weights will do, since we know the network that they belong to.
+
+    Raises:
+        InputError: it is not there, or neither ONNX nor TorchScript nor, where they will do, weights.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give a TorchScript or ONNX network")
+    if is_onnx(path):
+        with path.open("rb") as file:
+            if file.read(1) != _ONNX:
+                raise InputError(f"{path} is no ONNX network: its first byte is not one's; export it again")
+    elif not (weights_too and holds_weights(path)):
+        check_torchscript(path)
+
+
+def holds_weights(path: Path) -> bool:
+    """Whether a file of torch.save is no network that runs by itself: weights, or a pickled model."""
+    if not path.is_file() or is_onnx(path):
+        return False
+    try:
+        members = _members(path)
+    except Exception:  # no archive, or a broken one
+        with path.open("rb") as file:
+            return file.read(len(_OLDER_TORCH)) == _OLDER_TORCH
+    return "data.pkl" in members and not any(name.startswith("code/") for name in members)
+
+
+def check_torchscript(path: Path) -> None:
+    """TorchScript is an archive with code; a state dict or a whole pickled model has none."""
+    advice = "export it with torch.jit.trace(model, example).save(FILE), or as ONNX"
+    try:
+        members = _members(path)
+    except Exception:  # see `holds_weights`
+        raise InputError(f"{path} is a plain pickle or no network; for safety none is opened: {advice}") from None
+    if "constants.pkl" not in members or not any(name.startswith("code/") for name in members):
+        raise InputError(f"{path} holds weights or a pickled model but no network that runs by itself: {advice}")
+
+
+def _members(path: Path) -> set[str]:
+    with zipfile.ZipFile(path) as archive:
+        return {name.partition("/")[2] for name in archive.namelist()}
