@@ -5,6 +5,7 @@ from pathlib import Path
 
 from hfb.errors import InputError
 
+MOST_CODE_BYTES = 64 << 20
 _OLDER_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19"
 _ONNX = b"\x08"  # the version of the format, an ONNX file's first field
 
@@ -46,14 +47,27 @@ def holds_weights(path: Path) -> bool:
 
 
 def check_torchscript(path: Path) -> None:
-    """TorchScript is an archive with code; a state dict or a whole pickled model has none."""
+    """TorchScript is an archive with code; a state dict or a whole pickled model has none.
+
+    Raises:
+        InputError: something else, or one that unpacks to more than it has: torch packs the code alone.
+    """
     advice = "export it with torch.jit.trace(model, example).save(FILE), or as ONNX"
     try:
-        members = _members(path)
+        members, packed = _members(path), _packed(path)
     except Exception:  # see `holds_weights`
         raise InputError(f"{path} is a plain pickle or no network; for safety none is opened: {advice}") from None
     if "constants.pkl" not in members or not any(name.startswith("code/") for name in members):
         raise InputError(f"{path} holds weights or a pickled model but no network that runs by itself: {advice}")
+    if any(not name.startswith("code/") for name in packed) or sum(packed.values()) > MOST_CODE_BYTES:
+        raise InputError(f"{path} cannot be used: its contents are compressed, as torch never does: {advice}")
+
+
+def _packed(path: Path) -> dict[str, int]:
+    """The compressed members of an archive, and what they unpack to [bytes]."""
+    with zipfile.ZipFile(path) as archive:
+        found = [info for info in archive.infolist() if info.compress_type != zipfile.ZIP_STORED]
+    return {info.filename.partition("/")[2]: info.file_size for info in found}
 
 
 def _members(path: Path) -> set[str]:

@@ -18,10 +18,9 @@ import torch
 
 from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
-from hfb.network_files import check_torchscript, is_onnx
+from hfb.network_files import MOST_CODE_BYTES, check_torchscript, is_onnx
 from hfb.shapes import Array, Float
 
-_MAX_CODE_BYTES = 64 << 20
 _TOO_FEW = ("k argument", "selected index k out of range")
 """What onnxruntime and torch say where the k largest of fewer numbers are wanted."""
 _HALF = torch.bfloat16
@@ -212,7 +211,7 @@ def _declare_roi_align(path: Path) -> None:
     """torch refuses a script that names an operator it does not know, even if it is never called."""
     with zipfile.ZipFile(path) as archive:
         codes = [info for info in archive.infolist() if info.filename.endswith(".py") and "code/" in info.filename]
-        if any(b"torchvision.roi_align" in archive.read(info) for info in codes if info.file_size < _MAX_CODE_BYTES):
+        if any(b"torchvision.roi_align" in archive.read(info) for info in codes if info.file_size < MOST_CODE_BYTES):
             _roi_align_schema()
 
 
