@@ -185,16 +185,17 @@ def _read_result(
     from tasks.scene import load_chosen_body
 
     model = load_chosen_body(body)
+    tracks = read_tracks([file.path for file in files], height, width)
+    several = len(tracks) > 1
+    mattes = [read_matte(look.matte.path) for look in looks if several]
 
     def shown(track: PoseTrack) -> float:
         in_order = track.frames if len(track) == len(looks) else [-1] * len(looks)
         numbers = [look.frame if look.frame is not None else int(in_order[at]) for at, look in enumerate(looks)]
-        mattes = [read_matte(look.matte.path) for look in looks]
         shares = [share_on_matte(track, number, matte, model) for number, matte in zip(numbers, mattes, strict=True)]
         return round(sum(shares), 3)  # who is seen longer decides between equals
 
-    tracks = read_tracks([file.path for file in files], height, width)
-    chosen = choose_person(tracks, person, shown if len(tracks) > 1 else None)
+    chosen = choose_person(tracks, person, shown if several else None)
     track = with_poses(chosen, model)
     path = folder / "init_result.npz"
     save_track(path, track)

@@ -126,13 +126,13 @@ def on_matte(
         tries = [_placed(_yawed(first, 2 * np.pi * turn / _TURNS), level, body) for turn in turns]
         first = max(tries, key=lambda one: overlap(one, level, body, rasterizer))
     closer = refine(first, matte, camera, body, rasterizer, _STAGES, _STAY_UNPLACED if unplaced else _STAY)
-    best = max((closer, first), key=lambda one: overlap(one, level, body, rasterizer))
-    if overlap(best, level, body, rasterizer) < _LEAST_OVERLAP:
+    shares = {overlap(one, level, body, rasterizer): one for one in (first, closer)}  # the refined one of equals
+    if max(shares) < _LEAST_OVERLAP:
         raise InputError(
             f"the {first.source} result has the body where the picture shows nobody: another frame (--init.frame), "
             "another person (--init.person), or a result for other pictures"
         )
-    return best
+    return shares[max(shares)]
 
 
 def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
