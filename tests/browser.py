@@ -83,15 +83,15 @@ def assert_body_moves(frame: Any) -> None:
     assert canvas.bounding_box()["height"] > 200
     frame.locator(".viewer input.ghosts").first.uncheck()  # they stand still
     slider.fill("0")
-    first = _looks(canvas, lambda shown: True)
+    first = shows(canvas, lambda shown: True)
     slider.fill(slider.get_attribute("max"))
-    assert _looks(canvas, lambda shown: shown != first) != first
+    assert shows(canvas, lambda shown: shown != first) != first
     slider.fill("0")
-    assert _looks(canvas, lambda shown: shown == first) == first
+    assert shows(canvas, lambda shown: shown == first) == first
 
 
-def _looks(canvas: Any, expected: Callable[[bytes], bool]) -> bytes:
-    """What a canvas shows once it is as expected, or after a while: a frame of its own process lags behind."""
+def shows(canvas: Any, expected: Callable[[bytes], bool]) -> bytes:
+    """What a canvas shows once it is as expected, or after a while: what is on the screen lags behind the script."""
     canvas.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     deadline = time.monotonic() + _PATIENCE_MS / 4000
     while not expected(shown := canvas.screenshot()) and time.monotonic() < deadline:

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
 from hfb.report.result_unknown import by_probability, reversed_text
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
-from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened
+from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.export.motions import motion_of
 
 BODY = load_default_body()
@@ -176,8 +175,23 @@ def test_without_webgl_there_is_a_skeleton_and_viewers_of_a_group_move_together(
         tab.mouse.down()
         tab.mouse.move(box["x"] + 300, box["y"] + 100)
         tab.mouse.up()
-        assert tab.locator("canvas").nth(1).screenshot() != before  # turned with the first
+        assert shows(tab.locator("canvas").nth(1), lambda now: now != before) != before  # turned with the first
         assert errors == []
+
+
+def test_a_graphics_card_that_was_taken_away_comes_back(report: Path) -> None:
+    with browser() as chromium:
+        tab = opened(chromium, report.as_uri(), WIDTHS[0]).tab
+        canvas = tab.locator(".viewer canvas").first
+        tab.wait_for_function("() => hfb.viewers[0].drawing.textured")
+        canvas.scroll_into_view_if_needed()
+        before = shows(canvas, lambda shown: True)
+        tab.evaluate("window.taken = hfb.viewers[0].drawing.gl.getExtension('WEBGL_lose_context'); taken.loseContext()")
+        assert shows(canvas, lambda shown: shown != before) != before
+        tab.evaluate("taken.restoreContext()")
+        tab.wait_for_function("() => hfb.viewers[0].drawing.textured && !hfb.viewers[0].drawing.gl.isContextLost()")
+        assert shows(canvas, lambda shown: shown == before) == before
+        assert_body_moves(tab)
 
 
 def test_controls(report: Path) -> None:
@@ -186,27 +200,26 @@ def test_controls(report: Path) -> None:
         tab = shown.tab
         canvas = tab.locator(".viewer canvas")
 
-        def after(action: Any) -> bytes:
+        seen: list[bytes] = []
+        for action in [
+            lambda: canvas.focus(),
+            lambda: tab.locator("select.colours").select_option("time"),
+            lambda: tab.locator("select.colours").select_option("sureness"),
+            lambda: tab.locator("input.ghosts").uncheck(),
+            lambda: canvas.press("ArrowRight"),
+            lambda: canvas.press("+"),
+            lambda: tab.get_by_role("button", name="above").click(),
+            lambda: tab.locator("select.motions").select_option("1"),
+        ]:
             action()
-            return canvas.screenshot()
-
-        seen = [
-            after(lambda: canvas.focus()),
-            after(lambda: tab.locator("select.colours").select_option("time")),
-            after(lambda: tab.locator("select.colours").select_option("sureness")),
-            after(lambda: tab.locator("input.ghosts").uncheck()),
-            after(lambda: canvas.press("ArrowRight")),
-            after(lambda: canvas.press("+")),
-            after(lambda: tab.get_by_role("button", name="above").click()),
-            after(lambda: tab.locator("select.motions").select_option("1")),
-        ]
+            seen.append(shows(canvas, lambda now: now not in seen))
         assert len(set(seen)) == len(seen)
         assert tab.locator("select.motions option").all_inner_texts() == [
             "as fitted", "everything the other way (50 %)".replace("everything", "all"),
             "frame 1: right arm the other way (20 %)",
         ]  # fmt: skip
         tab.locator("button.play").click()
-        tab.wait_for_function("hfb.viewers[0].position > 0 && hfb.viewers[0].playing")
+        tab.wait_for_function("() => hfb.viewers[0].position > 0 && hfb.viewers[0].playing")
         at = tab.evaluate("hfb.viewers[0].position")
         tab.wait_for_function("at => hfb.viewers[0].position !== at", arg=at)
         tab.locator("button.play").click()
@@ -219,11 +232,11 @@ def test_ghosts_never_veil_the_body(report: Path) -> None:
         tab = opened(chromium, report.as_uri(), WIDTHS[1]).tab
         canvas, ghosts = tab.locator(".viewer canvas"), tab.locator("input.ghosts")
         tab.get_by_role("button", name="above").click()  # from there some ghosts are nearer than the body
-        shown = {}
+        shown, seen = {}, [shows(canvas, lambda now: True)]
         for wanted in (False, True):
             ghosts.set_checked(wanted)
-            png = np.frombuffer(canvas.screenshot(), np.uint8)
-            shown[wanted] = cv2.imdecode(png, cv2.IMREAD_COLOR).astype(int)
+            seen.append(shows(canvas, lambda now: now != seen[-1]))
+            shown[wanted] = cv2.imdecode(np.frombuffer(seen[-1], np.uint8), cv2.IMREAD_COLOR).astype(int)
         alone, apart = shown[False], abs(shown[True] - shown[False]).max(-1)
         on_body = abs(alone - alone[:, :1]).max(-1) > 30  # the background is the same along a row
         inside = cv2.erode(on_body.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0

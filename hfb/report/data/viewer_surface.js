@@ -64,10 +64,12 @@ hfb.Surface = class {
     this.canvas = canvas;
     this.gl = gl;
     this.kind = "surface";
-    this.textured = false;
     this.skin = skin;
-    this._prepare();
-    if (texture) this._load(texture, redraw);
+    this.texture = texture;
+    this._prepare(redraw);
+    // A graphics card that slept or was taken away forgets everything; a context whose loss is not refused stays lost.
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => { this._prepare(redraw); redraw(); });
   }
 
   // bodies: {pose, colours (24) or null for the texture, opacity}; what is opaque comes last.
@@ -93,8 +95,9 @@ hfb.Surface = class {
     }
   }
 
-  _prepare() {
+  _prepare(redraw) {
     const { gl } = this;
+    this.textured = false;
     this.program = gl.createProgram();
     for (const [kind, source] of [[gl.VERTEX_SHADER, hfb.VERTEX_SHADER], [gl.FRAGMENT_SHADER, hfb.FRAGMENT_SHADER]]) {
       const shader = gl.createShader(kind);
@@ -135,6 +138,7 @@ hfb.Surface = class {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array([184, 168, 158, 255]));
+    if (this.texture) this._load(this.texture, redraw);
   }
 
   _buffer(values) {
