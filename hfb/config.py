@@ -161,6 +161,9 @@ class FitConfig(Record):
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
     settle: int = Field(0, ge=0, description="iterations of the skeleton alone, towards what the joint network sees")
+    lifting: float = Field(
+        0.0, ge=0, le=1, description="share of the lifting network in where the joint network sees depth, after a stage"
+    )
     size_moves_away: bool = Field(False, description="a larger shape stands further away: quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
     shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
@@ -271,6 +274,7 @@ _BEST = FitConfig(
     image_scales=3,
     directions=DirectionsConfig(search=True),
     settle=80,
+    lifting=0.5,
     size_moves_away=True,
     weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3),
 )

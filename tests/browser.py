@@ -12,6 +12,7 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 _INSIDE = ("data", "blob", "about", "file")
+_FLAGS = ("--no-sandbox", "--disable-gpu-watchdog")  # on a busy machine the watchdog takes slow pictures for none
 _PATIENCE_MS = 120_000  # pictures are drawn by the processor, which may be busy
 
 
@@ -42,7 +43,7 @@ def browser(*flags: str) -> Iterator[Any]:
         pytest.skip("no Chromium on this machine")
     api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     with api.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *flags])
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=[*_FLAGS, *flags])
         try:
             yield chromium
         finally:

@@ -57,6 +57,7 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     "no-kick": _with(root_kick=0.0),
     "no-evidence": _without_evidence,
     "settled": _with(stages=()),
+    "no-lifting": _with(lifting=0.0),
     "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
@@ -68,6 +69,7 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
 MODIFIERS: Mapping[str, str] = {
     f"best-no-{{{','.join(Weights.model_fields)}}}": "Human from Blur without one term of its loss; also paper-no-...",
     "best-no-pyramid, best-no-kick": "one stage at full size; no first velocity of the root",
+    "best-no-lifting": "without the lifting network, which tells depth from joints across the view",
     "best-no-evidence": "without the joint network; best-settled: with nothing but it, no picture is compared",
     "best-no-directions": "the motion as fitted, no search for its directions",
     "best-dibr, paper-coverage": "the other preset's silhouette",

@@ -119,7 +119,7 @@ def joint_features(
     table["hidden"] = 1 - seen[motion.frame_index]
     misfit = np.array([_misfit(one, coarse, frame) for frame, one in enumerate(vertices)])
     if coarse.evidence is not None:
-        told = coarse.evidence.spread_m(shaped.joints_of(*_at_middle(found))).double().numpy()
+        told = coarse.evidence.spread_m(found.joints_at_middle(coarse.body)).double().numpy()
         table["network"] = _log_m(told)[motion.frame_index]
     edge = np.abs(2 * clock.double().numpy() - 1)
     return {
@@ -129,11 +129,6 @@ def joint_features(
         "misfit": _rows(np.log(misfit + 0.02)[motion.frame_index][:, None], motion),
         "unusual": _rows(np.log1p(unusual.double().numpy())[:, None], motion),
     }
-
-
-def _at_middle(found: Variables) -> tuple[Float[Tensor, "T 24 3 3"], Float[Tensor, "T 3"]]:
-    rotations, translations = found.trajectory.at(found.betas.new_tensor([0.5]))
-    return rotations[:, 0], translations[:, 0]
 
 
 def _rows(values: Array, motion: SampledMotion) -> Float[Array, "R 24"]:

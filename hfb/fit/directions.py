@@ -100,7 +100,10 @@ def search_directions(
         chosen=chosen,
         frame_index=motions[0].frame_index,
     )
-    return hypotheses[chosen].trajectory, alternatives
+    if not several and chosen in as_fitted and np.round(alternatives.body_right()[0], 6) < 0.5:
+        # Likelier than any other by itself, but the others together say that the body as a whole went the other way.
+        alternatives = replace(alternatives, chosen=as_fitted[1] - chosen)
+    return hypotheses[alternatives.chosen].trajectory, alternatives
 
 
 def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:

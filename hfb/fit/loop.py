@@ -155,7 +155,11 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
     best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
     # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
     optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
-    for stage in stages:
+    claimed = everywhere.evidence
+    for number, stage in enumerate(stages):
+        if number > 0 and claimed is not None and config.lifting > 0:
+            found = variables.joints_at_middle(everywhere.body)
+            everywhere = replace(everywhere, evidence=claimed.lifted(found, config.lifting))
         seen = everywhere.observation.resized(stage.size_px)
         visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)

@@ -40,6 +40,12 @@ class Variables:
         before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
         return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
 
+    def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
+        """Of every frame at u = 1/2, camera coordinates [m]; no gradient."""
+        with torch.no_grad():
+            rotations, translations = self.motion(body).at(self.betas.new_tensor([0.5]))
+            return body.shape(self.betas).joints_of(rotations[:, 0], translations[:, 0])
+
     def in_metres(self, body: Body) -> "Variables":
         """The same person and motion without a reference, as a snapshot."""
         with torch.no_grad():

@@ -1,7 +1,7 @@
 """What the joint network says about an observation, kept in the form that a fit compares itself with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 
@@ -14,6 +14,7 @@ from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
+from hfb.initialize.lifting_network import lift
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Bool, Float, Tensor
@@ -27,6 +28,7 @@ class JointEvidence:
         middle: at u = 1/2. scale: the Laplace scale of its error.
         path: from u = 0 to u = 1; its sign is the likelier one in one frame, and the neighbours' in several.
         log_odds: the network's own, from this frame alone, that the sign of ``path`` is right.
+        start: the first body's joints, from which the network began.
     """
 
     windows: tuple[Window, ...]
@@ -34,6 +36,7 @@ class JointEvidence:
     scale: Float[Tensor, "T 24 3"]
     path: Float[Tensor, "T 24 3"]
     log_odds: Float[Tensor, "T"]
+    start: Float[Tensor, "T 24 3"]
 
     def off(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
         """How far joints at mid-exposure [m, camera] lie from the claim, in the claim's own scales."""
@@ -42,6 +45,15 @@ class JointEvidence:
     def off_path(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
         """How far the way from u = 0 to u = 1 lies from the claim, in the claim's own scales."""
         return (self._units(closing) - self._units(opening) - self.path) / self.scale
+
+    def lifted(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
+        """The claim with a share of its depth from the lifting network, which looks at a fit's joints across the view.
+
+        Args:
+            joints: of the fit at mid-exposure, camera coordinates [m].
+        """
+        depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start), share)
+        return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
         """The claim's own expected distance from the truth at these joints' distance [m]."""
@@ -59,6 +71,7 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
         InputError: a matte is empty.
     """
     windows: list[Window] = []
+    starts: list[Tensor] = []
     told: list[tuple[Tensor, ...]] = []
     mattes = observation.mattes
     for frame, first in enumerate(first_bodies):
@@ -68,14 +81,18 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
             observation.frames_linear[frame].numpy(), observation.plate_linear.numpy(), matte, window
         )
         seen = torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1
-        claim = _both_ways(seen, window.to_units(_joints(first, body)))
+        start = window.to_units(_joints(first, body))
+        claim = _both_ways(seen, start)
         windows.append(window)
+        starts.append(start)
         told.append((claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0]))
     # Copied: what inference mode makes must not enter a graph.
     middle, scale, path, odds = (torch.stack(values).clone() for values in zip(*told, strict=True))
     forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
-    return JointEvidence(tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds)
+    return JointEvidence(
+        tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds, torch.stack(starts).to(middle)
+    )
 
 
 def _as_neighbours_go(

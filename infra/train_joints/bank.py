@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from pictures import STARTS, Studio
+from people import STARTS
+from pictures import Studio
 
 from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
 

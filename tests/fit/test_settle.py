@@ -24,7 +24,8 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     window = Window.around(seen.mattes[0].numpy(), seen.camera)
     units = window.to_units(torch.from_numpy(truth.joints).float())
     middle, scale = units[len(units) // 2], torch.full((1, 24, 3), 0.02)
-    evidence = JointEvidence((window,), middle[None], scale, (units[-1] - units[0])[None], torch.tensor([1.0]))
+    path = (units[-1] - units[0])[None]
+    evidence = JointEvidence((window,), middle[None], scale, path, torch.tensor([1.0]), middle[None])
     pose = scene.middle[0].pose.clone()
     pose[16, 2] += 0.8
     pose[4, 0] += 0.6

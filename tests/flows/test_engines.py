@@ -24,7 +24,7 @@ def assert_same_bytes(out: Path) -> None:
         assert (out / name).read_bytes() == (undisturbed / name).read_bytes()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
     """The address of a Dask cluster of two worker processes."""
     from distributed import LocalCluster

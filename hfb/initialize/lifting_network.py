@@ -1,0 +1,92 @@
+"""A network that never saw a picture: from joints across the view and an erring first guess it says how deep they lie.
+
+The joint network learns from drawn pictures, of which there are never enough; what this one learns from costs next to
+nothing. Once a fit has found the joints across the view it knows their depth better (2D-to-3D lifting: Martinez et al.,
+A simple yet effective baseline for 3d human pose estimation, ICCV 2017; here with an erring first guess beside).
+"""
+
+from functools import lru_cache
+from importlib import resources
+
+import torch
+from safetensors.torch import load_file
+from torch import nn
+
+from hfb.body.skeleton import JOINT_COUNT, MIRROR, PARENTS
+from hfb.determinism import one_torch_thread
+from hfb.shapes import Float, Tensor
+
+WIDTH = 512
+
+_BLOCKS = 3
+_INPUT_SCALE, _OUTPUT_SCALE = 3.0, 0.3
+"""A body is about one unit of its window high: inputs and corrections of about unit size learn best."""
+
+_PARENT = tuple(max(parent, 0) for parent in PARENTS)
+
+
+class LiftingNetwork(nn.Module):
+    """Layers of one width with short cuts around each two; corrects what it is given."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.enter = nn.Linear(JOINT_COUNT * 10, WIDTH)
+        self.blocks = nn.Sequential(*(_Block(WIDTH) for _ in range(_BLOCKS)))
+        self.leave = nn.Sequential(nn.LayerNorm(WIDTH), nn.Linear(WIDTH, JOINT_COUNT * 6))
+
+    def forward(
+        self, across: Float[Tensor, "N 24 2"], start: Float[Tensor, "N 24 3"]
+    ) -> tuple[Float[Tensor, "N 24 3"], Float[Tensor, "N 24 3"]]:
+        """Joints, and the logarithm of the Laplace scale of each coordinate.
+
+        Args:
+            across: x and y from the pelvis in the units of a window (`hfb.initialize.joint_network.Window`).
+            start: a first guess in the same units, which seems as large (`as_large`).
+        """
+        parent = list(_PARENT)
+        facts = torch.cat([across, across - across[:, parent], start, start - start[:, parent]], -1)
+        told = self.leave(self.blocks(self.enter(_INPUT_SCALE * facts.flatten(1)))).unflatten(1, (JOINT_COUNT, 6))
+        given = torch.cat([across, start[..., 2:]], -1)
+        return given + _OUTPUT_SCALE * told[..., :3], (told[..., 3:] - 3).clamp(-7, 1)
+
+
+class _Block(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), nn.Linear(width, width))
+
+    def forward(self, values: Float[Tensor, "N W"]) -> Float[Tensor, "N W"]:
+        return values + self.layers(values)
+
+
+def as_large(start: Float[Tensor, "N 24 3"], across: Float[Tensor, "N 24 2"]) -> Float[Tensor, "N 24 3"]:
+    """A first guess from the pelvis, scaled to spread as wide as the joints are seen: it cannot know the true size."""
+    spread, wanted = ((one - one.mean(1, keepdim=True)).square().sum((1, 2)).sqrt() for one in (start[..., :2], across))
+    return start * (wanted / spread)[:, None, None]
+
+
+def lift(joints: Float[Tensor, "N 24 3"], start: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 24"]:
+    """Depth behind the pelvis by the shipped network, the mean of what it says of the joints and their mirror image.
+
+    Args:
+        joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
+    """
+    across, first = ((one - one[:, :1]).detach() for one in (joints[..., :2], start))
+    first = as_large(first, across)
+    mirror, turned = list(MIRROR), first.new_tensor([-1.0, 1.0, 1.0])
+    with one_torch_thread(), torch.inference_mode():
+        told, _ = shipped_lifting_network()(
+            torch.cat([across, across[:, mirror] * turned[:2]]), torch.cat([first, first[:, mirror] * turned])
+        )
+        seen, reflected = told.chunk(2)
+        depth = (seen[..., 2] + reflected[:, mirror, 2]) / 2
+    return depth.clone()  # what inference mode makes must not enter a graph
+
+
+@lru_cache(maxsize=1)
+def shipped_lifting_network() -> LiftingNetwork:
+    """The network with the weights of data/lifting.safetensors; data/lifting.json tells how they were made."""
+    network = LiftingNetwork()
+    with resources.as_file(resources.files("hfb.initialize") / "data" / "lifting.safetensors") as path:
+        network.load_state_dict({name: weights.float() for name, weights in load_file(path).items()})
+    return network.requires_grad_(False).eval()

@@ -1,0 +1,102 @@
+"""People with known joints before a random camera, with starts that err; motions are mocap and generated ones."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hfb.body.assets import load_default_body
+from hfb.body.skeleton import MIRROR
+from hfb.datasets.motion_clip import MotionClip
+from hfb.datasets.motions.resampling import has_jump, resample
+from hfb.datasets.motions.sources import open_motions
+from hfb.datasets.network_errors import draw_pose_errors
+from hfb.datasets.viewpoints import View, draw_view
+from hfb.initialize.joint_network import Window
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+
+STARTS = 2
+FRAME_PX = 144
+INSTANTS = 11
+_MIXED, _BENT, _FROM_BEHIND = 0.6, 0.5, 0.15
+_PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
+"""Head, left arm, right arm, both legs, waist: parts that one motion may lend another."""
+_BEND_RAD = 0.2
+_SHORTEST_S, _LONGEST_S = 0.02, 0.5
+
+
+class People:
+    """Motions and the body; everything drawn from them is a function of the generator."""
+
+    def __init__(self, mocap: Path, clips: list[str], seed: int) -> None:
+        """Read the named clips."""
+        source = open_motions(mocap, seed)
+        named = [index for index, name in enumerate(source.names()) if Path(name).stem in clips]
+        made = open_motions(None, seed)
+        self.recorded = [source.load(index) for index in named]
+        self.made = [made.load(index) for index in range(len(made.names()))]
+        self.body = load_default_body()
+        self.mean = self.body.shape(torch.zeros(10))
+
+    def _motion(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
+        clips = self.recorded if rng.random() < 0.75 else self.made
+        seconds = float(np.exp(rng.uniform(np.log(_SHORTEST_S), np.log(_LONGEST_S))))
+        piece = _piece(clips[rng.integers(len(clips))], seconds, rng)
+        if piece is None:
+            return None
+        poses, places = piece
+        if rng.random() < _MIXED:
+            for part in _PARTS:
+                other = _piece(self.recorded[rng.integers(len(self.recorded))], seconds, rng)
+                if other is not None and rng.random() < 0.5:
+                    poses[:, part] = other[0][:, part]
+        if rng.random() < _BENT:
+            poses = _bent(poses, rng)
+        return (poses[:, MIRROR] * (1, -1, -1), places * (-1, 1, 1)) if rng.random() < 0.5 else (poses, places)
+
+    def _view(self, rng: np.random.Generator) -> View:
+        view = draw_view(rng)
+        if rng.random() < _FROM_BEHIND:
+            view = replace(view, azimuth_deg=float(rng.uniform(-180, 180)))
+        return view
+
+    def _starts(
+        self, poses: np.ndarray, truth: np.ndarray, window: Window, joints: torch.Tensor, rng: np.random.Generator
+    ) -> np.ndarray:
+        """What static estimators would say: bones turned, the mean body, a little beside its place."""
+        at = np.clip(np.round(rng.normal(0.5, 0.2, STARTS) * (INSTANTS - 1)), 0, INSTANTS - 1).astype(int)
+        errors = draw_pose_errors(torch.from_numpy(poses[at]).float(), rng)
+        amplitude = rng.uniform(0.05, 1.3) if rng.random() < 0.93 else 0.01
+        erring = errors.poses_at(torch.tensor([0.5, 1.0]) * amplitude)[-1]
+        stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(STARTS, 3))
+        found = []
+        for row, still in zip(at, stills, strict=True):
+            depth = joints[row, 0, 2] * float(np.exp(rng.normal(0, 0.05)))
+            start = window.to_units(still - still[0] + torch.stack([depth * 0, depth * 0, depth])).numpy()
+            wander = rng.uniform(0, 1) ** 2 * 0.3
+            start[:, :2] += (truth[1] - start)[:, :2].mean(0) + rng.normal(0, wander, 2) * (1, 0.5)
+            found.append(start)
+        return np.stack(found).astype(np.float32)
+
+
+def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The same motion of somebody who holds every joint a little otherwise, where anatomy lets him."""
+    turns = torch.from_numpy(rng.normal(0, _BEND_RAD, (1, 24, 3)) * (np.arange(24) > 0)[None, :, None]).float()
+    rotations = axis_angle_to_matrix(torch.from_numpy(poses).float()) @ axis_angle_to_matrix(turns)
+    bent = matrix_to_axis_angle(rotations).double().numpy()
+    before, after = (
+        AnatomicalPrior().limit_penalty(torch.from_numpy(one[:, 1:]).float()).max() for one in (poses, bent)
+    )
+    return bent if after <= max(float(before), 2.0) else poses
+
+
+def _piece(clip: MotionClip, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poses and translations at the instants of a random exposure."""
+    length = (len(clip.poses) - 1) / clip.fps
+    seconds = min(seconds, length)
+    start = rng.uniform(0, length - seconds)
+    if has_jump(clip, start, start + seconds):
+        return None
+    return resample(clip, np.clip(np.linspace(start, start + seconds, INSTANTS), 0, length))

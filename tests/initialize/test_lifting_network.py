@@ -1,0 +1,76 @@
+"""Depth from joints across the view and an erring first guess."""
+
+import hashlib
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+
+from hfb.body.assets import load_default_body
+from hfb.body.skeleton import MIRROR
+from hfb.datasets.motions.sources import open_motions
+from hfb.datasets.network_errors import draw_pose_errors
+from hfb.initialize.joint_evidence import JointEvidence
+from hfb.initialize.joint_network import Window
+from hfb.initialize.lifting_network import lift, shipped_lifting_network
+from hfb.render.camera import PinholeCamera
+from hfb.rotations import axis_angle_to_matrix
+
+CAMERA = PinholeCamera.from_focal(200.0, 120, 160)
+ACROSS = torch.tensor([-1.0, 1.0, 1.0])
+
+
+def people(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Joints of generated gestures in units of 1.2 m, y down, seen from the front; and guesses that err."""
+    source = open_motions(None, 3)
+    poses = np.concatenate([source.load(number).poses[::9] for number in range(6)])[:count]
+    poses = torch.from_numpy(poses).float()
+    poses[:, 0] = torch.tensor([torch.pi, 0.0, 0.0])
+    erring = draw_pose_errors(poses, np.random.default_rng(1)).poses_at(torch.tensor([0.5, 1.0]))[-1]
+    body = load_default_body().shape(torch.zeros(10))
+    seen, guessed = (
+        body.joints_of(axis_angle_to_matrix(one), torch.zeros(len(one), 3)) / 1.2 for one in (poses, erring)
+    )
+    return seen - seen[:, :1], guessed - guessed[:, :1]
+
+
+def test_depth_is_nearer_than_the_guess() -> None:
+    truth, start = people(60)
+    noise = 0.01 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
+    before = (start - truth)[..., 2].abs().mean()
+    after = (lift(truth + noise, start) - truth[..., 2]).abs().mean()
+    assert after < 0.6 * before
+
+
+def test_it_knows_neither_place_nor_size_nor_side() -> None:
+    joints, start = people(8)
+    told = lift(joints, start)
+    torch.testing.assert_close(lift(joints + torch.tensor([0.3, -0.2, 5.0]), 1.4 * start + 1), told, atol=1e-5, rtol=0)
+    mirror = list(MIRROR)
+    turned = lift(joints[:, mirror] * ACROSS, start[:, mirror] * ACROSS)
+    torch.testing.assert_close(turned[:, mirror], told, atol=1e-5, rtol=0)
+    torch.testing.assert_close(lift(joints * torch.tensor([1.0, 1.0, 7.0]), start), told)  # its own depth is not read
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_a_claims_depth_is_shared(share: float) -> None:
+    joints, start = people(2)
+    middle, ones = torch.randn(2, 24, 3), torch.ones(2)
+    windows = tuple(Window(20.0, 10.0, 90.0, CAMERA) for _ in range(2))
+    evidence = JointEvidence(windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start)
+    metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
+    told = evidence.lifted(metres, share)
+    across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
+    expected = (1 - share) * middle[..., 2] + share * lift(across, start)
+    torch.testing.assert_close(told.middle[..., 2], expected)
+    assert torch.equal(told.middle[..., :2], middle[..., :2])
+    assert torch.equal(told.scale, evidence.scale)
+
+
+def test_the_record_is_of_these_weights() -> None:
+    folder = resources.files("hfb.initialize") / "data"
+    about = json.loads((folder / "lifting.json").read_text())
+    assert hashlib.sha256((folder / "lifting.safetensors").read_bytes()).hexdigest() == about["sha256"]
+    assert sum(one.numel() for one in shipped_lifting_network().parameters()) == about["parameters"]
