@@ -162,7 +162,10 @@ class FitConfig(Record):
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
     settle: int = Field(0, ge=0, description="iterations of the skeleton alone, towards what the joint network sees")
     lifting: float = Field(
-        0.0, ge=0, le=1, description="share of the lifting network in where the joint network sees depth, after a stage"
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the lifting network in the joint network's depth, after every stage but the last",
     )
     size_moves_away: bool = Field(False, description="a larger shape stands further away: quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")

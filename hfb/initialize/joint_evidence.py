@@ -52,7 +52,7 @@ class JointEvidence:
         Args:
             joints: of the fit at mid-exposure, camera coordinates [m].
         """
-        depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start), share)
+        depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start).to(self.middle), share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:

@@ -71,7 +71,7 @@ def lift(joints: Float[Tensor, "N 24 3"], start: Float[Tensor, "N 24 3"]) -> Flo
     Args:
         joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
     """
-    across, first = ((one - one[:, :1]).detach() for one in (joints[..., :2], start))
+    across, first = ((one - one[:, :1]).detach().float() for one in (joints[..., :2], start))
     first = as_large(first, across)
     mirror, turned = list(MIRROR), first.new_tensor([-1.0, 1.0, 1.0])
     with one_torch_thread(), torch.inference_mode():

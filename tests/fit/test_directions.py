@@ -65,6 +65,21 @@ def test_the_motion_prior_gives_time_an_arrow() -> None:
     np.testing.assert_allclose(ran_backwards.probability[half:], found.probability[:half], atol=2e-3)
 
 
+def test_many_that_run_the_other_way_outweigh_the_likeliest(monkeypatch: pytest.MonkeyPatch) -> None:
+    def most_run_backwards(evidence: np.ndarray, several: bool) -> np.ndarray:
+        half = len(evidence) // 2
+        return np.concatenate([[0.3], np.zeros(half - 1), np.full(half, 0.7 / half)])
+
+    monkeypatch.setattr("hfb.fit.directions.probabilities", most_run_backwards)
+    case = done()
+    trajectory, found = search_directions(case.found, case.coarse, case.fine, SEARCH)
+    half = len(found.probability) // 2
+    assert half > 3  # each of them is less likely than the fitted one
+    assert found.chosen == half
+    assert found.body_right()[0] > 0.5
+    assert not torch.equal(trajectory.rotation, case.found.trajectory.rotation)
+
+
 def test_what_stands_still_has_no_direction() -> None:
     case = done()
     motion = case.found.trajectory
