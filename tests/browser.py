@@ -12,7 +12,13 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 _INSIDE = ("data", "blob", "about", "file")
-_FLAGS = ("--no-sandbox", "--disable-gpu-watchdog")  # on a busy machine the watchdog takes slow pictures for none
+_FLAGS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",  # there is no graphics card: nothing else is tried first
+    "--enable-unsafe-swiftshader",
+    "--disable-gpu-watchdog",  # on a busy machine it takes slow pictures for none
+)
+_LOST = "canvas => canvas.getContext('webgl2')?.isContextLost() ?? false"  # of a drawn canvas: it keeps its kind
 _PATIENCE_MS = 120_000  # pictures are drawn by the processor, which may be busy
 
 
@@ -92,12 +98,20 @@ def assert_body_moves(frame: Any) -> None:
 
 
 def shows(canvas: Any, expected: Callable[[bytes], bool]) -> bytes:
-    """What a canvas shows once it is as expected, or after a while: what is on the screen lags behind the script."""
-    canvas.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    """What a canvas shows once it is as expected, or after a while: what is on the screen lags behind the script.
+
+    A picture whose WebGL context is lost at that moment is passed over: Chromium starts its graphics process again when
+    it likes, and the page has to draw again after it.
+    """
     deadline = time.monotonic() + _PATIENCE_MS / 4000
-    while not expected(shown := canvas.screenshot()) and time.monotonic() < deadline:
+    while True:
+        canvas.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        was_lost = canvas.evaluate(_LOST)
+        shown = bytes(canvas.screenshot())
+        there = not (was_lost or canvas.evaluate(_LOST))
+        if (there and expected(shown)) or time.monotonic() > deadline:
+            return shown
         time.sleep(0.1)
-    return shown
 
 
 def assert_film_plays(frame: Any) -> None:

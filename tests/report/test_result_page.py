@@ -186,8 +186,14 @@ def test_a_graphics_card_that_was_taken_away_comes_back(report: Path) -> None:
         tab.wait_for_function("() => hfb.viewers[0].drawing.textured")
         canvas.scroll_into_view_if_needed()
         before = shows(canvas, lambda shown: True)
-        tab.evaluate("window.taken = hfb.viewers[0].drawing.gl.getExtension('WEBGL_lose_context'); taken.loseContext()")
-        assert shows(canvas, lambda shown: shown != before) != before
+        tab.wait_for_function(
+            """() => {
+              window.taken = hfb.viewers[0].drawing.gl.getExtension("WEBGL_lose_context"); // null while it is lost
+              if (window.taken) window.taken.loseContext();
+              return window.taken !== null;
+            }"""
+        )
+        tab.wait_for_function("() => hfb.viewers[0].drawing.gl.isContextLost()")
         tab.evaluate("taken.restoreContext()")
         tab.wait_for_function("() => hfb.viewers[0].drawing.textured && !hfb.viewers[0].drawing.gl.isContextLost()")
         assert shows(canvas, lambda shown: shown == before) == before
