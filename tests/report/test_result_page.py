@@ -188,12 +188,15 @@ def test_a_graphics_card_that_was_taken_away_comes_back(report: Path) -> None:
         before = shows(canvas, lambda shown: True)
         tab.wait_for_function(
             """() => {
-              window.taken = hfb.viewers[0].drawing.gl.getExtension("WEBGL_lose_context"); // null while it is lost
-              if (window.taken) window.taken.loseContext();
-              return window.taken !== null;
+              const { gl } = hfb.viewers[0].drawing;
+              window.taken = gl.getExtension("WEBGL_lose_context"); // null while it is lost anyhow
+              if (!window.taken) return false;
+              gl.canvas.addEventListener("webglcontextlost", () => { window.gone = true; });
+              window.taken.loseContext();
+              return true;
             }"""
         )
-        tab.wait_for_function("() => hfb.viewers[0].drawing.gl.isContextLost()")
+        tab.wait_for_function("() => window.gone")
         tab.evaluate("taken.restoreContext()")
         tab.wait_for_function("() => hfb.viewers[0].drawing.textured && !hfb.viewers[0].drawing.gl.isContextLost()")
         assert shows(canvas, lambda shown: shown == before) == before
