@@ -277,7 +277,7 @@ _BEST = FitConfig(
     image_scales=3,
     directions=DirectionsConfig(search=True),
     settle=80,
-    lifting=0.5,
+    lifting=0.75,
     size_moves_away=True,
     weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3),
 )

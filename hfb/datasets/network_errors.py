@@ -53,16 +53,34 @@ class PoseErrors:
 def draw_pose_errors(poses: Float[Tensor, "T 24 3"], rng: np.random.Generator) -> PoseErrors:
     """Errors of one network on the frames of one clip.
 
+    Args:
+        poses: the true ones, whose root turns the body into the camera's frame.
+    """
+    return pose_errors(poses, draw_turns(len(poses), rng))
+
+
+def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
+    """By how much a network turns each bone in the frames of one clip, in camera axes, unit size for the shoulder.
+
     A share of each bone's turn is common to its limb or the torso, a share of everything to all frames (the same
-    person, clothes and network). What would move the bone across the view is damped, and more so the more the bone
-    points at the camera, where no turn is hidden. The root's turn is small: the torso is what a network sees best.
+    person, clothes and network).
+    """
+    common = _draw_turns(rng)
+    turns = [np.sqrt(_SHARED_BY_FRAMES) * common + np.sqrt(1 - _SHARED_BY_FRAMES) * _draw_turns(rng)
+             for _ in range(frames)]  # fmt: skip
+    return np.stack(turns)
+
+
+def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -> PoseErrors:
+    """Drawn turns as errors of these poses, of one clip or of many.
+
+    What would move the bone across the view is damped, and more so the more the bone points at the camera, where no
+    turn is hidden. The root's turn is small: the torso is what a network sees best.
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
     """
-    common = _draw_turns(rng)
-    turns = [np.sqrt(_SHARED_BY_FRAMES) * common + np.sqrt(1 - _SHARED_BY_FRAMES) * _draw_turns(rng) for _ in poses]
-    drawn = torch.from_numpy(np.stack(turns)).to(poses)
+    drawn = torch.from_numpy(turns).to(poses)
     hidden = torch.linalg.cross(_directions(poses), drawn.new_tensor([0.0, 0.0, 1.0]).expand_as(drawn))
     into_depth = (hidden * drawn).sum(-1, keepdim=True) * hidden
     seen = _ACROSS_VIEW * drawn + (1 - _ACROSS_VIEW) * into_depth

@@ -16,7 +16,7 @@ from hfb.body.skeleton import JOINT_COUNT, MIRROR, PARENTS
 from hfb.determinism import one_torch_thread
 from hfb.shapes import Float, Tensor
 
-WIDTH = 512
+WIDTH = 768
 
 _BLOCKS = 3
 _INPUT_SCALE, _OUTPUT_SCALE = 3.0, 0.3
@@ -26,27 +26,28 @@ _PARENT = tuple(max(parent, 0) for parent in PARENTS)
 
 
 class LiftingNetwork(nn.Module):
-    """Layers of one width with short cuts around each two; corrects what it is given."""
+    """Layers of one width with short cuts around each two; corrects what it is given of a frame beside another."""
 
-    def __init__(self) -> None:
+    def __init__(self, width: int = WIDTH) -> None:
         super().__init__()
-        self.enter = nn.Linear(JOINT_COUNT * 10, WIDTH)
-        self.blocks = nn.Sequential(*(_Block(WIDTH) for _ in range(_BLOCKS)))
-        self.leave = nn.Sequential(nn.LayerNorm(WIDTH), nn.Linear(WIDTH, JOINT_COUNT * 6))
+        self.enter = nn.Linear(JOINT_COUNT * 20, width)
+        self.blocks = nn.Sequential(*(_Block(width) for _ in range(_BLOCKS)))
+        self.leave = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, JOINT_COUNT * 6))
 
     def forward(
-        self, across: Float[Tensor, "N 24 2"], start: Float[Tensor, "N 24 3"]
+        self, across: Float[Tensor, "N 2 24 2"], start: Float[Tensor, "N 2 24 3"]
     ) -> tuple[Float[Tensor, "N 24 3"], Float[Tensor, "N 24 3"]]:
-        """Joints, and the logarithm of the Laplace scale of each coordinate.
+        """Joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
 
         Args:
-            across: x and y from the pelvis in the units of a window (`hfb.initialize.joint_network.Window`).
-            start: a first guess in the same units, which seems as large (`as_large`).
+            across: x and y from the pelvis in the units of each frame's window
+                (`hfb.initialize.joint_network.Window`); where there is one frame alone it is its own neighbour.
+            start: first guesses in the same units, which seem as large (`as_large`).
         """
         parent = list(_PARENT)
-        facts = torch.cat([across, across - across[:, parent], start, start - start[:, parent]], -1)
+        facts = torch.cat([across, across - across[:, :, parent], start, start - start[:, :, parent]], -1)
         told = self.leave(self.blocks(self.enter(_INPUT_SCALE * facts.flatten(1)))).unflatten(1, (JOINT_COUNT, 6))
-        given = torch.cat([across, start[..., 2:]], -1)
+        given = torch.cat([across[:, 0], start[:, 0, :, 2:]], -1)
         return given + _OUTPUT_SCALE * told[..., :3], (told[..., 3:] - 3).clamp(-7, 1)
 
 
@@ -65,22 +66,29 @@ def as_large(start: Float[Tensor, "N 24 3"], across: Float[Tensor, "N 24 2"]) ->
     return start * (wanted / spread)[:, None, None]
 
 
-def lift(joints: Float[Tensor, "N 24 3"], start: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 24"]:
-    """Depth behind the pelvis by the shipped network, the mean of what it says of the joints and their mirror image.
+def lift(joints: Float[Tensor, "T 24 3"], start: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
+    """Depth behind the pelvis in neighbouring frames by the shipped network.
+
+    It is the mean of what the network says of each frame beside the one before and the one after, and of their mirror
+    images.
 
     Args:
         joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
     """
     across, first = ((one - one[:, :1]).detach().float() for one in (joints[..., :2], start))
     first = as_large(first, across)
+    frames = len(across)
+    pairs = [(one, one + step) for one in range(frames) for step in (-1, 1) if 0 <= one + step < frames] or [(0, 0)]
+    across, first = across[torch.tensor(pairs)], first[torch.tensor(pairs)]
     mirror, turned = list(MIRROR), first.new_tensor([-1.0, 1.0, 1.0])
     with one_torch_thread(), torch.inference_mode():
         told, _ = shipped_lifting_network()(
-            torch.cat([across, across[:, mirror] * turned[:2]]), torch.cat([first, first[:, mirror] * turned])
+            torch.cat([across, across[:, :, mirror] * turned[:2]]), torch.cat([first, first[:, :, mirror] * turned])
         )
-        seen, reflected = told.chunk(2)
-        depth = (seen[..., 2] + reflected[:, mirror, 2]) / 2
-    return depth.clone()  # what inference mode makes must not enter a graph
+        seen, reflected = told[..., 2].chunk(2)
+        depth = (seen + reflected[:, mirror]) / 2
+        means = [depth[[row for row, (one, _) in enumerate(pairs) if one == frame]].mean(0) for frame in range(frames)]
+    return torch.stack(means).clone()  # what inference mode makes must not enter a graph
 
 
 @lru_cache(maxsize=1)

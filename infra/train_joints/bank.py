@@ -11,20 +11,38 @@ from pictures import Studio
 
 from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
 
-TRAINING_SUBJECTS = (1, 2, 5, 6, 7)
+TRAINING_SUBJECTS = (1, 2, 3, 5, 6, 7, 8, 11, 12, 14)
 """Subjects 9, 10 and 13 are for reports alone."""
+
+SPLITS = ("train", "dev", "dev-other", "all", "report")
+
+_OTHER = "_daz"
+"""In the names of clips of another conversion (`cut.py`), whose skeleton is the reports' one."""
 
 
 def split(mocap: Path, chosen: str) -> list[str]:
-    """Names of clips: ``train``, ``dev`` (every fourth of the training subjects), ``all`` (both) or ``report``."""
+    """Names of clips: ``train``, ``dev`` (every fourth clip or take of the training subjects), ``all`` or ``report``.
+
+    No take of the other conversion is learned from that is held out, whole or in part, in the first one.
+    """
     names = sorted(path.stem for path in mocap.glob("*.bvh"))
     ours = [name for name in names if int(name.split("_")[1]) in TRAINING_SUBJECTS]
+    first, others = ([name for name in ours if (_OTHER in name) == other] for other in (False, True))
+    held_out = {_take(name) for name in first[3::4]}
+    held_out |= set(sorted({_take(name) for name in others} - {_take(name) for name in first})[3::4])
     return {
-        "train": [name for index, name in enumerate(ours) if index % 4 != 3],
-        "dev": ours[3::4],
+        "train": [name for index, name in enumerate(first) if index % 4 != 3]
+        + [name for name in others if _take(name) not in held_out],
+        "dev": first[3::4],
+        "dev-other": [name for name in others if _take(name) in held_out],
         "all": ours,
         "report": [name for name in names if name not in ours],
     }[chosen]
+
+
+def _take(clip: str) -> str:
+    """Subject and trial, the same in both conversions."""
+    return "_".join(clip.split("_")[1:3])
 
 
 def main() -> None:
@@ -36,7 +54,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--split", default="train", choices=("train", "dev", "all", "report"))
+    parser.add_argument("--split", default="train", choices=SPLITS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     studio = Studio(options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed)

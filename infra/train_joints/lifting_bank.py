@@ -1,48 +1,90 @@
-"""Draw joints without pictures: `python lifting_bank.py --mocap FOLDER --out lifting --count 60000 --seed 1`."""
+"""Draw joints without pictures: `python lifting_bank.py --mocap FOLDER --out l1.npz --count 60000 --seed 1`."""
 
 import argparse
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from bank import split
-from people import FRAME_PX, INSTANTS, STARTS, People
+from bank import SPLITS, split
+from people import FRAME_PX, INSTANTS, People, draw_amplitude
 
-from hfb.datasets.viewpoints import front_of, in_camera, place
+from hfb.datasets.network_errors import draw_turns
+from hfb.datasets.viewpoints import PlacedCamera, front_of, in_camera, place
 from hfb.initialize.joint_network import Window
 from hfb.rotations import axis_angle_to_matrix
 
 _MATTE_MARGIN = 1.12
 """How much larger than its joints' box a person's matte is."""
+_EXPOSURES = ((0, 2, 4), (6, 8, 10))
+"""Instants of two exposures: beginning, middle and end."""
+_SECONDS = (0.04, 1.2)
+_AT_ONCE = 100
+
+
+@dataclass(frozen=True)
+class _Person:
+    """Somebody in two exposures, before anybody has guessed his pose.
+
+    Attributes:
+        joints: (INSTANTS, 24, 3), camera coordinates [m]. poses: (2, 24, 3) true ones, one within each exposure.
+        turns: (2, 24, 3), by which the guesses are off, times the ``amplitude``.
+    """
+
+    joints: torch.Tensor
+    camera: PlacedCamera
+    poses: np.ndarray
+    turns: np.ndarray
+    amplitude: float
+    rng: np.random.Generator
 
 
 class Skeletons(People):
-    """The same people, motions and cameras as of the pictures, seen as joints alone."""
+    """The same people, motions and cameras as of the pictures, seen as joints alone in two exposures."""
 
-    def draw(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
-        """Joints (24, 3) at mid-exposure and first guesses (STARTS, 24, 3) in a window's units; a unit in metres."""
+    def draw(self, rngs: list[np.random.Generator]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joints (N, 2, 24, 3) in mid-exposure, first guesses, in windows' units; units in metres (N, 2)."""
+        people = [self._person(rng) for rng in rngs]
+        poses, turns = (np.concatenate([getattr(person, name) for person in people]) for name in ("poses", "turns"))
+        amplitudes = np.repeat([person.amplitude for person in people], 2)
+        stills = self.stills(poses, turns, amplitudes).unflatten(0, (-1, 2))  # at once: far faster than one by one
+        drawn = [
+            self._exposed(person.joints[list(exposure)], still, person.camera, person.rng)
+            for person, guesses in zip(people, stills, strict=True)
+            for exposure, still in zip(_EXPOSURES, guesses, strict=True)
+        ]
+        joints, starts, unit_m = (np.stack(values) for values in zip(*drawn, strict=True))
+        return joints.reshape(-1, 2, 24, 3), starts.reshape(-1, 2, 24, 3), unit_m.reshape(-1, 2)
+
+    def _person(self, rng: np.random.Generator) -> _Person:
         motion = None
         while motion is None:
-            motion = self._motion(rng)
+            motion = self._motion(rng, _SECONDS)
         poses, places = motion
         shaped = self.body.shape(torch.from_numpy(np.clip(rng.standard_normal(10), -2, 2)).float())
         world = shaped.joints_of(
             axis_angle_to_matrix(torch.from_numpy(poses).float()), torch.from_numpy(places).float()
         )
-        middle = INSTANTS // 2
         points = world.reshape(-1, 3).double().numpy()
-        camera = place(self._view(rng), front_of(poses[middle, 0]), points, FRAME_PX)
+        camera = place(self._view(rng), front_of(poses[INSTANTS // 2, 0]), points, FRAME_PX)
         seen, translations = in_camera(camera, poses, places, shaped.joints[0].double().numpy())
         rotations = axis_angle_to_matrix(torch.from_numpy(seen).float())
         joints = shaped.joints_of(rotations, torch.from_numpy(translations).float())
+        chosen = seen[[rng.choice(exposure) for exposure in _EXPOSURES]]
+        return _Person(joints, camera, chosen, draw_turns(2, rng), draw_amplitude(rng), rng)
+
+    def _exposed(
+        self, joints: torch.Tensor, still: torch.Tensor, camera: PlacedCamera, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.float32]:
+        """Joints (24, 3) in the middle of one exposure (3, 24, 3), a first guess, and a unit in metres."""
         pixels = camera.lens.project(joints).reshape(-1, 2).numpy()
         low, high = pixels.min(0), pixels.max(0)
         side = 1.24 * _MATTE_MARGIN * float((high - low).max())  # the window's own margin is .12 on either side
         window = Window(*((low + high) / 2 - side / 2), side, camera.lens)
-        truth = window.to_units(joints[[0, middle, -1]]).numpy()
-        unit_m = float(joints[middle, 0, 2]) * window.units_to_tangents()
-        return truth[1], self._starts(seen, truth, window, joints, rng), unit_m
+        truth, distance = window.to_units(joints[1]).numpy(), float(joints[1, 0, 2])
+        unit_m = np.float32(distance * window.units_to_tangents())
+        return truth, self._placed(still, distance, truth, window, rng), unit_m
 
 
 def main() -> None:
@@ -52,19 +94,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="a file, .npz")
     parser.add_argument("--count", type=int, default=60000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--split", default="train", choices=("train", "dev", "all", "report"))
+    parser.add_argument("--split", default="train", choices=SPLITS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     people = Skeletons(options.mocap, split(options.mocap, options.split), options.seed)
-    joints = np.zeros((options.count, 24, 3), np.float32)
-    starts = np.zeros((options.count, STARTS, 24, 3), np.float32)
-    unit_m = np.zeros(options.count, np.float32)
+    joints = np.zeros((options.count, 2, 24, 3), np.float32)
+    starts, unit_m = np.zeros_like(joints), np.zeros((options.count, 2), np.float32)
     began = time.monotonic()
-    for number in range(options.count):
-        rng = np.random.default_rng([options.seed, number])
-        joints[number], starts[number], unit_m[number] = people.draw(rng)
-        if number % 5000 == 4999:
-            print(f"{number + 1} people in {time.monotonic() - began:.0f} s", flush=True)
+    for first in range(0, options.count, _AT_ONCE):
+        rows = range(first, min(first + _AT_ONCE, options.count))
+        drawn = people.draw([np.random.default_rng([options.seed, number]) for number in rows])
+        joints[rows], starts[rows], unit_m[rows] = drawn
+        if rows.stop % 5000 == 0:
+            print(f"{rows.stop} people in {time.monotonic() - began:.0f} s", flush=True)
     np.savez(options.out, joints=joints, starts=starts, unit_m=unit_m)
 
 

@@ -11,7 +11,7 @@ from hfb.body.skeleton import MIRROR
 from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.datasets.motions.sources import open_motions
-from hfb.datasets.network_errors import draw_pose_errors
+from hfb.datasets.network_errors import draw_turns, pose_errors
 from hfb.datasets.viewpoints import View, draw_view
 from hfb.initialize.joint_network import Window
 from hfb.priors.anatomy import AnatomicalPrior
@@ -40,9 +40,11 @@ class People:
         self.body = load_default_body()
         self.mean = self.body.shape(torch.zeros(10))
 
-    def _motion(self, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
+    def _motion(
+        self, rng: np.random.Generator, seconds_range: tuple[float, float] = (_SHORTEST_S, _LONGEST_S)
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         clips = self.recorded if rng.random() < 0.75 else self.made
-        seconds = float(np.exp(rng.uniform(np.log(_SHORTEST_S), np.log(_LONGEST_S))))
+        seconds = float(np.exp(rng.uniform(*np.log(seconds_range))))
         piece = _piece(clips[rng.integers(len(clips))], seconds, rng)
         if piece is None:
             return None
@@ -65,20 +67,38 @@ class People:
     def _starts(
         self, poses: np.ndarray, truth: np.ndarray, window: Window, joints: torch.Tensor, rng: np.random.Generator
     ) -> np.ndarray:
-        """What static estimators would say: bones turned, the mean body, a little beside its place."""
+        """What static estimators would say of some moments of one exposure."""
         at = np.clip(np.round(rng.normal(0.5, 0.2, STARTS) * (INSTANTS - 1)), 0, INSTANTS - 1).astype(int)
-        errors = draw_pose_errors(torch.from_numpy(poses[at]).float(), rng)
-        amplitude = rng.uniform(0.05, 1.3) if rng.random() < 0.93 else 0.01
-        erring = errors.poses_at(torch.tensor([0.5, 1.0]) * amplitude)[-1]
-        stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(STARTS, 3))
-        found = []
-        for row, still in zip(at, stills, strict=True):
-            depth = joints[row, 0, 2] * float(np.exp(rng.normal(0, 0.05)))
-            start = window.to_units(still - still[0] + torch.stack([depth * 0, depth * 0, depth])).numpy()
-            wander = rng.uniform(0, 1) ** 2 * 0.3
-            start[:, :2] += (truth[1] - start)[:, :2].mean(0) + rng.normal(0, wander, 2) * (1, 0.5)
-            found.append(start)
-        return np.stack(found).astype(np.float32)
+        stills = self.stills(poses[at], draw_turns(STARTS, rng), np.full(STARTS, draw_amplitude(rng)))
+        return np.stack(
+            [
+                self._placed(still, float(joints[row, 0, 2]), truth[1], window, rng)
+                for row, still in zip(at, stills, strict=True)
+            ]
+        )
+
+    def stills(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
+        """Joints (S, 24, 3) from the pelvis, as networks say them: bones turned, the mean body."""
+        errors = pose_errors(torch.from_numpy(poses).float(), turns)
+        errors = replace(errors, turns=errors.turns * torch.from_numpy(amplitudes)[:, None, None].float())
+        erring = errors.poses_at(torch.tensor([0.5, 1.0]))[-1]
+        stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(len(poses), 3))
+        return stills - stills[:, :1]
+
+    def _placed(
+        self, still: torch.Tensor, distance: float, truth: np.ndarray, window: Window, rng: np.random.Generator
+    ) -> np.ndarray:
+        """One of them in its window's units (24, 3), a little beside the truth."""
+        depth = distance * float(np.exp(rng.normal(0, 0.05)))
+        start = window.to_units(still + torch.tensor([0.0, 0.0, depth])).numpy()
+        wander = rng.uniform(0, 1) ** 2 * 0.3
+        start[:, :2] += (truth - start)[:, :2].mean(0) + rng.normal(0, wander, 2) * (1, 0.5)
+        return start.astype(np.float32)
+
+
+def draw_amplitude(rng: np.random.Generator) -> float:
+    """How much a network errs: from hardly at all to more than any does."""
+    return float(rng.uniform(0.05, 1.3)) if rng.random() < 0.93 else 0.01
 
 
 def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -36,12 +36,24 @@ def people(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return seen - seen[:, :1], guessed - guessed[:, :1]
 
 
-def test_depth_is_nearer_than_the_guess() -> None:
+def test_depth_is_nearer_than_the_guess_and_nearest_with_a_neighbour() -> None:
     truth, start = people(60)
     noise = 0.01 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
-    before = (start - truth)[..., 2].abs().mean()
-    after = (lift(truth + noise, start) - truth[..., 2]).abs().mean()
-    assert after < 0.6 * before
+    seen = truth + noise
+    guessed = (start - truth)[..., 2].abs().mean()
+    alone = torch.cat([lift(seen[frame : frame + 1], start[frame : frame + 1]) for frame in range(60)])
+    pairs = torch.cat([lift(seen[frame : frame + 2], start[frame : frame + 2]) for frame in range(0, 60, 2)])
+    off_alone, off_pairs = ((told - truth[..., 2]).abs().mean() for told in (alone, pairs))
+    assert off_alone < 0.6 * guessed
+    assert off_pairs < 0.97 * off_alone
+
+
+def test_time_has_no_arrow_and_a_frame_alone_is_its_own_neighbour() -> None:
+    joints, start = people(5)
+    told = lift(joints, start)
+    torch.testing.assert_close(lift(joints.flip(0), start.flip(0)).flip(0), told)
+    alone = lift(joints[:1], start[:1])
+    torch.testing.assert_close(lift(joints[[0, 0]], start[[0, 0]]), alone.expand(2, -1))
 
 
 def test_it_knows_neither_place_nor_size_nor_side() -> None:
