@@ -28,11 +28,11 @@ _PARENT = tuple(max(parent, 0) for parent in PARENTS)
 class LiftingNetwork(nn.Module):
     """Layers of one width with short cuts around each two; corrects what it is given of a frame beside another."""
 
-    def __init__(self, width: int = WIDTH) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.enter = nn.Linear(JOINT_COUNT * 20, width)
-        self.blocks = nn.Sequential(*(_Block(width) for _ in range(_BLOCKS)))
-        self.leave = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, JOINT_COUNT * 6))
+        self.enter = nn.Linear(JOINT_COUNT * 20, WIDTH)
+        self.blocks = nn.Sequential(*(_Block(WIDTH) for _ in range(_BLOCKS)))
+        self.leave = nn.Sequential(nn.LayerNorm(WIDTH), nn.Linear(WIDTH, JOINT_COUNT * 6))
 
     def forward(
         self, across: Float[Tensor, "N 2 24 2"], start: Float[Tensor, "N 2 24 3"]
