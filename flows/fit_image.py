@@ -21,7 +21,7 @@ from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
 from tasks.given_result import Look, body_of_result, needed, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
-from tasks.inputs import Inputs, input_hashes, take_inputs
+from tasks.inputs import Inputs, input_hashes, take_inputs, with_height
 from tasks.matte import matte
 from tasks.prepare import prepare
 from tasks.record import record
@@ -63,6 +63,7 @@ def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, A
 
 
 def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
+    config = with_height(config, inputs.clip)
     with workplace(out) as folder, records_in(folder):
         scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
         for remark in scene.remarks:

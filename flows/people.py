@@ -41,6 +41,8 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
     """
     if inputs.clip.person.which != "everyone":
         return run_video(inputs, out, config, engine)
+    if config.fit.height_m is not None:
+        raise InputError("--fit.height-m is one person's height: leave it out where everyone is meant")
     began = time.perf_counter()
     people = everyone_in(inputs, out, config)
     progress.say(f"hfb: {len(people)} people, one after the other: {', '.join(one.name for one in people)}")

@@ -21,6 +21,7 @@ from hfb.export.names import CURVES, REPORT
 from tasks.engine import Engine
 from tasks.export_files import export_files
 from tasks.handles import FileHandle
+from tasks.inputs import with_height
 from tasks.result_report import ReportParts, add_report, clip_curves
 from tasks.task import code_version
 from tasks.video_handles import ClipBodiesHandle, JoinedHandle
@@ -46,6 +47,8 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
         InputError: something given cannot be used; ``out`` is then as it was.
         Unavailable: the disk is full, or Prefect's server went away; what is finished is kept.
     """
+
+    config = with_height(config, inputs.clip)
 
     # A closure: as parameters Prefect would send a folder's pictures to its server, which takes half a megabyte.
     def video(clip: str, out_folder: str) -> dict[str, Any]:

@@ -22,6 +22,7 @@
     frame = 0
     track = "tracks.csv"           # or a track of another system's file, with its id
     id = 3
+    height_m = 1.82                # soles to crown, where it is known: no picture shows it
 
 Every entry may be left out. Files are named relative to this one and lie in its folder, or below: a clip that somebody
 hands over must not be able to show what lies elsewhere.
@@ -32,7 +33,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hfb.config import Record
+from hfb.config import HeightM, Record
 from hfb.errors import InputError
 from hfb.toml_file import read_toml, to_record
 
@@ -103,6 +104,9 @@ class PersonChoice(_ClipRecord):
     """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system.
 
     Everyone: each of them in turn, as if each had been chosen.
+
+    Attributes:
+        height_m: how tall the person is, where it is known.
     """
 
     which: Literal["largest", "everyone"] = "largest"
@@ -110,6 +114,7 @@ class PersonChoice(_ClipRecord):
     frame: Annotated[int, Field(ge=0)] = 0
     track: Path | None = None
     id: int | str | None = None
+    height_m: HeightM | None = None
 
     @model_validator(mode="after")
     def _one_choice(self) -> "PersonChoice":
@@ -119,6 +124,8 @@ class PersonChoice(_ClipRecord):
             raise ValueError("id is a person's in a file of tracks: give track too")
         if self.which == "everyone" and (self.box is not None or self.id is not None):
             raise ValueError("everyone excludes a box and an id: give one of them")
+        if self.which == "everyone" and self.height_m is not None:
+            raise ValueError("height_m is one person's: it does not go with everyone")
         if self.box is not None and not (self.box[0] < self.box[2] and self.box[1] < self.box[3]):
             raise ValueError("box must be [left, top, right, bottom] with left < right and top < bottom")
         return self

@@ -23,6 +23,10 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra=_in_order)
 
 
+HeightM = Annotated[float, Field(ge=1.0, le=2.4)]
+"""A person's height [m]; body models know grown people."""
+
+
 class BodyConfig(Record):
     """Which body model is fitted."""
 
@@ -166,6 +170,9 @@ class FitConfig(Record):
         ge=0,
         le=1,
         description="share of the lifting network in the joint network's depth, after every stage but the last",
+    )
+    height_m: HeightM | None = Field(
+        None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
     )
     size_moves_away: bool = Field(False, description="a larger shape stands further away: quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")

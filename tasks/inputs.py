@@ -93,11 +93,20 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
     if told_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
         asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
         remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
-    vain = [name for name in _OF_VIDEOS if getattr(clip, name) != getattr(Clip(), name)]
+    used = clip.model_copy(update={"person": clip.person.model_copy(update={"height_m": None})})
+    vain = [name for name in _OF_VIDEOS if getattr(used, name) != getattr(Clip(), name)]
     vain += ["exposure.position"] if clip.exposure.position != ClipExposure().position else []
     if vain:
         remarks.append(f"`hfb fit` does not use what clip.toml says of {', '.join(vain)}: that is for `hfb video`")
     return remarks
+
+
+def with_height(config: RunConfig, clip: Clip) -> RunConfig:
+    """The options, with the person's height from clip.toml where no option says it."""
+    if config.fit.height_m is not None or clip.person.height_m is None:
+        return config
+    fit = config.fit.model_copy(update={"height_m": clip.person.height_m})
+    return config.model_copy(update={"fit": fit})
 
 
 def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:

@@ -58,6 +58,7 @@ def test_everything_about_a_video(tmp_path: Path) -> None:
     assert clip.person.track == tmp_path / "tracks.csv"
     assert (clip.transfer, clip.start_s, clip.stop, clip.exposure.position) == ("bt709", 1.5, 90, "middle")
     assert read_clip(write(tmp_path, 'background = "median"')).background == "median"
+    assert read_clip(write(tmp_path, "[person]\nheight_m = 1.82")).person.height_m == 1.82
     assert read_clip(write(tmp_path, "[person]\nbox = [1, 2, 3, 4]")).person.box == (1, 2, 3, 4)
 
 
@@ -80,6 +81,9 @@ def test_everything_about_a_video(tmp_path: Path) -> None:
         ('[camera]\nname = "cam01"', "give calibration too"),
         ("[person]\nid = 3", "give track too"),
         ("[person]\nbox = [3, 2, 1, 4]", "left < right"),
+        ("[person]\nheight_m = 182", "person.height_m: .* less than or equal to 2.4"),
+        ("[person]\nheight_m = 0.4", "person.height_m: .* greater than or equal to 1"),
+        ('[person]\nwhich = "everyone"\nheight_m = 1.8', "height_m is one person's"),
         ('[person]\nbox = [1, 2, 3, 4]\ntrack = "a.csv"', "a box or a track, not both"),
     ],
 )

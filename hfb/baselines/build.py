@@ -4,7 +4,7 @@ from hfb.baselines.chain import Chain
 from hfb.baselines.fitted import HumanFromBlur
 from hfb.baselines.method import Method
 from hfb.baselines.method_spec import MethodSpec
-from hfb.baselines.oracles import TrueMatte, TrueStart, TwoStageOracle
+from hfb.baselines.oracles import TrueHeight, TrueMatte, TrueStart, TwoStageOracle
 from hfb.baselines.shape_from_blur import ShapeFromBlur
 from hfb.baselines.static import Static
 from hfb.body.model import Body
@@ -22,6 +22,8 @@ def make_method(spec: MethodSpec, body: Body) -> Method:
         InputError: one of its networks, priors or folders cannot be used.
     """
     method = _plain(spec, body)
+    if "true-height" in spec.oracles and isinstance(method, HumanFromBlur):
+        method = TrueHeight(spec.name, method, body)
     if "true-start" in spec.oracles:
         method = TrueStart(spec.name, method, body)
     if "true-matte" in spec.oracles:

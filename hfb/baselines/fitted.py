@@ -1,5 +1,6 @@
 """Human from Blur itself, as one of the methods."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -36,6 +37,13 @@ class HumanFromBlur:
         self._motion_prior = load_motion_prior(config.prior.motion)
         # The rows are drawn alike for every method, whatever silhouette its loss was made of.
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
+
+    def told(self, height_m: float) -> "HumanFromBlur":
+        """The same method, which knows how tall the person is."""
+        other = copy.copy(self)
+        fit = self._config.fit.model_copy(update={"height_m": height_m})
+        other._config = self._config.model_copy(update={"fit": fit})
+        return other
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
         """Poses and appearance; the case is not looked at."""

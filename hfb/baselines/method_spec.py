@@ -15,7 +15,7 @@ from hfb.initialize.networks import NETWORKS, network_path
 from hfb.toml_file import merged, read_toml, to_record
 
 Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "chain"]
-Oracle = Literal["true-matte", "true-start"]
+Oracle = Literal["true-matte", "true-start", "true-height"]
 Estimator = Literal["mediapipe", "matte", "simulated"]
 
 METHOD_NAMES: Mapping[str, str] = {
@@ -77,6 +77,7 @@ MODIFIERS: Mapping[str, str] = {
     "best-degree1 ... best-degree4": "another degree of the motion's polynomials",
     "best-frames": "each frame fitted alone, whatever their number",
     "METHOD@true-matte": "an oracle: the exact mattes in place of the estimated ones",
+    "METHOD@true-height": "a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
 }
 """What may be added to a method's name, several of them one after another."""
@@ -128,11 +129,15 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     base, *oracles = name.split("@")
     wrong = [oracle for oracle in oracles if oracle not in get_args(Oracle)]
     if wrong:
-        raise InputError(f"method {name}: unknown oracle @{wrong[0]}; there are @true-matte and @true-start")
+        raise InputError(
+            f"method {name}: unknown oracle @{wrong[0]}; there are @true-matte, @true-start and @true-height"
+        )
     if given:
         spec = MethodSpec(name=name, kind="fit", config=_config_of(Path(file)))
     else:
         spec = _named(base, chains)
+    if "true-height" in oracles and spec.kind != "fit":
+        raise InputError(f"method {name}: only a fit can be told the person's height")
     paths = list(spec.chain.paths()) if spec.chain else []
     if spec.kind == "fit":
         paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]

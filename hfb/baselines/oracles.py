@@ -9,8 +9,10 @@ import torch
 
 from hfb.baselines.chain import found_in
 from hfb.baselines.estimates import Estimate, interpolate
+from hfb.baselines.fitted import HumanFromBlur
 from hfb.baselines.method import Method
 from hfb.baselines.rows import middle_times_s
+from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.datasets.case import Case
 from hfb.datasets.sharp import SHARP_SUBFRAMES, load_sharp
@@ -68,6 +70,27 @@ class TrueStart:
             for row, start in zip(rows, starts, strict=True)
         ]
         return self._method(case, observation, true_starts)
+
+
+class TrueHeight:
+    """A fit that is told how tall the person is, as somebody may know who films."""
+
+    def __init__(self, name: str, method: HumanFromBlur, body: Body) -> None:
+        self.name = name
+        self._method = method
+        self._body = body
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """See `Method`.
+
+        Raises:
+            InputError: the truth has another body model's betas, or none.
+        """
+        truth = load_truth(case.truth)
+        if truth.betas_space != self._body.betas_space:
+            raise InputError(f"{case.folder}: the true person's height is not known in {self._body.name}'s betas")
+        height = float(height_m(self._body, torch.from_numpy(truth.motion.betas).float()))
+        return self._method.told(height)(case, observation, starts)
 
 
 class TwoStageOracle:

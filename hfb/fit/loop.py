@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
+from hfb.body.height import as_tall
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
 from hfb.determinism import one_torch_thread
 from hfb.fit.alternatives import Alternatives
-from hfb.fit.clip_person import ClipPerson
+from hfb.fit.clip_person import ClipPerson, as_person
 from hfb.fit.confidence import joint_features, shipped_confidence
 from hfb.fit.directions import search_directions
 from hfb.fit.settle import settle
@@ -91,6 +92,8 @@ def fit(
     if len(first_bodies) != observation.mattes.shape[0]:
         raise ValueError(f"{len(first_bodies)} first bodies for {observation.mattes.shape[0]} frames")
     started = time.perf_counter()
+    if config.height_m is not None and person is None:
+        first_bodies = [as_person(one, as_tall(one.betas, body, config.height_m), body) for one in first_bodies]
     variables = start_variables(first_bodies, observation, config, torch.Generator().manual_seed(seed), person)
     everywhere = _objective(
         observation, first_bodies, body, config, pose_prior, motion_prior or load_motion_prior(None)
@@ -227,8 +230,7 @@ def _iterations(
         yield loss.item(), values, variables.copy
         loss.backward()
         optimizer.step()
-        with torch.no_grad():
-            variables.texture.clamp_(0, 1)
+        variables.keep_within(config, objective.body)
 
 
 def _restore(variables: Variables, best: Variables) -> None:

@@ -40,3 +40,4 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
         loss = skeleton.total(skeleton.body_terms(motion, variables.betas, shaped))
         loss.backward()
         optimizer.step()
+        variables.keep_within(config, objective.body)

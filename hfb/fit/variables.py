@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
+from hfb.body.height import as_tall
 from hfb.body.model import Body, bone_length
 from hfb.config import FitConfig
 from hfb.fit.clip_person import ClipPerson
@@ -39,6 +40,13 @@ class Variables:
             return self.trajectory
         before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
         return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
+
+    def keep_within(self, config: FitConfig, body: Body) -> None:
+        """After a step: colours between black and white, the height that is known."""
+        with torch.no_grad():
+            self.texture.clamp_(0, 1)
+            if config.height_m is not None and self.betas.requires_grad:
+                self.betas.copy_(as_tall(self.betas, body, config.height_m))
 
     def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
         """Of every frame at u = 1/2, camera coordinates [m]; no gradient."""

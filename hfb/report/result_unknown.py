@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.fit.alternatives import LIMB_NAMES, Alternatives
@@ -29,7 +30,7 @@ def unknown_section(motion: SampledMotion, body: Body | None, facts: Mapping[str
         said.append(str(facts["unknown"]))
     said += _joints_said(motion)
     said += _frames_said(facts)
-    said.append(_size_said(motion, body))
+    said.append(_size_said(motion, body, _told_height(facts)))
     items = (element("li", one) for one in said)
     return section("What the picture could not tell", element("ul", *items), id="unknown")
 
@@ -142,14 +143,28 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(f"{first}\u2013{last}" if last > first else str(first) for first, last in runs)
 
 
-def _size_said(motion: SampledMotion, body: Body | None) -> str:
+def _told_height(facts: Mapping[str, Any]) -> float | None:
+    """What the user said of it."""
+    try:
+        told = facts["config"]["fit"]["height_m"]
+    except (KeyError, TypeError):  # an older result
+        return None
+    return float(told) if isinstance(told, int | float) else None
+
+
+def _size_said(motion: SampledMotion, body: Body | None, told_m: float | None) -> str:
     """Size and distance are one number in a picture."""
     far = float(np.median(motion.joints[:, 0, 2]))
+    if told_m is not None:
+        return (
+            f"The person's height, {told_m:.2f} m, was given, and the distance, {far:.1f} m, follows from it. All "
+            "lengths and speeds grow with that height."
+        )
     tall = ""
     if body is not None and body.shape_count >= len(motion.betas):
-        vertices = body.shape(torch.from_numpy(motion.betas).to(body.template.dtype)).vertices
-        tall = f" {float(vertices[:, 1].max() - vertices[:, 1].min()):.2f} m tall and"
+        tall = f" {float(height_m(body, torch.from_numpy(motion.betas).to(body.template))):.2f} m tall and"
     return (
         f"One camera does not tell a tall person far away from a short one nearby. The person is taken to be{tall} "
-        f"{far:.1f} m away; all lengths and speeds grow with that."
+        f"{far:.1f} m away; all lengths and speeds grow with that. Where the true height is known, give it with "
+        "--fit.height-m."
     )

@@ -65,15 +65,21 @@ def main() -> None:
     starts = np.zeros((options.count, STARTS, 24, 3), np.float32)
     unit_m = np.zeros(options.count, np.float32)
     began = time.monotonic()
+
+    def save(done: int) -> None:
+        pictures.flush()
+        part = options.out / "joints.part.npz"
+        np.savez(part, truth=truth, starts=starts, unit_m=unit_m, done=done)
+        part.rename(options.out / "joints.npz")  # training may read while this draws
+
     for number in range(options.count):
         sample = studio.draw(np.random.default_rng([options.seed, options.first + number]))
         pictures[number], truth[number], starts[number] = sample.picture, sample.truth, sample.starts
         unit_m[number] = sample.unit_m
         if number % 1000 == 999 or number == 49:
             print(f"{number + 1} pictures in {time.monotonic() - began:.0f} s", flush=True)
-            np.savez(options.out / "joints.npz", truth=truth, starts=starts, unit_m=unit_m, done=number + 1)
-    pictures.flush()
-    np.savez(options.out / "joints.npz", truth=truth, starts=starts, unit_m=unit_m, done=options.count)
+            save(number + 1)
+    save(options.count)
 
 
 if __name__ == "__main__":

@@ -27,17 +27,21 @@ class Bank:
 
     def __init__(self, folders: list[Path]) -> None:
         """Map the pictures, read the joints."""
-        self.pictures, self.parts = [], []
-        for number, folder in enumerate(folders):
+        self.folders = folders
+        self.pictures = [np.load(folder / "pictures.npy", mmap_mode="r") for folder in folders]
+        self.read()
+
+    def read(self) -> None:
+        """The joints of all pictures that are drawn by now."""
+        parts = []
+        for number, folder in enumerate(self.folders):
             with np.load(folder / "joints.npz") as file:
                 done = int(file["done"])
-                self.parts.append((number, file["truth"][:done], file["starts"][:done], file["unit_m"][:done]))
-            self.pictures.append(np.load(folder / "pictures.npy", mmap_mode="r"))
-        self.folder = np.concatenate([np.full(len(part[1]), part[0]) for part in self.parts])
-        self.row = np.concatenate([np.arange(len(part[1])) for part in self.parts])
-        self.truth = np.concatenate([part[1] for part in self.parts])
-        self.starts = np.concatenate([part[2] for part in self.parts])
-        self.unit_m = np.concatenate([part[3] for part in self.parts])
+                parts.append((np.full(done, number), *(file[key][:done] for key in ("truth", "starts", "unit_m"))))
+        self.folder, self.truth, self.starts, self.unit_m = (
+            np.concatenate(column) for column in zip(*parts, strict=True)
+        )
+        self.row = np.concatenate([np.arange(len(part[0])) for part in parts])
 
     def __len__(self) -> int:
         return len(self.row)
@@ -150,7 +154,7 @@ def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
 
 
 def main() -> None:
-    """AdamW, a cosine over the iterations, averaged weights; a checkpoint and figures every two minutes."""
+    """AdamW, a cosine over the iterations, averaged weights; at times a checkpoint, figures and newer pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bank", type=Path, nargs="+", required=True)
     parser.add_argument("--dev", type=Path, required=True)
@@ -160,10 +164,14 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--bfloat16", action="store_true", help="on processors that compute in it; on others far slower"
+    )
     parser.add_argument("--small", action="store_true", help="half the channels, for widen.py")
     parser.add_argument("--go-on", type=Path, help="begin with these weights (average.pt of another run)")
     options = parser.parse_args()
-    torch.set_num_threads(1)
+    torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     rng = np.random.default_rng(options.seed)
     network = JointNetwork(SMALL if options.small else WIDE)
@@ -183,7 +191,7 @@ def main() -> None:
             group["lr"] = rate
         pictures, starts, truth = augmented(bank, rng.integers(len(bank), size=options.batch), rng)
         network.train()
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
             claim = network(pictures, starts)
         loss = loss_of(claim, truth)
         optimizer.zero_grad()
@@ -202,6 +210,7 @@ def main() -> None:
             figures = measure(average, dev)
             facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "bank": len(bank), "loss": running}
             print(json.dumps(facts | figures), flush=True)
+            bank.read()
             torch.save(average.state_dict(), options.out / "average.part")
             (options.out / "average.part").rename(options.out / "average.pt")
     torch.save(average.state_dict(), options.out / "average.pt")

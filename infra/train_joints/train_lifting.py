@@ -135,6 +135,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30)
     parser.add_argument("--batch", type=int, default=512)
     parser.add_argument("--rate", type=float, default=1.5e-3)
+    parser.add_argument(
+        "--bfloat16", action="store_true", help="on processors that compute in it; on others far slower"
+    )
     parser.add_argument("--go-on", type=Path, help="begin with these weights (lifting.safetensors of another run)")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -152,7 +155,7 @@ def main() -> None:
         )
         levels = torch.exp(torch.empty(options.batch).uniform_(math.log(0.5), math.log(1.8)))
         across, start, truth = as_fitted(*augmented(bank, options.batch), levels)
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
             joints, log_scale = _looked_at(network, across, start, torch.rand(options.batch) < _ALONE)
         error = (joints - truth[:, 0]).abs()
         likelihood = error.detach() * torch.exp(-log_scale) + log_scale

@@ -86,8 +86,15 @@ def test_an_unknown_name_is_answered_with_all_names(name: str) -> None:
     assert all(known in str(caught.value) for known in METHOD_NAMES)
 
 
+def test_only_a_fit_can_be_told_a_height() -> None:
+    assert method_spec("best-frames@true-height").oracles == ("true-height",)
+    for name in ("static@true-height", "oracle-matte@true-height"):
+        with pytest.raises(InputError, match="only a fit can be told"):
+            method_spec(name)
+
+
 def test_an_unknown_oracle() -> None:
-    with pytest.raises(InputError, match="@true-matte and @true-start"):
+    with pytest.raises(InputError, match="@true-matte, @true-start and @true-height"):
         method_spec("best@true-mat")
 
 

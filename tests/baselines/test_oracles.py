@@ -11,12 +11,14 @@ from hfb.baselines.build import make_method
 from hfb.baselines.method_spec import method_spec
 from hfb.baselines.oracles import TrueMatte, TwoStageOracle
 from hfb.body.assets import load_default_body
+from hfb.body.height import height_m
 from hfb.datasets.case import Case
 from hfb.datasets.sharp import save_sharp
 from hfb.datasets.truth import save_truth
 from hfb.errors import InputError
 from hfb.evaluate.metrics import mpjpe_mm
 from hfb.evaluate.protocol import pose_rows
+from hfb.fit.clip_person import as_person
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
 from hfb.media.pictures import write_matte
@@ -74,6 +76,31 @@ def test_the_true_start_is_the_middle_of_each_exposure(tmp_path: Path) -> None:
     assert told is not None
     assert expected is not None
     assert np.allclose(told.joints, expected.joints, atol=1e-5)
+
+
+def test_the_true_height_is_told_to_the_fit(tmp_path: Path) -> None:
+    """To each frame's where they are fitted alone; the start, of another height, is nobody's business."""
+    body, scene = load_default_body(), moving_scene(load_default_body(), _SIZE, frames=2)
+    case = case_of(scene, tmp_path)
+    tall = torch.zeros(10)
+    tall[0] = 2.0
+    starts = [as_person(first, tall, body) for first in scene.middle]
+    true_m = float(height_m(body, torch.from_numpy(scene.truth.motion.betas)))
+    for name in ("best-settled-no-directions", "best-frames-settled-no-directions"):
+        found = make_method(method_spec(f"{name}@true-height"), body)(case, scene.observation, starts).motion
+        free = make_method(method_spec(name), body)(case, scene.observation, starts).motion
+        assert found is not None
+        assert free is not None
+        assert float(height_m(body, torch.from_numpy(found.betas))) == pytest.approx(true_m, abs=1e-4)
+        assert float(height_m(body, torch.from_numpy(free.betas))) > true_m + 0.05
+
+
+def test_a_height_in_another_body_is_not_known(tmp_path: Path) -> None:
+    body, scene = load_default_body(), moving_scene(load_default_body(), _SIZE)
+    case = case_of(replace(scene, truth=replace(scene.truth, betas_space="smpl")), tmp_path)
+    method = make_method(method_spec("best-settled@true-height"), body)
+    with pytest.raises(InputError, match="the true person's height is not known"):
+        method(case, scene.observation, scene.middle)
 
 
 def test_the_truth_of_another_body_gives_no_shape(tmp_path: Path) -> None:

@@ -7,8 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from flows.fit_image import fit_image
+from hfb.body.assets import load_default_body
+from hfb.body.height import height_m
 from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
@@ -95,6 +98,18 @@ def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Pat
     changed = {name for name, stamp in stamps(out).items() if stamp != before[name]}
     assert changed == {"motion.npz", "texture.npz", "scores.json", "strip.png"}
     assert len(mlflow_rows(store, "select * from runs")) == 2
+
+
+def test_a_height_from_the_clip_is_held_and_recorded(problem: Problem, store: Path, tmp_path: Path) -> None:
+    out, clip = tmp_path / "out", tmp_path / "clip.toml"
+    clip.write_text("[person]\nheight_m = 1.85\n")
+    result = fit_image(
+        [problem.frame], problem.background, out, TINY, clip=clip, first_bodies=[problem.first_body]
+    )  # fmt: skip
+    motion, _ = load_motion(out / "motion.npz")
+    assert float(height_m(load_default_body(), torch.from_numpy(motion.betas))) == pytest.approx(1.85, abs=1e-4)
+    assert result["config"]["fit"]["height_m"] == 1.85
+    assert ("fit.height_m", "1.85") in mlflow_rows(store, "select key, value from params")
 
 
 def test_a_fit_of_no_iterations_leaves_its_start(problem: Problem, store: Path, tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from flows.people import everyone_in, run_clip
+from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from tasks.video_inputs import take_video_inputs
 from tests.orchestration import mlflow_rows
@@ -31,6 +33,14 @@ def test_everyone_is_followed(store: Path, tmp_path: Path) -> None:
         places.append(float(np.mean(motion.trans[:, 0])))
     assert abs(places[0] - places[1]) > 0.5  # one in the left half, one in the right
     assert mlflow_rows(store, "select count(*) from runs where status = 'FINISHED'") == [(2,)]
+
+
+def test_one_height_is_not_everyone_s(tmp_path: Path) -> None:
+    source = _two_people(tmp_path / "clip")
+    config = small_config().model_copy(update={"fit": small_config().fit.model_copy(update={"height_m": 1.8})})
+    with pytest.raises(InputError, match=r"--fit.height-m is one person's height"):
+        run_clip(take_video_inputs(source, config, everyone=True), tmp_path / "out", config, 1)
+    assert not (tmp_path / "out").exists()
 
 
 def test_tracks_of_another_system_are_everyone(store: Path, tmp_path: Path) -> None:

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from hfb.body.assets import load_default_body
+from hfb.body.height import height_m
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.media.pictures import read_picture_srgb
@@ -47,6 +50,19 @@ def test_results_and_record() -> None:
     assert tags["hfb.command"] == "video"
     artifacts = {path.name for path in (store.parent / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert {"motion.npz", "edges.json", "strip.png", "result.json", "config.json", "recipe.json"} <= artifacts
+
+
+def test_a_height_is_held_through_the_clip(store: Path, tmp_path: Path) -> None:
+    """And the clip need not be seen again for it: mattes and first bodies are those of before."""
+    out = begun(tmp_path / "out")
+    before = stamps(out, "*.png")
+    run_clip(small_clip().source, out, "--fit.height-m", "1.55")
+    motion, _ = load_motion(out / "motion.npz")
+    assert float(height_m(load_default_body(), torch.from_numpy(motion.betas))) == pytest.approx(1.55, abs=1e-4)
+    mattes = [name for name in before if "matte" in name]
+    assert len(mattes) == FRAMES
+    after = stamps(out, "*.png")
+    assert [after[name] for name in mattes] == [before[name] for name in mattes]
 
 
 def test_a_second_start_does_nothing_again(store: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hfb.media.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
-from hfb.report.result_unknown import by_probability, reversed_text
+from hfb.report.result_unknown import by_probability, reversed_text, unknown_section
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.export.motions import motion_of
@@ -113,6 +113,18 @@ def test_what_it_says(report: Path) -> None:
     assert "javascript:alert(1)</p>" in said  # a word, not a link
     assert 'href="javascript' not in said
     assert "alert(1)</script>" not in said.replace("&lt;", "<<")
+
+
+def test_a_height_that_was_told_is_said() -> None:
+    motion = motion_of(BODY)
+    unknown, told, damaged = (
+        str(unknown_section(motion, BODY, {"config": {"fit": {"height_m": height}}})) for height in (None, 1.8, NASTY)
+    )
+    assert "give it with --fit.height-m" in unknown
+    assert "m tall and" in unknown
+    assert damaged == unknown == str(unknown_section(motion, BODY, {}))
+    assert "height, 1.80 m, was given" in told
+    assert "--fit.height-m" not in told
 
 
 def test_the_body_stands_where_the_motion_says() -> None:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hfb.config import RunConfig
+from hfb.clip import Clip, read_clip
+from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.media.pictures import write_png
-from tasks.inputs import assumptions, take_inputs
+from tasks.inputs import assumptions, take_inputs, with_height
 
 
 def calibrated(folder: Path, distortion: list[float]) -> tuple[Path, Path]:
@@ -68,8 +69,17 @@ def test_an_exposure_is_assumed_only_where_none_is_known(
     assert said is None or remarks[0].startswith(said)
 
 
+def test_a_height_is_used_and_an_option_wins(tmp_path: Path) -> None:
+    assert photographed(tmp_path, None, "[exposure]\nseconds = 0.01\n[person]\nheight_m = 1.6") == []
+    clip = read_clip(tmp_path / "clip.toml")
+    silent, said = RunConfig(), RunConfig(fit=FitConfig(height_m=1.9))
+    assert with_height(silent, clip).fit.height_m == 1.6
+    assert with_height(said, clip) == said
+    assert with_height(silent, Clip()) == silent
+
+
 def test_what_a_fit_does_not_use_is_said(tmp_path: Path) -> None:
-    told = "[exposure]\nseconds = 0.01\nposition = 'end'\n[person]\nbox = [1, 1, 5, 5]\n"
+    told = "[exposure]\nseconds = 0.01\nposition = 'end'\n[person]\nbox = [1, 1, 5, 5]\nheight_m = 1.8\n"
     (tmp_path / "clip.toml").write_text(
         "video = 'nowhere.mp4'\nstart = 7\nstop_s = 2.5\nbackground = 'median'\n" + told
     )

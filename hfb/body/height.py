@@ -1,0 +1,26 @@
+"""How tall a person stands, as a function of the betas, and the shape nearest to another that has a known height."""
+
+from functools import lru_cache
+
+from hfb.body.model import Body
+from hfb.shapes import Float, Tensor
+
+
+def height_m(body: Body, betas: Float[Tensor, "*n K"]) -> Float[Tensor, "*n"]:
+    """From the soles to the crown in the rest pose [m]: linear in the betas, between two vertices of the mean shape."""
+    mean, per_beta = _height(body)
+    return mean + betas @ per_beta.to(betas)
+
+
+def as_tall(betas: Float[Tensor, "K"], body: Body, height: float) -> Float[Tensor, "K"]:
+    """The likeliest shape of that height [m] as seen from these betas: the nearest, since they have unit variance."""
+    _, per_beta = _height(body)
+    per_beta = per_beta.to(betas)
+    return betas + (height - height_m(body, betas)) / per_beta.square().sum() * per_beta
+
+
+@lru_cache(maxsize=4)
+def _height(body: Body) -> tuple[float, Float[Tensor, "K"]]:
+    top, bottom = int(body.template[:, 1].argmax()), int(body.template[:, 1].argmin())
+    mean = float(body.template[top, 1] - body.template[bottom, 1])
+    return mean, body.shape_directions[top, 1] - body.shape_directions[bottom, 1]
