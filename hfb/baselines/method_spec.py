@@ -77,7 +77,7 @@ MODIFIERS: Mapping[str, str] = {
     "best-degree1 ... best-degree4": "another degree of the motion's polynomials",
     "best-frames": "each frame fitted alone, whatever their number",
     "METHOD@true-matte": "an oracle: the exact mattes in place of the estimated ones",
-    "METHOD@true-height": "a fit that is told how tall the person is (--fit.height-m)",
+    "METHOD@true-height": "an oracle: a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
 }
 """What may be added to a method's name, several of them one after another."""
