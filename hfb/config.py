@@ -23,8 +23,8 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra=_in_order)
 
 
-HeightM = Annotated[float, Field(ge=1.0, le=2.4)]
-"""A person's height [m]; body models know grown people."""
+HeightM = Annotated[float, Field(ge=1.4, le=2.4)]
+"""A person's height [m]. Body models know grown people: at 1.2 m the embedded one is a caricature, no child."""
 
 
 class BodyConfig(Record):

@@ -82,7 +82,7 @@ def test_everything_about_a_video(tmp_path: Path) -> None:
         ("[person]\nid = 3", "give track too"),
         ("[person]\nbox = [3, 2, 1, 4]", "left < right"),
         ("[person]\nheight_m = 182", "person.height_m: .* less than or equal to 2.4"),
-        ("[person]\nheight_m = 0.4", "person.height_m: .* greater than or equal to 1"),
+        ("[person]\nheight_m = 1.2", "person.height_m: .* greater than or equal to 1.4"),
         ('[person]\nwhich = "everyone"\nheight_m = 1.8', "height_m is one person's"),
         ('[person]\nbox = [1, 2, 3, 4]\ntrack = "a.csv"', "a box or a track, not both"),
     ],
