@@ -65,6 +65,8 @@ def take_video_inputs(
     how, plate = _plate(background or known.background, files)
     person, camera = known.person, known.camera
     if everyone:
+        if person.height_m is not None:
+            raise InputError(f"{clip_path}: height_m is one person's, and everyone is meant: leave one of them out")
         person = PersonChoice(which="everyone", track=person.track)
     # What the files hold counts, not where they lie.
     told = known.model_copy(

@@ -41,6 +41,9 @@ def test_one_height_is_not_everyone_s(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--fit.height-m is one person's height"):
         run_clip(take_video_inputs(source, config, everyone=True), tmp_path / "out", config, 1)
     assert not (tmp_path / "out").exists()
+    (tmp_path / "clip.toml").write_text("[person]\nheight_m = 1.8\n")
+    with pytest.raises(InputError, match=r"clip.toml: height_m is one person's"):
+        take_video_inputs(source, small_config(), tmp_path / "clip.toml", everyone=True)
 
 
 def test_tracks_of_another_system_are_everyone(store: Path, tmp_path: Path) -> None:
