@@ -29,6 +29,7 @@ class TrainingPlan(Record):
     motions: Path
     kind: Literal["motion", "pose"]
     tests: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
     seed: int = Field(0, ge=0)
     motion: MotionTraining = MotionTraining()
     pose: PoseTraining = PoseTraining()
@@ -55,7 +56,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
     spec = plan.motion if plan.kind == "motion" else plan.pose
     with workplace(work_folder(out)) as folder, records_in(folder):
-        lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.seed, folder)
+        lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)
         for name, reason in lessons.refused.items():
             progress.say(f"left out: {name}: {reason}")
         trained = train(lessons, spec, plan.seed, folder)

@@ -28,6 +28,10 @@ def add_training_flags(parser: argparse.ArgumentParser) -> None:
         "--test", nargs="+", default=[], metavar="PATTERN",
         help="names of motions, such as 'cmu_09_*', that are only measured on, at the very end",
     )  # fmt: skip
+    add(
+        "--held-out", nargs="+", default=[], metavar="PATTERN",
+        help="names that are measured on for choosing, a person or another studio [every fourth motion]",
+    )  # fmt: skip
 
 
 def plan_of(given: argparse.Namespace) -> TrainingPlan:
@@ -38,7 +42,8 @@ def plan_of(given: argparse.Namespace) -> TrainingPlan:
     """
     from flows.train_prior import TrainingPlan
 
-    content: dict[str, Any] = {"motions": given.motions, "kind": given.kind, "tests": given.test, "seed": given.seed}
+    content: dict[str, Any] = {"motions": given.motions, "kind": given.kind, "seed": given.seed}
+    content |= {"tests": given.test, "held_out": given.held_out}
     if given.epochs is not None:
         content[given.kind] = {"epochs": given.epochs}
     return to_record(TrainingPlan, content, "options")

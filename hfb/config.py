@@ -122,7 +122,7 @@ class Weights(Record):
     boundary: float = Field(1.0, ge=0, description="continuity between neighbouring frames")
     start: float = Field(0.0, ge=0, description="distance of the middle pose from the first body's, not in the paper")
     joints: float = Field(0.0, ge=0, description="distance from where our joint network sees the joints at u = 1/2")
-    path: float = Field(0.0, ge=0, description="distance from how far our joint network sees the joints move")
+    path: float = Field(0.0, ge=0, description="distance from the path our joint network sees; in single frames only")
 
 
 class Stage(Record):
@@ -286,7 +286,7 @@ _BEST = FitConfig(
     settle=80,
     lifting=0.75,
     size_moves_away=True,
-    weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3),
+    weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1),
 )
 
 

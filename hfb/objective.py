@@ -37,6 +37,8 @@ class Objective:
         visible: texels seen in some sub-frame, for L_S; every texel when not given.
         evidence: where the joint network saw the joints, for the terms that compare with it.
         motion_prior: for L_A, which a single frame alone has: its neighbours know the direction better.
+        settling: before any picture the path counts with the sign that is likelier, and in several frames too. A single
+            frame's picture leaves the sign open; several frames know their paths better from each other.
         matte_scales, image_scales: at how many scales L_alpha and L_I compare, each half the last.
     """
 
@@ -53,6 +55,7 @@ class Objective:
     image_scales: int = 1
     evidence: JointEvidence | None = None
     motion_prior: MotionPrior | None = None
+    settling: bool = False
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
@@ -91,14 +94,14 @@ class Objective:
         rotations, translations = course or trajectory.at(self._instants(betas.dtype))
         frames = rotations.shape[0]
         terms: dict[str, Tensor] = {}
-        if self.evidence is not None and weights.joints + weights.path > 0:
-            whole = weights.path > 0  # opening, closing and middle of the exposure
-            some = [0, -2, -1] if whole else [-1]
+        whole = weights.path > 0 and (frames == 1 or self.settling)
+        if self.evidence is not None and (weights.joints > 0 or whole):
+            some = [0, -2, -1] if whole else [-1]  # opening, closing and middle of the exposure
             places = rotations[:, some].flatten(0, 1), translations[:, some].flatten(0, 1)
             joints = shaped.joints_of(*places).unflatten(0, (frames, len(some)))
             terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]))
             if whole:
-                terms["path"] = evidence_loss(self.evidence.off_path(joints[:, 0], joints[:, 1]))
+                terms["path"] = self._path_term(self.evidence, joints[:, 0], joints[:, 1])
         if weights.pose > 0:
             turns = rotations[:, :-1, 1:].flatten(0, 2)
             vectors = rotation_vectors(turns) if turns.device.type == "cpu" else matrix_to_axis_angle(turns)
@@ -114,6 +117,14 @@ class Objective:
         if weights.boundary > 0 and frames > 1:
             terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
         return terms
+
+    def _path_term(
+        self, evidence: JointEvidence, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]
+    ) -> Float[Tensor, ""]:
+        forth = evidence_loss(evidence.off_path(opening, closing))
+        if self.settling:
+            return forth
+        return torch.minimum(forth, evidence_loss(evidence.off_path(closing, opening)))
 
     def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
         """What one frame's picture and matte say: the image, matting and background terms."""

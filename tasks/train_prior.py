@@ -53,13 +53,19 @@ class TrainedHandle(FileHandle):
 
 @task("motions")
 def gather(
-    motions: Path, listing: str, spec: Training, tests: tuple[str, ...], seed: int, folder: Path
+    motions: Path,
+    listing: str,
+    spec: Training,
+    tests: tuple[str, ...],
+    held_out: tuple[str, ...],
+    seed: int,
+    folder: Path,
 ) -> LessonsHandle:
     """Read a folder of recordings once.
 
     Args:
         listing: what lies in the folder; with something else in it everything is read again.
-        tests: patterns of names that are set apart.
+        tests, held_out: patterns of names that are set apart.
 
     Raises:
         InputError: no motion to learn from.
@@ -70,7 +76,7 @@ def gather(
 
     source = open_motions(motions, seed)
     names = source.names()
-    split = split_motions(names, tests)
+    split = split_motions(names, tests, held_out)
     arrays: dict[str, np.ndarray] = {}
     refused: dict[str, str] = {}
     for part in PARTS:

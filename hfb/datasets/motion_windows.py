@@ -35,24 +35,32 @@ class Split:
     tested: tuple[int, ...]
 
 
-def split_motions(names: Sequence[str], test_patterns: Sequence[str]) -> Split:
-    """Motions whose name fits a pattern are tested; of the others, in their order, every fourth is held out.
+def split_motions(names: Sequence[str], test_patterns: Sequence[str], held_out_patterns: Sequence[str] = ()) -> Split:
+    """Motions whose name fits a pattern are tested, or held out.
 
     Args:
         test_patterns: shell patterns of names, such as ``cmu_09_*``.
+        held_out_patterns: of those that are left; every fourth of them, in their order, when none are given.
 
     Raises:
         InputError: a pattern fits no motion, or none is left to learn from.
     """
-    for pattern in test_patterns:
+    for pattern in (*test_patterns, *held_out_patterns):
         if not fnmatch.filter(names, pattern):
             raise InputError(f"no motion has a name like {pattern!r}; one is called {names[0]!r}")
-    tested = [n for n, name in enumerate(names) if any(fnmatch.fnmatchcase(name, one) for one in test_patterns)]
+
+    def fitting(patterns: Sequence[str]) -> list[int]:
+        return [n for n, name in enumerate(names) if any(fnmatch.fnmatchcase(name, one) for one in patterns)]
+
+    tested = fitting(test_patterns)
     others = [n for n in range(len(names)) if n not in set(tested)]
-    held_out = others[_HELD_OUT_EVERY - 1 :: _HELD_OUT_EVERY]
+    if held_out_patterns:
+        held_out = [n for n in fitting(held_out_patterns) if n not in set(tested)]
+    else:
+        held_out = others[_HELD_OUT_EVERY - 1 :: _HELD_OUT_EVERY]
     trained = [n for n in others if n not in set(held_out)]
     if not trained:
-        raise InputError("all motions are set apart for testing; leave some to learn from")
+        raise InputError("all motions are set apart; leave some to learn from")
     return Split(tuple(trained), tuple(held_out), tuple(tested))
 
 

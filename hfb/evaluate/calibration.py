@@ -45,7 +45,7 @@ class DirectionCase:
 
     recording: str
     frames: int
-    evidence: Float[Array, "A 3"]
+    evidence: Float[Array, "A E"]
     errors_mm: Float[Array, "A"]
 
 
@@ -107,11 +107,11 @@ def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
     """Coefficients of `EVIDENCE`, none below zero, from pairs of hypotheses of which one is nearer to the truth.
 
     Logistic regression, each pair weighing as much as depends on it. Of one frame the picture's evidence is fitted on
-    hypotheses whose arrow of time does not count (the better of a motion and its reverse), the motion prior's on each
-    motion and its reverse; of several frames there is the first kind alone.
+    hypotheses whose arrow of time does not count (the better of a motion and its reverse), what knows time's
+    arrow on each motion and its reverse; of several frames there is the first kind alone.
     """
     place = {name: index for index, name in enumerate(EVIDENCE)}
-    excess, arrow = [place["excess"]], [place["limbs_backwards"], place["body_backwards"]]
+    excess, arrow = [place["excess"]], [place[name] for name in EVIDENCE if name.endswith("_backwards")]
     found = np.zeros(len(EVIDENCE))
     found[excess] = _logistic([_against_fitted(case) for case in cases], excess)
     if all(case.frames == 1 for case in cases):
@@ -119,7 +119,7 @@ def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
     return {name: float(found[index]) for name, index in place.items()}
 
 
-Pairs = tuple[Float[Array, "P 3"], Float[Array, "P"]]
+Pairs = tuple[Float[Array, "P E"], Float[Array, "P"]]
 
 
 def _against_fitted(case: DirectionCase) -> Pairs:

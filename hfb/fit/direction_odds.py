@@ -10,19 +10,20 @@ import numpy as np
 
 from hfb.shapes import Array, Float
 
-EVIDENCE: tuple[str, ...] = ("excess", "limbs_backwards", "body_backwards")
+EVIDENCE: tuple[str, ...] = ("excess", "limbs_backwards", "body_backwards", "network_backwards")
 """What speaks against a hypothesis.
 
 ``excess``: by how much the objective's weighted sum, the motion prior left out, is above that of the motion as fitted;
 beyond `LARGEST_EXCESS` more means no more. ``limbs_backwards``, ``body_backwards``: the motion prior's
--log P(it does not run backwards), per limb and of the body as a whole, summed over the frames.
+-log P(it does not run backwards), per limb and of the body as a whole; ``network_backwards``: the joint network's,
+which saw the picture. All summed over the frames.
 """
 
 LARGEST_EXCESS = 0.3
 
 
 def probabilities(
-    evidence: Float[Array, "A 3"], several: bool, calibration: Mapping[str, Any] | None = None
+    evidence: Float[Array, "A E"], several: bool, calibration: Mapping[str, Any] | None = None
 ) -> Float[Array, "A"]:
     """P(hypothesis) = softmax of minus the evidence (columns: `EVIDENCE`) times the calibration's coefficients.
 

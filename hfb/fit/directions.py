@@ -24,7 +24,6 @@ from hfb.motion.sampled import SampledMotion, sample_motion
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
 from hfb.priors.motion_columns import LIMBS
-from hfb.priors.motion_prior import MotionPrior
 from hfb.shapes import Array, Bool, Float, Tensor
 
 _REFIT_RATE, _POLISH_RATE = 0.003, 0.002
@@ -81,7 +80,7 @@ def search_directions(
     if not several:
         hypotheses += [one.mirrored(found, coarse, shaped) for one in hypotheses]
     fitted = hypotheses[0].loss
-    evidence = np.array([_evidence(one, fitted, fine.motion_prior, shaped) for one in hypotheses])
+    evidence = np.array([_evidence(one, fitted, fine, shaped) for one in hypotheses])
     scores = {name: np.array([one.terms[name] for one in hypotheses]) for name in hypotheses[0].terms}
     losses = [one.loss for one in hypotheses]
     probability = probabilities(evidence, several)
@@ -110,7 +109,7 @@ def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
     """The likeliest hypothesis; one that was not fitted to the full pictures has to be clearly likelier."""
     handicapped = probability / _CONVINCING
     handicapped[as_fitted] = probability[as_fitted]
-    return int(np.round(handicapped, 6).argmax())  # a tie but for rounding stays what was fitted
+    return int((handicapped > handicapped.max() - 1e-5).argmax())  # a tie but for rounding stays what was fitted
 
 
 def _hypotheses(
@@ -209,17 +208,20 @@ def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterat
     return best if math.isfinite(best.loss) else start
 
 
-def _evidence(one: _Hypothesis, fitted: float, prior: MotionPrior | None, shaped: ShapedBody) -> Float[Array, "3"]:
+def _evidence(one: _Hypothesis, fitted: float, objective: Objective, shaped: ShapedBody) -> Float[Array, "E"]:
     """See `EVIDENCE`; `fitted` is the loss of the motion as fitted."""
-    excess = min(one.loss - fitted, LARGEST_EXCESS)
-    if prior is None:
-        return np.array([excess, 0.0, 0.0])
+    against = [torch.zeros(1)] * (len(EVIDENCE) - 1)
     with torch.no_grad():
-        columns = prior.reversed_logits(one.trajectory, shaped)
-        limbs = torch.stack([columns[:, list(members)].mean(1) for members in LIMBS.values()])
-        body = prior.whole_body_logit(one.trajectory, shaped)
-        against = [torch.nn.functional.softplus(logits).sum().item() for logits in (limbs, body)]
-    return np.array([excess, *against])
+        if (prior := objective.motion_prior) is not None:
+            columns = prior.reversed_logits(one.trajectory, shaped)
+            limbs = torch.stack([columns[:, list(members)].mean(1) for members in LIMBS.values()])
+            against[:2] = limbs, prior.whole_body_logit(one.trajectory, shaped)
+        if (seen := objective.evidence) is not None:
+            rotations, translations = one.trajectory.at(one.trajectory.rotation.new_tensor([0.0, 1.0]))
+            joints = shaped.joints_of(rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (-1, 2))
+            against[2] = seen.backwards_logit(joints[:, 0], joints[:, 1])
+        costs = [torch.nn.functional.softplus(logits).sum().item() for logits in against]
+    return np.array([min(one.loss - fitted, LARGEST_EXCESS), *costs])
 
 
 def _sampled(trajectory: Trajectory, found: Variables, objective: Objective, shaped: ShapedBody) -> SampledMotion:

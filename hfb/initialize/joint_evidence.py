@@ -46,6 +46,14 @@ class JointEvidence:
         """How far the way from u = 0 to u = 1 lies from the claim, in the claim's own scales."""
         return (self._units(closing) - self._units(opening) - self.path) / self.scale
 
+    def backwards_logit(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
+        """The network's log odds, from each frame alone, that a way from u = 0 to u = 1 runs against the true one.
+
+        As far as the way agrees with the network's own up to its sign: the cosine of the two times its log odds.
+        """
+        way = self._units(closing) - self._units(opening)
+        return -self.log_odds * torch.cosine_similarity(way.flatten(1), self.path.flatten(1))
+
     def lifted(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
         """The claim with a share of its depth from the lifting network, which looks at a fit's joints across the view.
 

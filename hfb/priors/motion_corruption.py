@@ -1,8 +1,9 @@
 """Motions made wrong on purpose: what the discriminator learns to tell, and the corrector to put right.
 
 The paper reverses random joints in time, c(u) -> c(1 - u). Here whole limbs are reversed too, each with even odds, as
-that is what one picture leaves open; and some columns are made unrealistic in other ways. Besides, poses get the
-errors of an estimate, which are nobody's fault and have no label.
+that is what one picture leaves open; and some columns are made unrealistic in other ways. Besides, motions get the
+errors of a fit, which are nobody's fault and have no label: a discriminator that learned from true motions alone looks
+for details in which a fitted motion is always wrong.
 """
 
 from dataclasses import dataclass
@@ -18,11 +19,23 @@ _LIMBS_SHARE, _JOINTS_SHARE = 0.55, 0.2
 """Shares of motions whose limbs, or whose single joints, are reversed; the rest is whole or reversed as a whole."""
 
 _UNREALISTIC_SHARE = 0.35
-_ESTIMATE_SHARE = 0.6
-"""Share of motions that get the errors of an estimate, of any strength up to these."""
+_STRONGEST = 2.0
+"""Errors of a fit are drawn at any strength up to this, in units of those below, which were measured on 80 fits."""
 
-_ESTIMATE_RAD, _ESTIMATE_NOISE = 0.2, 0.3
-"""Spread of pose errors per axis; noise per entry of a joint's motion, in units of that motion."""
+_TURN_RAD = 0.17
+"""Spread of a joint's rotation at mid-exposure about each axis."""
+
+_LEAST_TURNING, _LEAST_GOING = 0.1, 0.5
+"""Shares of the true rotations' and of the true translation's change that the least lively fits find."""
+
+_TURNING_NOISE, _GOING_NOISE_M = 0.15, (0.34, 0.63)
+"""Noise of every entry of a rotation's coefficients, and of a translation's linear and quadratic ones.
+
+In units of how fast the body's joints turn: the root mean square over the joints of their linear coefficients.
+"""
+
+_STILL = 0.01
+"""A body turns at least so fast, in these units."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,7 @@ def mirrored_columns(columns: Float[Tensor, "T 3 25 4"]) -> Float[Tensor, "T 3 2
 
 def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Corrupted:
     """Make a batch of true motions wrong."""
-    clean = with_errors_of_an_estimate(columns, generator)
+    clean = with_errors_of_a_fit(columns, generator)
     backwards, whole = draw_reversals(len(columns), generator)
     broken, unrealistic = _unrealistic(clean, generator)
     whole = torch.where(unrealistic.any(1), torch.nan, whole)
@@ -74,20 +87,23 @@ def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor,
     return backwards, torch.where(agree, backwards[:, 0].float(), torch.nan)
 
 
-def with_errors_of_an_estimate(
-    columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator
-) -> Float[Tensor, "T 3 25 4"]:
-    """True motions as an estimate would give them: poses turned a little, motions stronger or weaker and elsewhere."""
+def with_errors_of_a_fit(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Float[Tensor, "T 3 25 4"]:
+    """True motions as fits of one blurred picture find them: poses turned, motions weaker and partly others."""
     count = len(columns)
-    turn, normal = _normals(columns, generator, count, COLUMN_COUNT, 3), _normals(columns, generator, *columns.shape)
-    strength = torch.rand(count, 1, generator=generator) * (torch.rand(count, 1, generator=generator) < _ESTIMATE_SHARE)
-    strength = strength[..., None].to(columns)
-    rotations = _turned(columns[:, :, :JOINT_COUNT], turn[:, :JOINT_COUNT] * strength * _ESTIMATE_RAD)
-    result = torch.cat([rotations, columns[:, :, JOINT_COUNT:]], 2)
-    size = result[:, 1:].norm(dim=-1, keepdim=True)
-    jitter = _ESTIMATE_NOISE * strength[:, None] * (size + 0.01) * normal[:, 1:]
-    jitter[:, :, JOINT_COUNT, 3] = 0
-    return torch.cat([result[:, :1], result[:, 1:] + jitter], 1)
+    turn, noise = _normals(columns, generator, count, JOINT_COUNT, 3), _normals(columns, generator, count, 2, 25, 4)
+    strength, turning, going = torch.rand(3, count, 1, 1, generator=generator).to(columns)
+    strength = _STRONGEST * strength
+    turn[:, 0] = 0  # the root's own middle is the frame itself
+    rotations = _turned(columns[:, :, :JOINT_COUNT], turn * strength * _TURN_RAD)
+    changes = rotations[:, 1:] * (_LEAST_TURNING + (1 - _LEAST_TURNING) * turning)[..., None]
+    ways = columns[:, 1:, JOINT_COUNT:] * (_LEAST_GOING + (1 - _LEAST_GOING) * going)[..., None]
+    speed = columns[:, 1, :JOINT_COUNT].square().sum(-1).mean(-1).sqrt()[:, None, None, None]
+    noise *= strength[..., None] * (speed + _STILL)
+    noise[:, :, :JOINT_COUNT] *= _TURNING_NOISE
+    noise[:, :, JOINT_COUNT] *= noise.new_tensor(_GOING_NOISE_M)[:, None]
+    noise[:, :, JOINT_COUNT, 3] = 0
+    middles = torch.cat([rotations[:, :1], columns[:, :1, JOINT_COUNT:]], 2)
+    return torch.cat([middles, torch.cat([changes, ways], 2) + noise], 1)
 
 
 def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, Bool[Tensor, "T 25"]]:

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from hfb.priors.motion_columns import COLUMN_COUNT, LIMBS, at_instants, joint_places, mean_rest_joints, reversed_columns
-from hfb.priors.motion_corruption import corrupt, with_errors_of_an_estimate
+from hfb.priors.motion_corruption import corrupt, with_errors_of_a_fit
 from hfb.priors.motion_networks import Corrector, Discriminator
 from hfb.shapes import Array, Bool, Float, Tensor
 
@@ -39,7 +39,7 @@ def measure_motion_prior(
           every limb was drawn by itself;
         - ``joint_cross_entropy``: of those (log 2 = 0.693 is knowing nothing);
         - ``whole_body_estimated``, ``joint_estimated``, ``joint_estimated_cross_entropy``: the same of motions with the
-          errors of an estimate;
+          errors of a fit;
         - ``indicator``: share of entries told apart into realistic and unrealistic, reversed ones included, among
           motions made wrong as in training, each kind weighing the same;
         - ``coefficients_wrong``, ``coefficients_corrected``: mean L1 distance of C from the truth before and after G;
@@ -81,7 +81,7 @@ def _values(
     some = reversed_columns(columns, backwards)
     logits, unrealistic, _ = discriminator(some, rest)
     right, entropy = _against(discriminator.odds(some, rest)[0], backwards)
-    estimated = with_errors_of_an_estimate(columns, generator)
+    estimated = with_errors_of_a_fit(columns, generator)
     logits_estimated = discriminator.odds(reversed_columns(estimated, backwards), rest)[0]
     distance_reversed = (corrector(some, logits, unrealistic) - some).abs().mean((1, 2, 3))
     seen = discriminator(columns, rest)

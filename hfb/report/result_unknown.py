@@ -19,8 +19,10 @@ from hfb.shapes import Array
 _SHOWN = 12
 _LEAST_SURE, _MOST_SURE = 4, 3
 _SCORES = (("loss", "weighted loss", ".3f"), ("excess", "worse by", ".3f"), ("image", "image", ".2e"),
-           ("matte", "matte", ".4f"), ("joints", "joints", ".4f"), ("motion", "motion", ".3f"),
-           ("adversarial", "prior", ".3f"))  # fmt: skip
+           ("matte", "matte", ".4f"), ("joints", "joints", ".4f"), ("path", "path", ".4f"),
+           ("motion", "motion", ".3f"))  # fmt: skip
+_ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", "network against it", ".2f"))
+"""What tells the direction of a single frame; several frames' own continuity is in their loss."""
 
 
 def unknown_section(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> Html:
@@ -39,7 +41,8 @@ def alternatives_section(alternatives: Alternatives | None) -> Html | None:
     """The motions that were weighed, the likeliest first; None where none were."""
     if alternatives is None:
         return None
-    known = [(name, label, form) for name, label, form in _SCORES if name in alternatives.scores]
+    asked = _SCORES + _ARROW if alternatives.reversed_limbs.shape[1] == 1 else _SCORES
+    known = [(name, label, form) for name, label, form in asked if name in alternatives.scores]
     rows = [
         [
             reversed_text(alternatives.reversed_limbs[number], alternatives.reversed_limbs[alternatives.chosen]),

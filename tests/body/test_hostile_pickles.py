@@ -134,10 +134,10 @@ def test_sides_that_are_none(shape: bytes) -> None:
 def test_the_product_of_many_sides_is_not_taken() -> None:
     array = load_pickle(pickle.dumps(np.zeros(4)))
     array.state = ((1 << 30,) * 100_000, *array.state[1:])
-    started = time.perf_counter()
+    started = time.process_time()  # not the clock on the wall: other processes would count
     with pytest.raises(InputError, match="impossible shape"):
         to_array(array)
-    assert time.perf_counter() - started < 1
+    assert time.process_time() - started < 1
 
 
 def test_names_without_end() -> None:

@@ -18,6 +18,11 @@ def test_train_prior(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert {"out", "sha256", "data", "measures", "training", "mlflow_run_id", "mlflow_link"} <= printed.keys()
     assert load_pose_prior(out) is not None
 
+    assert main([*words, "--held-out", "motion_2*", "motion_3*", "--json", "--quiet"]) == 0
+    data = json.loads(capsys.readouterr().out.splitlines()[-1])["data"]
+    assert data["held_out"] == ["motion_2.npz", "motion_3.npz"]
+    assert data["trained"] == ["motion_0.npz", "motion_1.npz"]
+
     assert main([*words, "--test", "motion_0*"]) == 0
     shown = capsys.readouterr()
     assert "learned from" in shown.out
@@ -33,6 +38,7 @@ def test_train_prior(store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--motions", "{motions}", "--epochs", "0"], "epochs"),
         (["--motions", "{motions}", "--seed", "-1"], "seed"),
         (["--motions", "{motions}", "--test", "nobody*"], "nobody"),
+        (["--motions", "{motions}", "--held-out", "nobody*"], "nobody"),
         (["--motions", "{motions}", "--out", "{folder}/prior.txt"], "safetensors"),
         (["--motions", "{motions}", "--kind", "gait"], "gait"),
     ],

@@ -96,10 +96,17 @@ def test_every_fourth_is_held_out() -> None:
     assert split.tested == (8, 9)
     assert split.held_out == (3, 7)
     assert split.trained == (0, 1, 2, 4, 5, 6)
-    with pytest.raises(InputError, match=r"'jump\*'"):
-        split_motions(names, ["jump*"])
+    for patterns in (["jump*"], []), (["run_*"], ["jump*"]):
+        with pytest.raises(InputError, match=r"'jump\*'"):
+            split_motions(names, *patterns)
     with pytest.raises(InputError, match="learn from"):
         split_motions(names, ["*"])
+
+
+def test_what_is_named_is_held_out() -> None:
+    names = [f"walk_{n}" for n in range(5)] + ["run_0", "run_1"]
+    split = split_motions(names, ["run_1"], ["run_*", "walk_2"])
+    assert (split.tested, split.held_out, split.trained) == ((6,), (2, 5), (0, 1, 3, 4))
 
 
 def test_built_in_motions_will_do() -> None:

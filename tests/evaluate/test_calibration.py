@@ -59,9 +59,9 @@ def direction_cases(body: float, excess: float, count: int = 80) -> list[Directi
     for number in range(count):
         extra = np.concatenate([[0], rng.uniform(0, 0.5, 4)])
         arrow = rng.normal(0, 2)
-        evidence = np.zeros((10, 3))
+        evidence = np.zeros((10, len(EVIDENCE)))
         evidence[:, 0], evidence[:5, 2], evidence[5:, 2] = np.tile(extra, 2), max(arrow, 0), max(-arrow, 0)
-        exponent = -(evidence @ [excess, 0, body])
+        exponent = -(evidence[:, :3] @ [excess, 0, body])
         right = rng.choice(10, p=np.exp(exponent) / np.exp(exponent).sum())
         errors = np.full(10, 60.0)
         errors[right] = 40.0
@@ -83,4 +83,4 @@ def test_odds_follow_what_was_right() -> None:
 def test_several_frames_are_judged_by_the_pictures_alone() -> None:
     cases = [DirectionCase(c.recording, 2, c.evidence[:5], c.errors_mm[:5]) for c in direction_cases(1.0, 8.0)]
     found = fit_direction_odds(cases)
-    assert found["body_backwards"] == found["limbs_backwards"] == 0
+    assert found["body_backwards"] == found["limbs_backwards"] == found["network_backwards"] == 0

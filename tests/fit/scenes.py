@@ -9,6 +9,8 @@ from hfb.body.assets import load_default_body
 from hfb.config import preset
 from hfb.fit.reversal import limb_columns, reverse_columns
 from hfb.fit.variables import Variables
+from hfb.initialize.joint_evidence import JointEvidence
+from hfb.initialize.joint_network import Window
 from hfb.motion.trajectory import trajectory_at_rest
 from hfb.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
@@ -68,3 +70,18 @@ def true_joints(scene: Scene, rows: int) -> np.ndarray:
     exposures = [scene.observation.interval_s * k + np.linspace(0, 0.03, rows // frames) for k in range(frames)]
     wanted = np.concatenate(exposures)
     return scene.truth.motion.joints[np.abs(times[None] - wanted[:, None]).argmin(1)]
+
+
+def true_evidence(scene: Scene, log_odds: float = 1.0) -> JointEvidence:
+    """What a joint network would say that is always right, as sure as asked about which way each frame's path runs."""
+    seen, truth = scene.observation, scene.truth.motion
+    windows, middles, paths = [], [], []
+    for frame, matte in enumerate(seen.mattes):
+        window = Window.around(matte.numpy(), seen.camera)
+        units = window.to_units(torch.from_numpy(truth.joints[truth.frame_index == frame]).float())
+        windows.append(window)
+        middles.append(units[len(units) // 2])
+        paths.append(units[-1] - units[0])
+    middle, path = torch.stack(middles), torch.stack(paths)
+    odds = torch.full((len(windows),), log_odds)
+    return JointEvidence(tuple(windows), middle, torch.full_like(middle, 0.02), path, odds, middle)

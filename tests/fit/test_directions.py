@@ -12,7 +12,7 @@ from hfb.fit.alternatives import LIMB_NAMES
 from hfb.fit.direction_odds import EVIDENCE, probabilities
 from hfb.fit.directions import search_directions
 from hfb.priors.motion_prior import load_motion_prior
-from tests.fit.scenes import LIMB, done, true_joints
+from tests.fit.scenes import LIMB, done, true_evidence, true_joints
 
 SEARCH = DirectionsConfig(search=True, iterations=4, polish=2)
 
@@ -65,6 +65,17 @@ def test_the_motion_prior_gives_time_an_arrow() -> None:
     np.testing.assert_allclose(ran_backwards.probability[half:], found.probability[:half], atol=2e-3)
 
 
+def test_the_network_that_saw_the_picture_gives_time_an_arrow() -> None:
+    for turned in (False, True):
+        case = done(turned=((0, "all"),) if turned else ())
+        fine, coarse = (replace(one, evidence=true_evidence(case.scene, 20.0)) for one in (case.fine, case.coarse))
+        _, found = search_directions(case.found, coarse, fine, SEARCH)
+        half = len(found.probability) // 2
+        assert (found.chosen >= half) == turned
+        assert found.probability[half:].sum() == pytest.approx(float(turned), abs=0.1)
+        np.testing.assert_allclose(found.scores["image"][:half], found.scores["image"][half:])
+
+
 def test_many_that_run_the_other_way_outweigh_the_likeliest(monkeypatch: pytest.MonkeyPatch) -> None:
     def most_run_backwards(evidence: np.ndarray, several: bool) -> np.ndarray:
         half = len(evidence) // 2
@@ -101,12 +112,12 @@ def test_only_moving_limbs_are_asked_about() -> None:
 
 
 def test_probabilities_follow_the_evidence_and_its_coefficients() -> None:
-    evidence = np.array([[0.0, 1.0, 0.0], [0.1, 1.0, 0.0], [0.0, 0.0, 0.0]])
-    odds = {"single": dict(zip(EVIDENCE, (10.0, 2.0, 0.0), strict=True))}
+    evidence = np.array([[0.0, 1.0, 0.0, 0.0], [0.1, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    odds = {"single": dict(zip(EVIDENCE, (10.0, 2.0, 0.0, 0.0), strict=True))}
     first, worse, likelier = probabilities(evidence, False, odds)
     assert worse / first == pytest.approx(np.exp(-1))
     assert likelier / first == pytest.approx(np.exp(2))
-    shifted = probabilities(evidence + np.array([5.0, -3.0, 1.0]), False, odds)
+    shifted = probabilities(evidence + np.array([5.0, -3.0, 1.0, 2.0]), False, odds)
     np.testing.assert_allclose(shifted, [first, worse, likelier])
 
 

@@ -2,18 +2,20 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.config import preset
+from hfb.config import Weights, preset
+from hfb.fit.reversal import limb_columns, reverse_columns
 from hfb.fit.settle import settle
 from hfb.fit.variables import start_variables
-from hfb.initialize.joint_evidence import JointEvidence
-from hfb.initialize.joint_network import Window
+from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.render.rasterizer import make_rasterizer
 from hfb.rotations import axis_angle_to_matrix
+from tests.fit.scenes import done, true_evidence
 from tests.scenes import moving_scene
 
 
@@ -21,11 +23,7 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     body = load_default_body()
     scene = moving_scene(body, size_px=64)
     seen, truth = scene.observation, scene.truth.motion
-    window = Window.around(seen.mattes[0].numpy(), seen.camera)
-    units = window.to_units(torch.from_numpy(truth.joints).float())
-    middle, scale = units[len(units) // 2], torch.full((1, 24, 3), 0.02)
-    path = (units[-1] - units[0])[None]
-    evidence = JointEvidence((window,), middle[None], scale, path, torch.tensor([1.0]), middle[None])
+    evidence = true_evidence(scene)
     pose = scene.middle[0].pose.clone()
     pose[16, 2] += 0.8
     pose[4, 0] += 0.6
@@ -52,3 +50,22 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     assert before > 60
     assert after < 25
     assert way_after < 0.5 * way_before
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_one_picture_leaves_the_way_open_and_several_frames_know_it_themselves(frames: int) -> None:
+    case = done(frames)
+    weights = Weights(image=0, matte=0, boundary=0, path=1)
+    objective = replace(case.fine, evidence=true_evidence(case.scene), weights=weights)
+    shaped = objective.body.shape(case.found.betas)
+    forth = case.found.trajectory
+    back = reverse_columns(forth, limb_columns(torch.ones(frames, 5, dtype=torch.bool)))
+
+    def path(motion: Trajectory, settling: bool) -> float | None:
+        terms = replace(objective, settling=settling).body_terms(motion, case.found.betas, shaped)
+        return float(terms["path"]) if "path" in terms else None
+
+    right = path(forth, settling=True)
+    assert right is not None
+    assert path(back, settling=True) > 3 * right
+    assert path(back, settling=False) == (pytest.approx(right, rel=1e-4) if frames == 1 else None)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from hfb.priors.motion_columns import LIMBS, reversed_columns
-from hfb.priors.motion_corruption import corrupt, draw_reversals
+from hfb.priors.motion_corruption import corrupt, draw_reversals, with_errors_of_a_fit
 from hfb.priors.motion_measures import measure_motion_prior
 from hfb.priors.motion_training import LOSSES, train_motion_prior
 from hfb.priors.training_spec import MotionTraining, NetworkSizes
@@ -42,6 +42,20 @@ def test_corruption_says_what_it_did() -> None:
     assert batch.columns[:, :, 24, 3].abs().max() == 0
     again = corrupt(clean, torch.Generator().manual_seed(1))
     torch.testing.assert_close(again.columns, batch.columns, rtol=0, atol=0)
+
+
+def test_a_fit_errs_and_finds_less_of_the_motion() -> None:
+    true = made_motions(2000, 0)
+    found = with_errors_of_a_fit(true, torch.Generator().manual_seed(1))
+    torch.testing.assert_close(found[:, 0, [0, 24]], true[:, 0, [0, 24]], rtol=0, atol=0)  # what defines the frame
+    assert found[:, :, 24, 3].abs().max() == 0
+    for column, low, high in ((16, 0.45, 0.65), (24, 0.65, 0.85)):
+        of, to = true[:, 1, column], found[:, 1, column]
+        share = (to * of).sum(1) / (of * of).sum(1)
+        assert low < share.mean() < high
+        assert share.std() > 0.2
+    bent = (found[:, 2] - true[:, 2]).mean(0)
+    assert bent.abs().max() < 0.05  # errors prefer no direction of time
 
 
 def test_reversals_have_even_odds_and_respect_limbs() -> None:

@@ -1,6 +1,7 @@
 """report.html in a real browser: it moves, plays, asks for nothing, complains of nothing, and says what it should."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from hfb.media.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
-from hfb.report.result_unknown import by_probability, reversed_text, unknown_section
+from hfb.report.result_unknown import alternatives_section, by_probability, reversed_text, unknown_section
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.export.motions import motion_of
@@ -125,6 +126,19 @@ def test_a_height_that_was_told_is_said() -> None:
     assert damaged == unknown == str(unknown_section(motion, BODY, {}))
     assert "height, 1.80 m, was given" in told
     assert "--fit.height-m" not in told
+
+
+def test_what_told_the_direction_is_shown_where_it_counted() -> None:
+    found = weighed(motion_of(BODY))  # three frames: what they say of time is in their loss
+    scores = found.scores | {"path": np.full(3, 0.1234), "network_backwards": np.array([0.53, 0.6, 0.88])}
+    several = alternatives_section(replace(found, scores=scores))
+    single = alternatives_section(replace(found, scores=scores, reversed_limbs=found.reversed_limbs[:, :1]))
+    assert several is not None
+    assert single is not None
+    assert "0.1234" in several
+    assert "network against it" not in several
+    assert "network against it" in single
+    assert "0.88" in single
 
 
 def test_the_body_stands_where_the_motion_says() -> None:

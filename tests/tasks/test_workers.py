@@ -69,16 +69,24 @@ def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
     with workers(1, apart=True):
         assert compute(process_id, 0) != os.getpid()
         assert busy_share() is None
+        began = time.monotonic()
         with shared_out():
-            compute(nap, 0.2)
+            entered = time.monotonic()
+            napped = compute(nap, 0.2)
+            answered = time.monotonic()
             time.sleep(0.2)
+            left = time.monotonic()
+        ended = time.monotonic()
         share = busy_share()
         assert share is not None
-        assert 0.2 < share < 0.55
+        # it was busy no less than it napped and no longer than the answer took, on however slow a machine
+        assert napped / (ended - began) - 1e-4 <= share <= (answered - entered) / (left - entered) + 1e-4
 
 
-def nap(seconds: float) -> None:
+def nap(seconds: float) -> float:
+    began = time.monotonic()
     time.sleep(seconds)
+    return time.monotonic() - began
 
 
 def test_what_is_stopped_does_not_wait() -> None:
