@@ -15,7 +15,7 @@ import torch
 from hfb.body.model import Body
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.pose_bank import bank_rotations
-from hfb.initialize.silhouette_fit import Level, Stage, Stay, matte_level, overlap, refine
+from hfb.initialize.silhouette_fit import Level, Stage, Stay, matte_level, overlap, refine, refine_all
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer, make_rasterizer
 from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
@@ -29,7 +29,7 @@ _TEMPLATE_DEPTH_M = 3.5
 _TEMPLATE_PX = 72
 _ROLL_COST = 0.04  # per 40 degrees
 _BACK_COST = 0.01
-_CANDIDATES, _SURVIVORS = 6, 3
+_CANDIDATES, _SURVIVORS = 16, 6
 _ROUGH, _MIDDLE, _FINE = Stage(40, 30, 0.05, shape=False), Stage(64, 40, 0.03, shape=False), Stage(128, 40, 0.02)
 _STAY = Stay(prior=0.002, betas=0.03)
 
@@ -58,14 +58,14 @@ class Moments:
 def search_by_matte(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float]:
-    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; 2-4 s on one core."""
+    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; some two seconds."""
     templates = bank_templates(body)
     starts = _best_starts(matte, camera, body, templates)
     scene = (matte, camera, body, rasterizer)
-    rough = [refine(start, *scene, [_ROUGH], _STAY) for start in starts]
+    rough = refine_all(starts, *scene, _ROUGH, _STAY)
     level = matte_level(matte, camera, _MIDDLE.size_px)
     rough.sort(key=lambda first: -_value(first, level, body, rasterizer))
-    middle = [refine(first, *scene, [_MIDDLE], _STAY) for first in rough[:_SURVIVORS]]
+    middle = refine_all(rough[:_SURVIVORS], *scene, _MIDDLE, _STAY)
     middle.sort(key=lambda first: -_value(first, level, body, rasterizer))
     best = refine(middle[0], *scene, [_FINE], _STAY)
     return best, overlap(best, matte_level(matte, camera, _FINE.size_px), body, rasterizer)

@@ -88,7 +88,7 @@ def overlap(
     """
     with torch.no_grad():
         posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
-        shown = posed.vertices if travel_m is None else _carried(posed.vertices, travel_m)
+        shown = posed.vertices if travel_m is None else _carried(posed.vertices[0], travel_m)
         seen = rasterizer.silhouette_mean(shown, level.camera, body.mesh)
     return 1 - float(matting_loss(seen, level.matte))
 
@@ -107,7 +107,24 @@ def refine(
     Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
     of the last stage, the start included.
     """
-    return _refined(first, None, matte, camera, body, rasterizer, stages, stay)[0]
+    return _refined([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
+
+
+def refine_all(
+    firsts: Sequence[FirstBody],
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stage: Stage,
+    stay: Stay,
+) -> list[FirstBody]:
+    """As `refine`, each of several bodies with the same betas by itself, in the time of few.
+
+    Raises:
+        ValueError: the stage moves the betas too, or they differ.
+    """
+    return _refined(firsts, None, matte, camera, body, rasterizer, [stage], stay)[0]
 
 
 def refine_swept(
@@ -125,98 +142,132 @@ def refine_swept(
     Args:
         travel_m: the path to start from, from its first to its last instant in camera coordinates.
     """
-    first, moved = _refined(first, travel_m, matte, camera, body, rasterizer, stages, stay)
+    (found,), moved = _refined([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
     assert moved is not None
-    return first, moved
+    return found, moved[0]
+
+
+def refine_all_swept(
+    firsts: Sequence[FirstBody],
+    travels_m: Float[Tensor, "N 3"],
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stage: Stage,
+    stay: Stay,
+) -> tuple[list[FirstBody], Float[Tensor, "N 3"]]:
+    """As `refine_swept`, each of several bodies with the same betas by itself; raises as `refine_all`."""
+    found, moved = _refined(firsts, travels_m, matte, camera, body, rasterizer, [stage], stay)
+    assert moved is not None
+    return found, moved
 
 
 def _refined(
-    first: FirstBody,
-    travel_m: Float[Tensor, "3"] | None,
+    firsts: Sequence[FirstBody],
+    travels_m: Float[Tensor, "N 3"] | None,
     matte: Float[Array, "H W"],
     camera: PinholeCamera,
     body: Body,
     rasterizer: Rasterizer,
     stages: Sequence[Stage],
     stay: Stay,
-) -> tuple[FirstBody, Float[Tensor, "3"] | None]:
+) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
+    found = list(firsts)
+    if any(stage.shape for stage in stages) and len(found) > 1:
+        raise ValueError("several bodies keep their shape: give a stage without it")
+    if any(not torch.equal(one.betas, found[0].betas) for one in found):
+        raise ValueError("several bodies are refined at once where they have the same betas")
     for stage in stages:
         level = matte_level(matte, camera, stage.size_px)
-        first, travel_m = _refine_at(first, travel_m, level, body, rasterizer, stage, stay)
-    return first, travel_m
+        found, travels_m = _refine_at(found, travels_m, level, body, rasterizer, stage, stay)
+    return found, travels_m
 
 
-def _carried(vertices: Float[Tensor, "1 V 3"], travel_m: Float[Tensor, "3"]) -> Float[Tensor, "S V 3"]:
+def _carried(vertices: Float[Tensor, "V 3"], travel_m: Float[Tensor, "3"]) -> Float[Tensor, "S V 3"]:
     """The posed body at evenly spaced instants of its path."""
     instants = torch.linspace(-0.5, 0.5, SWEPT_INSTANTS, dtype=vertices.dtype)
     return vertices + (instants[:, None] * travel_m.to(vertices))[:, None]
 
 
 def _refine_at(
-    first: FirstBody,
-    travel_m: Float[Tensor, "3"] | None,
+    firsts: list[FirstBody],
+    travels_m: Float[Tensor, "N 3"] | None,
     level: Level,
     body: Body,
     rasterizer: Rasterizer,
     stage: Stage,
     stay: Stay,
-) -> tuple[FirstBody, Float[Tensor, "3"] | None]:
+) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
+    """Adam works on each number by itself, so the sum of the bodies' losses moves each as its own loss would."""
     dtype = body.template.dtype
     prior = AnatomicalPrior()
-    start_pose, start_place = first.pose.to(dtype), first.translation.to(dtype)
-    R_start = axis_angle_to_matrix(start_pose[0])
-    root = torch.zeros(3, dtype=dtype, requires_grad=True)
-    joints = start_pose[1:].clone().requires_grad_()
+    start_poses = torch.stack([one.pose for one in firsts]).to(dtype)
+    start_places = torch.stack([one.translation for one in firsts]).to(dtype)
+    R_start = axis_angle_to_matrix(start_poses[:, 0])
+    roots = torch.zeros_like(start_places, requires_grad=True)
+    joints = start_poses[:, 1:].clone().requires_grad_()
+    betas = firsts[0].betas.to(dtype).clone()
     # Image position and log depth: a step in depth then keeps the body where it is seen.
-    start_view = _to_view(start_place, first, body)
-    view = start_view.clone().requires_grad_()
-    betas = first.betas.to(dtype).clone().requires_grad_(stage.shape)
-    groups = [([joints, root], stage.learning_rate), ([view], 0.4 * stage.learning_rate)]
-    travel = None if travel_m is None else travel_m.to(dtype).clone().requires_grad_()
-    if travel is not None:
-        groups.append(([travel], stage.learning_rate))
+    start_views = _to_view(start_places, betas, body)
+    views = start_views.clone().requires_grad_()
+    betas.requires_grad_(stage.shape)
+    groups = [([joints, roots], stage.learning_rate), ([views], 0.4 * stage.learning_rate)]
+    travels = None if travels_m is None else travels_m.to(dtype).clone().requires_grad_()
+    if travels is not None:
+        groups.append(([travels], stage.learning_rate))
     if stage.shape:
         groups.append(([betas], stage.learning_rate))
     optimiser = torch.optim.Adam([{"params": free, "lr": rate} for free, rate in groups], betas=(0.8, 0.95))
     shaped = body.shape(betas)
-    best, best_travel, best_value = first, travel_m, float("inf")
+    best, best_travels, best_values = list(firsts), travels_m, [float("inf")] * len(firsts)
     for iteration in range(stage.iterations + 1):
         optimiser.zero_grad()
-        place = _from_view(view, betas, body)
-        rotations = torch.cat([(axis_angle_to_matrix(root) @ R_start)[None], axis_angle_to_matrix(joints)])
+        places = _from_view(views, betas, body)
+        turns = (axis_angle_to_matrix(roots) @ R_start)[:, None]
         if stage.shape:
             shaped = body.shape(betas)
-        vertices = shaped.pose(rotations[None], place[None]).vertices
-        shown = vertices if travel is None else _carried(vertices, travel)
-        seen = rasterizer.silhouette_mean(shown, level.camera, body.mesh)
-        loss = (
-            matting_loss(seen, level.matte)
-            + stay.prior * prior(joints[None])[0]
-            + stay.pose * ((joints - start_pose[1:]) ** 2).sum()
-            + stay.root * (root * root).sum()
-            + stay.place * ((view - start_view) ** 2).sum()
+        vertices = shaped.pose(torch.cat([turns, axis_angle_to_matrix(joints)], 1), places).vertices
+        seen = [
+            rasterizer.silhouette_mean(
+                one[None] if travels is None else _carried(one, travels[number]), level.camera, body.mesh
+            )
+            for number, one in enumerate(vertices)
+        ]
+        losses = (
+            torch.stack([matting_loss(one, level.matte) for one in seen])
+            + stay.prior * prior(joints)
+            + stay.pose * ((joints - start_poses[:, 1:]) ** 2).sum((1, 2))
+            + stay.root * (roots * roots).sum(1)
+            + stay.place * ((views - start_views) ** 2).sum(1)
             + stay.betas * (betas * betas).sum()
         )
-        if float(loss.detach()) < best_value:
-            best_value = float(loss.detach())
-            pose = torch.cat([matrix_to_axis_angle(rotations[:1]), joints]).detach().clone()
-            best = replace(first, pose=pose, translation=place.detach().clone(), betas=betas.detach().clone())
-            best_travel = None if travel is None else travel.detach().clone()
+        values = losses.tolist()
+        better = [number for number, value in enumerate(values) if value < best_values[number]]
+        if better:
+            poses = torch.cat([matrix_to_axis_angle(turns), joints], 1).detach().clone()
+            shape, stands = betas.detach().clone(), places.detach().clone()
+            for number in better:
+                best[number] = replace(best[number], pose=poses[number], translation=stands[number], betas=shape)
+                best_values[number] = values[number]
+            if travels is not None and best_travels is not None:
+                best_travels = best_travels.to(dtype).clone()
+                best_travels[better] = travels.detach()[better]
         if iteration < stage.iterations:
-            loss.backward()
+            losses.sum().backward()
             optimiser.step()
-    return best, best_travel
+    return best, best_travels
 
 
-def _to_view(translation: Float[Tensor, "3"], first: FirstBody, body: Body) -> Float[Tensor, "3"]:
+def _to_view(translations: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
     """(x / z, y / z, log z) of the pelvis."""
-    pelvis = body.joint_template[0] + body.joint_shape_directions[0] @ first.betas.to(translation.dtype) + translation
-    depth = pelvis[2].clamp_min(_LEAST_DEPTH_M)
-    return torch.stack([pelvis[0] / depth, pelvis[1] / depth, depth.log()])
+    pelvis = body.joint_template[0] + body.joint_shape_directions[0] @ betas + translations
+    depth = pelvis[:, 2].clamp_min(_LEAST_DEPTH_M)
+    return torch.stack([pelvis[:, 0] / depth, pelvis[:, 1] / depth, depth.log()], 1)
 
 
-def _from_view(view: Float[Tensor, "3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "3"]:
-    """The translation that puts the pelvis there."""
-    depth = view[2].exp()
-    pelvis = torch.stack([view[0] * depth, view[1] * depth, depth])
+def _from_view(views: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
+    """The translations that put the pelvis there."""
+    depth = views[:, 2].exp()
+    pelvis = torch.stack([views[:, 0] * depth, views[:, 1] * depth, depth], 1)
     return pelvis - body.joint_template[0] - body.joint_shape_directions[0] @ betas

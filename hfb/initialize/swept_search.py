@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+import torch
 
 from hfb.body.model import Body
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.matte_search import Moments, Templates, bank_templates, body_from_template, differ
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_all_swept, refine_swept
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
 from hfb.shapes import Array, Float, Tensor
@@ -51,17 +52,20 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
     x, y, var_x, var_y = _spreads(matte)
     scene = (matte, camera, body, rasterizer)
     level = matte_level(matte, camera, _FINE.size_px)
-    found = []
-    for start in _best_starts(matte, (x, y), (var_x, var_y), templates):
+    starts = _best_starts(matte, (x, y), (var_x, var_y), templates)
+    firsts, travels = [], []
+    for start in starts:
         first = body_from_template(templates, start.index, 0.0, Moments(x, y, start.scale * _SCALE_PX), camera, body)
         path_m = start.path_px * start.scale * float(first.translation[2]) / camera.fx
-        travel = first.translation.new_tensor([path_m, 0, 0] if start.axis == 0 else [0, path_m, 0])
-        first, travel = refine_swept(first, travel, *scene, [_ROUGH], _STAY)
-        facing = float(templates.facing[start.index])
-        value = overlap(first, level, body, rasterizer, travel) - _BACK_COST * (1 - facing) / 2
-        found.append((value, first, travel))
-    _, first, travel = max(found, key=lambda one: one[0])
-    return refined_swept(SweptBody(first, travel, 0.0), *scene, _STAY)
+        firsts.append(first)
+        travels.append(first.translation.new_tensor([path_m, 0, 0] if start.axis == 0 else [0, path_m, 0]))
+    firsts, moved = refine_all_swept(firsts, torch.stack(travels), *scene, _ROUGH, _STAY)
+    values = [
+        overlap(first, level, body, rasterizer, travel) - _BACK_COST * (1 - float(templates.facing[start.index])) / 2
+        for start, first, travel in zip(starts, firsts, moved, strict=True)
+    ]
+    best = max(range(len(values)), key=values.__getitem__)
+    return refined_swept(SweptBody(firsts[best], moved[best], 0.0), *scene, _STAY)
 
 
 def carried_along(

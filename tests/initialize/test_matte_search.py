@@ -1,5 +1,7 @@
 """From a silhouette alone to a body that covers it and stands like a person."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,17 @@ from hfb.initialize.first_body import FirstBody
 from hfb.initialize.initializer import make_initializer
 from hfb.initialize.matte_search import search_by_matte
 from hfb.initialize.pose_bank import bank_rotations
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine, silhouette
+from hfb.initialize.silhouette_fit import (
+    Stage,
+    Stay,
+    matte_level,
+    overlap,
+    refine,
+    refine_all,
+    refine_all_swept,
+    refine_swept,
+    silhouette,
+)
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
@@ -92,6 +104,34 @@ def test_deterministic() -> None:
     ended = [refine(truth, matte, CAMERA, BODY, RASTERIZER, [Stage(48, 6, 0.05)], Stay()) for _ in range(2)]
     assert torch.equal(ended[0].pose, ended[1].pose)
     assert torch.equal(ended[0].betas, ended[1].betas)
+
+
+def test_several_at_once_are_each_by_itself() -> None:
+    matte, truth = blurred_matte("stride", 1.0, (0.0, 0.1, 3.2), 0.2)
+    beside = replace(truth, translation=truth.translation + torch.tensor([0.3, 0.0, 0.2]))
+    lying = replace(truth, pose=torch.cat([torch.tensor([[0.0, 0.0, 1.5]]), truth.pose[1:]]))
+    firsts, travels = [truth, beside, lying], torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.3, 0.0], [0.2, 0.1, 0.0]])
+    scene, stage, stay = (matte, CAMERA, BODY, RASTERIZER), Stage(40, 6, 0.05, shape=False), Stay()
+    for one, together in zip(firsts, refine_all(firsts, *scene, stage, stay), strict=True):
+        alone = refine(one, *scene, [stage], stay)
+        assert torch.equal(together.pose, alone.pose)
+        assert torch.equal(together.translation, alone.translation)
+    found, moved = refine_all_swept(firsts, travels, *scene, stage, stay)
+    for number, one in enumerate(firsts):
+        swept, way = refine_swept(one, travels[number], *scene, [stage], stay)
+        assert torch.equal(found[number].pose, swept.pose)
+        assert torch.equal(moved[number], way)
+        assert not torch.equal(way, travels[number])
+
+
+def test_several_at_once_have_one_shape_and_keep_it() -> None:
+    matte, truth = blurred_matte("stride", 1.0, (0.0, 0.1, 3.2))
+    scene = (matte, CAMERA, BODY, RASTERIZER)
+    with pytest.raises(ValueError, match="keep their shape"):
+        refine_all([truth, truth], *scene, Stage(40, 2, 0.05), Stay())
+    taller = replace(truth, betas=truth.betas + 0.1)
+    with pytest.raises(ValueError, match="same betas"):
+        refine_all([truth, taller], *scene, Stage(40, 2, 0.05, shape=False), Stay())
 
 
 def test_an_empty_matte_is_a_sentence() -> None:
