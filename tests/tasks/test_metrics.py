@@ -2,9 +2,11 @@
 
 import json
 import os
+import random
 import re
 import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -25,11 +27,14 @@ def scraped(port: int) -> dict[str, float]:
 
 @pytest.fixture
 def port(monkeypatch: pytest.MonkeyPatch) -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        found = int(probe.getsockname()[1])
-    monkeypatch.setenv(VARIABLE, str(found))
-    return found
+    """It and the next one are free, and below those that the system gives to whoever connects meanwhile."""
+    for found in random.SystemRandom().sample(range(20000, 32000), 100):
+        with socket.socket() as one, socket.socket() as next_one, suppress(OSError):
+            one.bind(("127.0.0.1", found))
+            next_one.bind(("127.0.0.1", found + 1))
+            monkeypatch.setenv(VARIABLE, str(found))
+            return found
+    raise RuntimeError("a hundred ports are taken")
 
 
 def test_a_clip(port: int, store: Path, tmp_path: Path) -> None:
