@@ -107,24 +107,7 @@ def refine(
     Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
     of the last stage, the start included.
     """
-    return _refined([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
-
-
-def refine_all(
-    firsts: Sequence[FirstBody],
-    matte: Float[Array, "H W"],
-    camera: PinholeCamera,
-    body: Body,
-    rasterizer: Rasterizer,
-    stage: Stage,
-    stay: Stay,
-) -> list[FirstBody]:
-    """As `refine`, each of several bodies with the same betas by itself, in the time of few.
-
-    Raises:
-        ValueError: the stage moves the betas too, or they differ.
-    """
-    return _refined(firsts, None, matte, camera, body, rasterizer, [stage], stay)[0]
+    return refine_all([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
 
 
 def refine_swept(
@@ -142,28 +125,12 @@ def refine_swept(
     Args:
         travel_m: the path to start from, from its first to its last instant in camera coordinates.
     """
-    (found,), moved = _refined([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
+    (found,), moved = refine_all([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
     assert moved is not None
     return found, moved[0]
 
 
-def refine_all_swept(
-    firsts: Sequence[FirstBody],
-    travels_m: Float[Tensor, "N 3"],
-    matte: Float[Array, "H W"],
-    camera: PinholeCamera,
-    body: Body,
-    rasterizer: Rasterizer,
-    stage: Stage,
-    stay: Stay,
-) -> tuple[list[FirstBody], Float[Tensor, "N 3"]]:
-    """As `refine_swept`, each of several bodies with the same betas by itself; raises as `refine_all`."""
-    found, moved = _refined(firsts, travels_m, matte, camera, body, rasterizer, [stage], stay)
-    assert moved is not None
-    return found, moved
-
-
-def _refined(
+def refine_all(
     firsts: Sequence[FirstBody],
     travels_m: Float[Tensor, "N 3"] | None,
     matte: Float[Array, "H W"],
@@ -173,6 +140,11 @@ def _refined(
     stages: Sequence[Stage],
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
+    """As `refine`, or with paths as `refine_swept`: each of several bodies by itself, in the time of few.
+
+    Raises:
+        ValueError: several bodies whose betas differ, or a stage that moves them.
+    """
     found = list(firsts)
     if any(stage.shape for stage in stages) and len(found) > 1:
         raise ValueError("several bodies keep their shape: give a stage without it")

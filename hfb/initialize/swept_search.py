@@ -13,7 +13,7 @@ import torch
 from hfb.body.model import Body
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.matte_search import Moments, Templates, bank_templates, body_from_template, differ
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_all_swept, refine_swept
+from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_all, refine_swept
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
 from hfb.shapes import Array, Float, Tensor
@@ -59,7 +59,8 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
         path_m = start.path_px * start.scale * float(first.translation[2]) / camera.fx
         firsts.append(first)
         travels.append(first.translation.new_tensor([path_m, 0, 0] if start.axis == 0 else [0, path_m, 0]))
-    firsts, moved = refine_all_swept(firsts, torch.stack(travels), *scene, _ROUGH, _STAY)
+    firsts, moved = refine_all(firsts, torch.stack(travels), *scene, [_ROUGH], _STAY)
+    assert moved is not None
     values = [
         overlap(first, level, body, rasterizer, travel) - _BACK_COST * (1 - float(templates.facing[start.index])) / 2
         for start, first, travel in zip(starts, firsts, moved, strict=True)

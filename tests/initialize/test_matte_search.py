@@ -21,7 +21,6 @@ from hfb.initialize.silhouette_fit import (
     overlap,
     refine,
     refine_all,
-    refine_all_swept,
     refine_swept,
     silhouette,
 )
@@ -112,11 +111,12 @@ def test_several_at_once_are_each_by_itself() -> None:
     lying = replace(truth, pose=torch.cat([torch.tensor([[0.0, 0.0, 1.5]]), truth.pose[1:]]))
     firsts, travels = [truth, beside, lying], torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.3, 0.0], [0.2, 0.1, 0.0]])
     scene, stage, stay = (matte, CAMERA, BODY, RASTERIZER), Stage(40, 6, 0.05, shape=False), Stay()
-    for one, together in zip(firsts, refine_all(firsts, *scene, stage, stay), strict=True):
+    for one, together in zip(firsts, refine_all(firsts, None, *scene, [stage], stay)[0], strict=True):
         alone = refine(one, *scene, [stage], stay)
         assert torch.equal(together.pose, alone.pose)
         assert torch.equal(together.translation, alone.translation)
-    found, moved = refine_all_swept(firsts, travels, *scene, stage, stay)
+    found, moved = refine_all(firsts, travels, *scene, [stage], stay)
+    assert moved is not None
     for number, one in enumerate(firsts):
         swept, way = refine_swept(one, travels[number], *scene, [stage], stay)
         assert torch.equal(found[number].pose, swept.pose)
@@ -128,10 +128,10 @@ def test_several_at_once_have_one_shape_and_keep_it() -> None:
     matte, truth = blurred_matte("stride", 1.0, (0.0, 0.1, 3.2))
     scene = (matte, CAMERA, BODY, RASTERIZER)
     with pytest.raises(ValueError, match="keep their shape"):
-        refine_all([truth, truth], *scene, Stage(40, 2, 0.05), Stay())
+        refine_all([truth, truth], None, *scene, [Stage(40, 2, 0.05)], Stay())
     taller = replace(truth, betas=truth.betas + 0.1)
     with pytest.raises(ValueError, match="same betas"):
-        refine_all([truth, taller], *scene, Stage(40, 2, 0.05, shape=False), Stay())
+        refine_all([truth, taller], None, *scene, [Stage(40, 2, 0.05, shape=False)], Stay())
 
 
 def test_an_empty_matte_is_a_sentence() -> None:
