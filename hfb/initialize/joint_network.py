@@ -22,9 +22,10 @@ from hfb.shapes import Array, Float, Shaped, Tensor
 PICTURE_PX = 96
 CHANNELS = 7
 ROUNDS = 3
+_EXCHANGES = 4
 
 _MARGIN = 0.12
-_MAP = 64
+_MAP, _DETAIL = 64, 32
 _LOOKS = (
     (0.0, 0.0),
     (0.08, 0.0),
@@ -36,7 +37,7 @@ _LOOKS = (
     (0.0, 0.25),
     (0.0, -0.25),
 )
-"""Where the map is read around a joint's present place, in the window's units."""
+"""Where the map is read around a joint's present place, in the window's units; the finer map at half of it."""
 _PARENT = tuple(max(parent, 0) for parent in PARENTS)
 
 
@@ -150,35 +151,42 @@ class JointNetwork(nn.Module):
         self.across = nn.Conv2d(d, _MAP, 1)
         self.side = nn.Conv2d(c, _MAP, 1)
         self.mixed_middle, self.mixed_fine = _layer(_MAP, _MAP), _layer(_MAP, _MAP)
+        self.closer, self.edges = nn.Conv2d(_MAP, _DETAIL, 1), nn.Conv2d(b, _DETAIL, 1)
+        self.mixed_edges = _layer(_DETAIL, _DETAIL)
         self.whole = nn.Linear(e, token)
         self.name = nn.Parameter(torch.randn(JOINT_COUNT + 1, token) * 0.02)
         self.read = nn.Linear(len(_LOOKS) * _MAP + 12, token)
-        self.exchange = nn.ModuleList(_Exchange(token) for _ in range(2))
+        self.read_closer = nn.Linear(len(_LOOKS) * _DETAIL, token, bias=False)
+        self.exchange = nn.ModuleList(_Exchange(token) for _ in range(_EXCHANGES))
         self.move = nn.Linear(token, 3)
         self.say = nn.Linear(token, 6)
         self.turn = nn.Linear(token, 1)
         for layer in (self.move, self.say, self.turn):
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, std=1e-3)
+        nn.init.zeros_(self.read_closer.weight)
 
     def forward(self, picture: Float[Tensor, "N C h w"], start: Float[Tensor, "N 24 3"]) -> JointClaim:
         """Joints from a picture (8 bits as [-1, 1]) and a first guess."""
-        fine = self.fine(picture)
+        halved = self.fine[:2](picture)
+        fine = self.fine[2:](halved)
         middle = self.middle(fine)
         coarse = self.coarse(middle)
         mixed = functional.interpolate(self.down(coarse), scale_factor=2.0, mode="nearest") + self.across(middle)
         mixed = functional.interpolate(self.mixed_middle(mixed), scale_factor=2.0, mode="nearest") + self.side(fine)
-        seen = self.mixed_fine(mixed).float()
+        mixed = self.mixed_fine(mixed)
+        closer = functional.interpolate(self.closer(mixed), scale_factor=2.0, mode="nearest") + self.edges(halved)
+        seen, detail = mixed.float(), self.mixed_edges(closer).float()
         tokens = torch.cat([self.name[:-1].expand(len(start), -1, -1), self.name[-1:].expand(len(start), -1, -1)], 1)
         tokens = tokens + functional.pad(self.whole(coarse.mean((2, 3)).float())[:, None], (0, 0, JOINT_COUNT, 0))
         joints, rounds, looks = start, [], start.new_tensor(_LOOKS)
         for _ in range(ROUNDS):
             places = joints.detach()
-            spots = places[:, :, None, :2] + looks
-            read = functional.grid_sample(seen, spots, align_corners=False).permute(0, 2, 3, 1).flatten(2)
+            around = places[:, :, None, :2]
+            read, near = (_looked(one, around + looks * reach) for one, reach in ((seen, 1.0), (detail, 0.5)))
             bones = places - places[:, list(_PARENT)]
             facts = torch.cat([read, places, bones, start, start - start[:, list(_PARENT)]], -1)
-            tokens = tokens + functional.pad(self.read(facts), (0, 0, 0, 1))
+            tokens = tokens + functional.pad(self.read(facts) + self.read_closer(near), (0, 0, 0, 1))
             for exchange in self.exchange:
                 tokens = exchange(tokens)
             joints = places + self.move(tokens[:, :-1]).float()
@@ -195,12 +203,21 @@ class _Exchange(nn.Module):
         super().__init__()
         count = JOINT_COUNT + 1
         self.before, self.after = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.listen = nn.Sequential(nn.Linear(count, 4 * count), nn.GELU(), nn.Linear(4 * count, count))
-        self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+        heard, thought = nn.Linear(4 * count, count), nn.Linear(2 * width, width)
+        for last in (heard, thought):  # a layer that is new adds nothing at first
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
+        self.listen = nn.Sequential(nn.Linear(count, 4 * count), nn.GELU(), heard)
+        self.think = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), thought)
 
     def forward(self, tokens: Float[Tensor, "N K C"]) -> Float[Tensor, "N K C"]:
         tokens = tokens + self.listen(self.before(tokens).transpose(1, 2)).transpose(1, 2)
         return tokens + self.think(self.after(tokens))
+
+
+def _looked(seen: Float[Tensor, "N C h w"], spots: Float[Tensor, "N K L 2"]) -> Float[Tensor, "N K LC"]:
+    """What a map holds at spots, one after the other."""
+    return functional.grid_sample(seen, spots, align_corners=False).permute(0, 2, 3, 1).flatten(2)
 
 
 def _layer(before: int, after: int, stride: int = 1) -> nn.Sequential:

@@ -16,14 +16,16 @@ from hfb.initialize.joint_network import JointNetwork
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",
     "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), subjects "
-    f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip; limbs lent between clips (upper "
-    "bodies alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
+    f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip (1, 2, 5, 6 and 7 in one "
+    "conversion until the last run, all in two since); limbs lent between clips (upper bodies "
+    "alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
     "backgrounds": "Poly Haven HDRI views, Buddies of Budgie backgrounds, scikit-image textures (all CC0); "
     "generated rooms",
     "mattes": "the shipped matting network's",
     "starts": "drawn by hfb.datasets.network_errors, placed beside the person",
-    "while learning": "mirrored, colours exchanged, holes in mattes; in the last run a quarter turned about the line "
-    "of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees)",
+    "while learning": "mirrored, colours exchanged, holes in mattes; in the last two runs a quarter turned about the "
+    "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); in the last one "
+    "errors across the view weighed above depth, and the path half as much again",
 }
 
 
@@ -33,6 +35,7 @@ def main() -> None:
     parser.add_argument("--run", type=Path, required=True, help="of train.py")
     parser.add_argument("--held-out", type=Path, required=True, help="a bank of motions that training never saw")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--went-on", action="store_true", help="the run began with what lies in --out: keep its story")
     options = parser.parse_args()
     network = JointNetwork()
     trained = torch.load(options.run / "average.pt", weights_only=True)
@@ -42,15 +45,15 @@ def main() -> None:
     network.load_state_dict({name: values.half().float() for name, values in state.items()}, strict=False)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "joints.safetensors").write_bytes(content)
-    training = options.run / "training.json"
+    story = json.loads((options.out / "joints.json").read_text())["training"] if options.went_on else []
     bank = Bank([options.held_out])
     about = {
         "weights": "joints.safetensors",
         "sha256": hashlib.sha256(content).hexdigest(),
         "parameters": sum(weights.numel() for weights in network.parameters()),
         "data": _DATA,
-        "training": json.loads(training.read_text()) if training.is_file() else None,
-        "held_out": {"pictures": len(bank), **measure(network, bank, len(bank))},
+        "training": [*story, {"run": options.run.name, **json.loads((options.run / "training.json").read_text())}],
+        "held_out": {"bank": options.held_out.name, "pictures": len(bank), **measure(network, bank, len(bank))},
     }
     (options.out / "joints.json").write_text(json.dumps(about, indent=1) + "\n")
 
