@@ -17,8 +17,11 @@ JIT = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # of the time spent. Such functions must not allocate; the entry points that call them do.
 LOOP = {**JIT, "_nrt": False}
 INLINE = {**LOOP, "forceinline": True}
-# Sums whose order the compiler may choose, to add several numbers at once: it chooses once, for this kind of processor.
-SUM = {**LOOP, "fastmath": {"contract", "reassoc"}}
+# Sums whose order the compiler may choose, to add several numbers at once. It chooses by what surrounds them, so they
+# are part of the entry that calls them: a process that compiles has callees by themselves, too, and its linker takes
+# these, where one that loads has the entry's own copies. The first run on a machine would differ from the second.
+_SUM = {**LOOP, "fastmath": {"contract", "reassoc"}}
+SUM_INLINE = {**_SUM, "forceinline": True}
 
 
 @lru_cache
@@ -51,4 +54,4 @@ def loop_entry(function):
 
 def sum_entry(function):
     """`loop_entry` whose sums the compiler may add in another order than written."""
-    return _cached(njit(**SUM)(function), function)
+    return _cached(njit(**_SUM)(function), function)

@@ -11,7 +11,7 @@ knows; nested ones it leaves slow.
 import numpy as np
 from numba import njit
 
-from hfb.compilation import LOOP, SUM, entry, loop_entry, sum_entry
+from hfb.compilation import LOOP, SUM_INLINE, entry, loop_entry, sum_entry
 
 LANES = 8  # instants at once: a number that the compiler knows, so that loops over them become single operations
 
@@ -199,7 +199,7 @@ def _ask_point(table, starts, joints, weights, v, asked, turned, of_point):
         of_point[2 * LANES + s] = turned[6 * LANES + s] * x + turned[7 * LANES + s] * y + turned[8 * LANES + s] * z
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def _add_lanes(of_point, of_rest, v):
     """Add what all instants ask of the rest vertex."""
     x, y, z = of_rest[v, 0], of_rest[v, 1], of_rest[v, 2]

@@ -5,7 +5,7 @@
 import numpy as np
 from numba import njit
 
-from hfb.compilation import INLINE, SUM, sum_entry
+from hfb.compilation import INLINE, SUM_INLINE, sum_entry
 
 INSTANTS = 8
 
@@ -38,7 +38,7 @@ def _add(to, share, a, b, c, d):
     to[3] += share * d
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def smear(layer, way, smeared):
     """Fills smeared (H, W, 4) with the mean over the instants s of a layer (H, W, 4) at x - s way(x).
 
@@ -64,7 +64,7 @@ def smear(layer, way, smeared):
             out[0], out[1], out[2], out[3] = a * _SHARE, b * _SHARE, c * _SHARE, d * _SHARE
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def smear_gradient(layer, way, given, of_layer, of_way):
     """From the smeared layer's gradient: fills of_layer and of_way."""
     height, width, _ = layer.shape
@@ -105,7 +105,7 @@ def _cell(place, length, cells):
     return _split(np.float32(place) * np.float32(cells - 1) / np.float32(length - 1), cells)
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def spread(base, bend, way):
     """Fills way (H, W, 2) with a base and a grid (2, h, w) of what is added to it, all in px."""
     height, width, _ = base.shape
@@ -121,7 +121,7 @@ def spread(base, bend, way):
                 way[y, x, axis] = base[y, x, axis] + bent + s * part[top + 1, left + 1]
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def spread_gradient(of_way, of_bend):
     """From the way's gradient: fills the grid's."""
     height, width, _ = of_way.shape
@@ -140,7 +140,7 @@ def spread_gradient(of_way, of_bend):
                 part[top + 1, left + 1] += s * come
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def colour(outline, roots, layer):
     """Fills layer (H, W, 4) with an outline (H, W) and the light of colours, given by their roots (H, W, 3), in it."""
     height, width = outline.shape
@@ -151,7 +151,7 @@ def colour(outline, roots, layer):
                 layer[y, x, c + 1] = outline[y, x] * roots[y, x, c] * roots[y, x, c]
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def unexplained(scene, weights, smeared, given):
     """What a smeared layer (a, c) leaves of the picture and of the network's matte, and the gradient of that.
 
@@ -184,7 +184,7 @@ def unexplained(scene, weights, smeared, given):
     return loss
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def oddness(outline, roots, weights, of_outline, of_roots):
     """How odd an outline m (H, W) and roots of colours (H, W, 3) are: adds the gradient of that.
 
@@ -219,7 +219,7 @@ def oddness(outline, roots, weights, of_outline, of_roots):
     return loss
 
 
-@njit(**SUM)
+@njit(**SUM_INLINE)
 def bending(bend, weights, of_bend):
     """Of a grid of ways (2, h, w), by the squares of its differences: adds the gradient."""
     _, rows, columns = bend.shape
@@ -237,7 +237,7 @@ def bending(bend, weights, of_bend):
     return loss
 
 
-@sum_entry
+@njit(**SUM_INLINE)
 def objective(scene, weights, base, outline, roots, bend, way, layers, of_outline, of_roots, of_way, of_bend):
     """How little a layer explains, and how odd it is: fills the gradients, and the way (H, W, 2).
 

@@ -63,19 +63,19 @@ def main() -> None:
     pictures = np.lib.format.open_memmap(options.out / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)
     truth = np.zeros((options.count, 3, 24, 3), np.float32)
     starts = np.zeros((options.count, STARTS, 24, 3), np.float32)
-    unit_m = np.zeros(options.count, np.float32)
+    unit_m, height_m = np.zeros((2, options.count), np.float32)
     began = time.monotonic()
 
     def save(done: int) -> None:
         pictures.flush()
         part = options.out / "joints.part.npz"
-        np.savez(part, truth=truth, starts=starts, unit_m=unit_m, done=done)
+        np.savez(part, truth=truth, starts=starts, unit_m=unit_m, height_m=height_m, done=done)
         part.rename(options.out / "joints.npz")  # training may read while this draws
 
     for number in range(options.count):
         sample = studio.draw(np.random.default_rng([options.seed, options.first + number]))
         pictures[number], truth[number], starts[number] = sample.picture, sample.truth, sample.starts
-        unit_m[number] = sample.unit_m
+        unit_m[number], height_m[number] = sample.unit_m, sample.height_m
         if number % 1000 == 999 or number == 49:
             print(f"{number + 1} pictures in {time.monotonic() - began:.0f} s", flush=True)
             save(number + 1)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from people import FRAME_PX, INSTANTS, People
 
+from hfb.body.height import height_m
 from hfb.datasets.backgrounds import room_background
 from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.scenery import draw_scenery
@@ -31,12 +32,14 @@ class Sample:
         picture: (C, H, W) uint8, see `picture_channels`.
         truth: (3, 24, 3) joints at u = 0, 1/2 and 1 in the window's units. starts: (STARTS, 24, 3) of them that err.
         unit_m: how many metres one unit of the window is at the person's distance.
+        height_m: how tall the person stands.
     """
 
     picture: np.ndarray
     truth: np.ndarray
     starts: np.ndarray
     unit_m: float
+    height_m: float
 
 
 class Studio(People):
@@ -95,7 +98,7 @@ class Studio(People):
         starts = self._starts(cameras_poses, truth, window, joints, rng)
         unit_m = float(joints[middle, 0, 2]) * window.units_to_tangents()
         channels = picture_channels(frame, plate, matte, window)
-        return Sample(channels, truth, starts, unit_m)
+        return Sample(channels, truth, starts, unit_m, float(height_m(self.body, betas)))
 
     def _scene(self, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         """A plate turned around at random, and somebody else's clothes."""

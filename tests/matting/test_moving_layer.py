@@ -50,6 +50,19 @@ class Case:
         loss = kernels_layer.objective(*given, *arrays)
         return loss, [arrays[1][1], arrays[2], arrays[3], arrays[5]]
 
+    def logits(self) -> torch.Tensor:
+        """Of the outline, as a descent begins with them."""
+        return torch.logit(self.outline.clamp(0.1, 0.9)).float().double()
+
+    def descended(self, rates: np.ndarray, steps: int) -> tuple[float, list[np.ndarray]]:
+        """The kernel's last loss; logits, roots and bend after those steps."""
+        mine = [one.float().numpy().copy() for one in (self.logits(), self.roots, self.bend)]
+        shape, cells = self.outline.shape, self.bend.shape[1:]
+        shapes = (*shape, 2), (4, *shape, 4), (4, *shape), (3, *shape, 3), (*shape, 2), (3, 2, *cells)
+        work = [np.empty(one, np.float32) for one in shapes]
+        given = [one.float().numpy() for one in (self.scene, self.weights, self.base)]
+        return kernels_layer.descend(*given, rates, steps, *mine, *work), mine
+
     def reference(self) -> tuple[torch.Tensor, torch.Tensor]:
         """The same, written for reading: the loss and the smeared layer."""
         height, width = self.outline.shape
@@ -118,14 +131,9 @@ def test_still_layers_stay_and_a_spot_becomes_a_line() -> None:
 def test_descent_is_adam() -> None:
     """Its variables after a few steps against torch's optimiser on the reference."""
     case = Case.drawn(4)
-    logits = torch.logit(case.outline.clamp(0.1, 0.9)).float().double()
     rates = np.array([0.15, 0.02, 0.3], np.float32)
-    mine = [one.float().numpy().copy() for one in (logits, case.roots, case.bend)]
-    shape, cells = case.outline.shape, case.bend.shape[1:]
-    shapes = (*shape, 2), (4, *shape, 4), (4, *shape), (3, *shape, 3), (*shape, 2), (3, 2, *cells)
-    work = [np.empty(one, np.float32) for one in shapes]
-    given = [one.float().numpy() for one in (case.scene, case.weights, case.base)]
-    loss = kernels_layer.descend(*given, rates, 4, *mine, *work)
+    loss, mine = case.descended(rates, 4)
+    logits = case.logits()
     variables = [one.clone().requires_grad_() for one in (logits, case.roots, case.bend)]
     groups = [{"params": [one], "lr": float(rate)} for one, rate in zip(variables, rates, strict=True)]
     optimizer = torch.optim.Adam(groups, betas=(0.9, 0.95))
