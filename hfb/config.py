@@ -123,6 +123,7 @@ class Weights(Record):
     start: float = Field(0.0, ge=0, description="distance of the middle pose from the first body's, not in the paper")
     joints: float = Field(0.0, ge=0, description="distance from where our joint network sees the joints at u = 1/2")
     path: float = Field(0.0, ge=0, description="distance from the path our joint network sees; in single frames only")
+    height: float = Field(0.0, ge=0, description="distance from the height our joint network sees in proportions")
 
 
 class Stage(Record):
@@ -286,7 +287,9 @@ _BEST = FitConfig(
     settle=80,
     lifting=0.75,
     size_moves_away=True,
-    weights=Weights(image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1),
+    weights=Weights(
+        image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04
+    ),
 )
 
 

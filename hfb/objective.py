@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from hfb.body.height import height_m
 from hfb.body.model import Body, ShapedBody
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.config import Weights
@@ -108,6 +109,8 @@ class Objective:
             terms["pose"] = pose_loss(self.pose_prior, vectors.unflatten(0, (-1, JOINT_COUNT - 1)))
         if weights.start > 0:
             terms["start"] = start_loss(rotations[:, -1], self.first)
+        if weights.height > 0 and self.evidence is not None:
+            terms["height"] = evidence_loss(self.evidence.off_height(height_m(self.body, betas)))
         if weights.shape > 0:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:

@@ -48,7 +48,7 @@ def _without(weight: str) -> Callable[[FitConfig], FitConfig]:
 
 
 def _without_evidence(fit: FitConfig) -> FitConfig:
-    return _without("joints")(_without("path")(fit)).model_copy(update={"settle": 0})
+    return _without("joints")(_without("path")(_without("height")(fit))).model_copy(update={"settle": 0})
 
 
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {

@@ -80,6 +80,7 @@ def joint_features(
     found: Variables,
     first_bodies: Sequence[FirstBody],
     coarse: Objective,
+    height_told: bool,
 ) -> dict[str, Float[Array, "R 24"]]:
     """What a fit knows about its own joints' errors; lengths as log(metres + 0.02).
 
@@ -93,6 +94,7 @@ def joint_features(
     - ``misfit``: log(1 - soft IoU of the re-blurred silhouette and the matte + 0.02).
     - ``unusual``: log of the pose prior's value + 1.
     - ``network``: the joint network's own expected distance from the truth, where the fit asked it.
+    - ``told``: 1 where the fit was told how tall the person is, else 0.
 
     Args:
         alternatives: None where no directions were searched: ``spread`` is then not among the features.
@@ -127,6 +129,7 @@ def joint_features(
         **table,
         "edge": _rows(np.tile(edge, len(frames))[:, None], motion),
         "misfit": _rows(np.log(misfit + 0.02)[motion.frame_index][:, None], motion),
+        "told": _rows(np.full((1, 1), float(height_told)), motion),
         "unusual": _rows(np.log1p(unusual.double().numpy())[:, None], motion),
     }
 

@@ -109,7 +109,8 @@ def fit(
             if config.directions.search:
                 result = _directed(result, best, first_bodies, coarse, descent.objective, config)
             else:  # a window of a clip: its neighbours tell the directions
-                result = _with_radius(result, joint_features(result.motion, None, best, first_bodies, coarse))
+                told = config.height_m is not None
+                result = _with_radius(result, joint_features(result.motion, None, best, first_bodies, coarse, told))
     return replace(result, seconds=time.perf_counter() - started)
 
 
@@ -133,7 +134,7 @@ def _objective(
 ) -> Objective:
     """Eq. (11) in the window around the mattes at its full size."""
     first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(observation.mattes))
-    looks = config.settle > 0 or config.weights.joints + config.weights.path > 0
+    looks = config.settle > 0 or config.weights.joints + config.weights.path + config.weights.height > 0
     return Objective(
         observation.cropped(*observation.region()),
         body,
@@ -205,9 +206,10 @@ def _directed(
         result.motion, poses=alternatives.poses[chosen], trans=alternatives.trans[chosen],
         joints=alternatives.joints[chosen],
     )  # fmt: skip
-    features = joint_features(motion, alternatives, replace(best, trajectory=trajectory), first_bodies, coarse)
-    directed = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
-    return _with_radius(directed, features)
+    directed, told = replace(best, trajectory=trajectory), config.height_m is not None
+    features = joint_features(motion, alternatives, directed, first_bodies, coarse, told)
+    shown = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
+    return _with_radius(shown, features)
 
 
 def _iterations(

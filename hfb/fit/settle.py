@@ -21,8 +21,8 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
     """
     held = config.weights
     weights = Weights(
-        image=0, matte=0, boundary=held.boundary, joints=_JOINTS, path=_PATH, pose=held.pose / 20, shape=held.shape,
-        motion=held.motion / 10, start=held.start / 10,
+        image=0, matte=0, boundary=held.boundary, joints=_JOINTS, path=_PATH, height=held.height,
+        pose=held.pose / 20, shape=held.shape, motion=held.motion / 10, start=held.start / 10,
     )  # fmt: skip
     skeleton = replace(objective, weights=weights, settling=True)
     trajectory = variables.trajectory

@@ -1,5 +1,6 @@
 """What the joint network says about an observation, kept in the form that a fit compares itself with."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -13,7 +14,14 @@ from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
-from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
+from hfb.initialize.joint_network import (
+    HEIGHT_UNIT,
+    USUAL_HEIGHT_M,
+    JointClaim,
+    JointNetwork,
+    Window,
+    picture_channels,
+)
 from hfb.initialize.lifting_network import lift
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
@@ -29,6 +37,8 @@ class JointEvidence:
         path: from u = 0 to u = 1; its sign is the likelier one in one frame, and the neighbours' in several.
         log_odds: the network's own, from this frame alone, that the sign of ``path`` is right.
         start: the first body's joints, from which the network began.
+        log_height, height_scale: logarithm of how tall the person stands [m], by proportions, and the standard
+            deviation of its error; one person is seen in all frames.
     """
 
     windows: tuple[Window, ...]
@@ -37,6 +47,8 @@ class JointEvidence:
     path: Float[Tensor, "T 24 3"]
     log_odds: Float[Tensor, "T"]
     start: Float[Tensor, "T 24 3"]
+    log_height: Float[Tensor, ""]
+    height_scale: Float[Tensor, ""]
 
     def off(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
         """How far joints at mid-exposure [m, camera] lie from the claim, in the claim's own scales."""
@@ -45,6 +57,10 @@ class JointEvidence:
     def off_path(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
         """How far the way from u = 0 to u = 1 lies from the claim, in the claim's own scales."""
         return (self._units(closing) - self._units(opening) - self.path) / self.scale
+
+    def off_height(self, height_m: Float[Tensor, ""]) -> Float[Tensor, ""]:
+        """How far a height [m] lies from the claim, in the claim's own scale."""
+        return (height_m.log() - self.log_height) / self.height_scale
 
     def backwards_logit(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
         """The network's log odds, from each frame alone, that a way from u = 0 to u = 1 runs against the true one.
@@ -93,14 +109,21 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
         claim = _both_ways(seen, start)
         windows.append(window)
         starts.append(start)
-        told.append((claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0]))
+        told.append(
+            (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.height[0],
+             claim.log_height_scale[0].exp())
+        )  # fmt: skip
     # Copied: what inference mode makes must not enter a graph.
-    middle, scale, path, odds = (torch.stack(values).clone() for values in zip(*told, strict=True))
+    middle, scale, path, odds, height, height_scale = (
+        torch.stack(values).clone() for values in zip(*told, strict=True)
+    )
     forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
     return JointEvidence(
-        tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds, torch.stack(starts).to(middle)
-    )
+        tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds, torch.stack(starts).to(middle),
+        # The frames show the same proportions of the same person: their errors are alike, and no less for being many.
+        math.log(USUAL_HEIGHT_M) + HEIGHT_UNIT * height.mean(), HEIGHT_UNIT * height_scale.mean(),
+    )  # fmt: skip
 
 
 def _as_neighbours_go(
@@ -129,7 +152,10 @@ def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> Jo
     agree = 1.0 if float((path[0] * path[1]).sum()) >= 0 else -1.0
     log_odds = (claim.log_odds[0] + agree * claim.log_odds[1]) / 2
     path = torch.stack([path[0], agree * path[1]]).mean(0)
-    return JointClaim(joints.mean(0)[None], log_scale.mean(0)[None], path[None], log_odds[None], ())
+    height, log_height_scale = claim.height.mean()[None], claim.log_height_scale.mean()[None]
+    return JointClaim(
+        joints.mean(0)[None], log_scale.mean(0)[None], path[None], log_odds[None], height, log_height_scale, ()
+    )
 
 
 def _joints(first: FirstBody, body: Body) -> Float[Tensor, "24 3"]:

@@ -22,6 +22,7 @@ from hfb.shapes import Array, Float, Shaped, Tensor
 PICTURE_PX = 96
 CHANNELS = 7
 ROUNDS = 3
+USUAL_HEIGHT_M, HEIGHT_UNIT = 1.7, 0.1
 _EXCHANGES = 4
 
 _MARGIN = 0.12
@@ -127,6 +128,8 @@ class JointClaim:
         joints: at the middle of the exposure. log_scale: logarithm of the Laplace scale of each coordinate.
         path: from the exposure's start to its end, up to the sign that one picture cannot tell.
         log_odds: that ``path`` has the right sign, for the whole body.
+        height, log_height_scale: how tall the person stands, in `HEIGHT_UNIT` (logarithm) from `USUAL_HEIGHT_M`, by
+            proportions; the logarithm of its standard deviation.
         rounds: ``joints`` after each round, the last one included.
     """
 
@@ -134,6 +137,8 @@ class JointClaim:
     log_scale: Float[Tensor, "N 24 3"]
     path: Float[Tensor, "N 24 3"]
     log_odds: Float[Tensor, "N"]
+    height: Float[Tensor, "N"]
+    log_height_scale: Float[Tensor, "N"]
     rounds: tuple[Float[Tensor, "N 24 3"], ...]
 
 
@@ -161,7 +166,8 @@ class JointNetwork(nn.Module):
         self.move = nn.Linear(token, 3)
         self.say = nn.Linear(token, 6)
         self.turn = nn.Linear(token, 1)
-        for layer in (self.move, self.say, self.turn):
+        self.stature = nn.Linear(token, 2)
+        for layer in (self.move, self.say, self.turn, self.stature):
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, std=1e-3)
         nn.init.zeros_(self.read_closer.weight)
@@ -193,7 +199,10 @@ class JointNetwork(nn.Module):
             rounds.append(joints)
         path, log_scale = self.say(tokens[:, :-1]).float().split(3, -1)
         odds = self.turn(tokens[:, -1]).float()[:, 0]
-        return JointClaim(joints, (log_scale - 3).clamp(-7, 1), path, odds, tuple(rounds))
+        height, log_height_scale = self.stature(tokens[:, -1]).float().unbind(1)
+        return JointClaim(
+            joints, (log_scale - 3).clamp(-7, 1), path, odds, height, log_height_scale.clamp(-3, 1), tuple(rounds)
+        )
 
 
 class _Exchange(nn.Module):

@@ -1,6 +1,6 @@
 """Make hfb/fit/data/confidence.json and directions.json from benchmarks whose truth is known.
 
-python calibrate.py --singles BENCHMARK --several BENCHMARK --method best --out ../../hfb/fit/data
+python calibrate.py --singles BENCHMARK --several BENCHMARK --methods best best@true-height --out ../../hfb/fit/data
 """
 
 import argparse
@@ -30,18 +30,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--singles", type=Path, nargs="+", required=True, help="folders of hfb benchmark, one frame")
     parser.add_argument("--several", type=Path, nargs="+", default=[], help="folders of hfb benchmark --frames 2 ...")
-    parser.add_argument("--method", default="best", help="whose answers [best]")
+    parser.add_argument(
+        "--methods", nargs="+", default=["best"], help="whose answers [best]; the first one's for the directions"
+    )
     parser.add_argument("--features", help="comma-separated, instead of all that the fits left")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    singles = [case for folder in options.singles for case in read_cases(folder, options.method)]
-    several = [case for folder in options.several for case in read_cases(folder, options.method)]
-    joints = [joint for joint, _ in (*singles, *several)]
+    first, *others = options.methods
+    singles, several = (
+        [case for folder in folders for case in read_cases(folder, first)]
+        for folders in (options.singles, options.several)
+    )
+    more = [read_cases(folder, method) for folder in (*options.singles, *options.several) for method in others]
+    joints = [joint for joint, _ in (*singles, *several, *(case for cases in more for case in cases))]
     names = options.features.split(",") if options.features else list(joints[0].features)
     model = fit_confidence(joints, names)
     measured = held_out_reliability(joints, names)
     print(json.dumps(measured, indent=1))
-    made_from = {"method": options.method, "cases_of_one_frame": len(singles), "cases_of_several": len(several)}
+    made_from = {"methods": options.methods, "cases_of_one_frame": len(singles), "cases_of_several": len(several)}
     write(
         options.out / "confidence.json",
         asdict(model) | {"made_from": made_from, "on_recordings_held_out": measured},

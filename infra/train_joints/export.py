@@ -17,15 +17,15 @@ _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",
     "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), subjects "
     f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip (1, 2, 5, 6 and 7 in one "
-    "conversion until the last run, all in two since); limbs lent between clips (upper bodies "
+    "conversion until run13, all in two since); limbs lent between clips (upper bodies "
     "alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
     "backgrounds": "Poly Haven HDRI views, Buddies of Budgie backgrounds, scikit-image textures (all CC0); "
     "generated rooms",
     "mattes": "the shipped matting network's",
     "starts": "drawn by hfb.datasets.network_errors, placed beside the person",
-    "while learning": "mirrored, colours exchanged, holes in mattes; in the last two runs a quarter turned about the "
-    "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); in the last one "
-    "errors across the view weighed above depth, and the path half as much again",
+    "while learning": "mirrored, colours exchanged, holes in mattes; from run13 on a quarter turned about the "
+    "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); from run14 on "
+    "errors across the view weighed above depth, and the path half as much again; in run15 the height, too",
 }
 
 

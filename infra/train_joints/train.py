@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from measure import as_large, measure
+from measure import as_large, as_told, measure
 from safetensors.torch import load_file
 
 from hfb.body.skeleton import MIRROR
@@ -19,6 +19,7 @@ from hfb.initialize.joint_network import PICTURE_PX, SMALL, WIDE, JointClaim, Jo
 _ROUND_SHARES = (0.25, 0.5, 1.0)
 _AXES = (1.2, 1.2, 0.6)
 """What an error weighs across the view and in depth, where the lifting network has a word, too."""
+_TALL = 0.15
 _CHECKPOINT_S = 240
 _AVERAGE = 0.998
 _ROLLED, _ROLL_DEG, _LEANING, _LEAN_DEG = 0.25, 10.0, 0.3, 14.0
@@ -40,8 +41,10 @@ class Bank:
         for number, folder in enumerate(self.folders):
             with np.load(folder / "joints.npz") as file:
                 done = int(file["done"])
-                parts.append((np.full(done, number), *(file[key][:done] for key in ("truth", "starts", "unit_m"))))
-        self.folder, self.truth, self.starts, self.unit_m = (
+                parts.append(
+                    (np.full(done, number), *(file[key][:done] for key in ("truth", "starts", "unit_m", "height_m")))
+                )
+        self.folder, self.truth, self.starts, self.unit_m, self.height_m = (
             np.concatenate(column) for column in zip(*parts, strict=True)
         )
         self.row = np.concatenate([np.arange(len(part[0])) for part in parts])
@@ -138,8 +141,12 @@ def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.nd
     return starts.astype(np.float32)
 
 
-def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
-    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign."""
+def loss_of(claim: JointClaim, truth: torch.Tensor, height: torch.Tensor) -> torch.Tensor:
+    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign; the height's likelihood.
+
+    Args:
+        height: (N,), as the network tells it.
+    """
     middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
     axes = truth.new_tensor(_AXES)
     joints = sum(
@@ -152,10 +159,11 @@ def loss_of(claim: JointClaim, truth: torch.Tensor) -> torch.Tensor:
     length = path.abs().mean((1, 2))
     sign = torch.nn.functional.binary_cross_entropy_with_logits(claim.log_odds, agrees.float(), reduction="none")
     moved = (length / 0.05).clamp(max=1)
+    tall = ((claim.height - height) * torch.exp(-claim.log_height_scale)).square() / 2 + claim.log_height_scale
     bones = claim.joints - claim.joints[:, :1] - (middle - middle[:, :1])
     return (
         10 * joints + 5 * (bones * axes).abs().mean() + 0.3 * likelihood + 6 * torch.minimum(forth, back).mean()
-        + 0.05 * (sign * moved).mean()
+        + 0.05 * (sign * moved).mean() + _TALL * tall.mean()
     )  # fmt: skip
 
 
@@ -192,7 +200,7 @@ def main() -> None:
         network.load_state_dict(_weights(options.go_on), strict=False)  # layers that are new add nothing at first
     network = network.to(memory_format=torch.channels_last)
     average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.05)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.05, fused=True)
     bank, dev = Bank(options.bank), Bank([options.dev])
     options.out.mkdir(parents=True, exist_ok=True)
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
@@ -202,11 +210,12 @@ def main() -> None:
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        pictures, starts, truth = augmented(bank, rng.integers(len(bank), size=options.batch), rng)
+        chosen = rng.integers(len(bank), size=options.batch)
+        pictures, starts, truth = augmented(bank, chosen, rng)
         network.train()
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
             claim = network(pictures, starts)
-        loss = loss_of(claim, truth)
+        loss = loss_of(claim, truth, torch.from_numpy(as_told(bank.height_m[chosen])))
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from hfb.body.assets import load_default_body
+from hfb.body.height import height_m
 from hfb.config import preset
 from hfb.fit.reversal import limb_columns, reverse_columns
 from hfb.fit.variables import Variables
@@ -54,7 +55,7 @@ def done(frames: int = 1, turned: tuple[tuple[int, str], ...] = (), prior: Motio
     motion = reverse_columns(motion.with_coefficients(rotation, translation), limb_columns(limbs))
     found = Variables(motion, torch.zeros(10), torch.full((8, 8, 3), 0.5))
     window = scene.observation.cropped(*scene.observation.region())
-    weights = preset("best").fit.weights.model_copy(update={"joints": 0.0, "path": 0.0})
+    weights = preset("best").fit.weights.model_copy(update={"joints": 0.0, "path": 0.0, "height": 0.0})
     first = axis_angle_to_matrix(torch.stack([one.pose for one in scene.middle]))
     rasterizer = make_rasterizer("coverage", "cpu", 1)
     fine = Objective(
@@ -84,4 +85,6 @@ def true_evidence(scene: Scene, log_odds: float = 1.0) -> JointEvidence:
         paths.append(units[-1] - units[0])
     middle, path = torch.stack(middles), torch.stack(paths)
     odds = torch.full((len(windows),), log_odds)
-    return JointEvidence(tuple(windows), middle, torch.full_like(middle, 0.02), path, odds, middle)
+    log_height = height_m(load_default_body(), torch.from_numpy(truth.betas).float()).log()
+    scale = torch.full_like(middle, 0.02)
+    return JointEvidence(tuple(windows), middle, scale, path, odds, middle, log_height, torch.tensor(0.02))

@@ -76,4 +76,4 @@ def _features(case: Done) -> tuple[SampledMotion, dict[str, np.ndarray]]:
         trajectory, case.fine.body.shape(found.betas), found.betas, 6, seen.exposure_s, seen.interval_s,
         seen.camera.matrix(),
     )  # fmt: skip
-    return motion, joint_features(motion, alternatives, found, case.scene.middle, case.coarse)
+    return motion, joint_features(motion, alternatives, found, case.scene.middle, case.coarse, False)

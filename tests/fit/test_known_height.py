@@ -8,6 +8,7 @@ from hfb.body.assets import load_default_body
 from hfb.body.height import as_tall, height_m
 from hfb.config import FitConfig, Stage, preset
 from hfb.fit.clip_person import ClipPerson, as_person
+from hfb.fit.confidence import shipped_confidence
 from hfb.fit.loop import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
@@ -62,6 +63,13 @@ def test_the_person_keeps_the_place_in_the_picture() -> None:
     ratio = tall(known) / tall(unknown)
     near, far = (float(result.motion.joints[:, 0, 2].mean()) for result in (known, unknown))
     assert near / far == pytest.approx(ratio, abs=0.03)
+
+
+def test_joints_are_surer_where_the_height_is_told() -> None:
+    unknown, known = found(told(None)), found(told(TRUE_M))
+    assert not unknown.joint_features["told"].any()
+    assert (known.joint_features["told"] == 1).all()
+    assert shipped_confidence().coefficients["told"] < -0.05
 
 
 def test_a_person_who_is_known_is_left_alone() -> None:

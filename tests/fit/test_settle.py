@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
+from hfb.body.height import as_tall
 from hfb.config import Weights, preset
 from hfb.fit.reversal import limb_columns, reverse_columns
 from hfb.fit.settle import settle
@@ -69,3 +70,24 @@ def test_one_picture_leaves_the_way_open_and_several_frames_know_it_themselves(f
     assert right is not None
     assert path(back, settling=True) > 3 * right
     assert path(back, settling=False) == (pytest.approx(right, rel=1e-4) if frames == 1 else None)
+
+
+def test_a_claimed_height_is_taken_over_and_no_pose_moves_for_it() -> None:
+    """The claim is of the body's size alone: it pulls on betas, along the one direction that makes a body taller."""
+    case = done()
+    evidence = replace(true_evidence(case.scene), log_height=torch.tensor(1.9).log())
+    weights = Weights(image=0, matte=0, boundary=0, height=1)
+    betas = torch.zeros(10, requires_grad=True)
+    body = case.fine.body
+    terms = replace(case.fine, evidence=evidence, weights=weights).body_terms(
+        case.found.trajectory, betas, body.shape(betas)
+    )
+    assert list(terms) == ["height"]
+    terms["height"].backward()
+    assert betas.grad is not None
+    taller = as_tall(torch.zeros(10), body, 1.9)
+    assert float(torch.cosine_similarity(-betas.grad, taller, dim=0)) == pytest.approx(1, abs=1e-5)
+    there = replace(case.fine, evidence=evidence, weights=weights).body_terms(
+        case.found.trajectory, taller, body.shape(taller)
+    )
+    assert float(there["height"]) == pytest.approx(0, abs=1e-6)

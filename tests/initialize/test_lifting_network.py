@@ -71,7 +71,9 @@ def test_a_claims_depth_is_shared(share: float) -> None:
     joints, start = people(2)
     middle, ones = torch.randn(2, 24, 3), torch.ones(2)
     windows = tuple(Window(20.0, 10.0, 90.0, CAMERA) for _ in range(2))
-    evidence = JointEvidence(windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start)
+    evidence = JointEvidence(
+        windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start, torch.tensor(0.5), ones[0]
+    )
     metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
     told = evidence.lifted(metres, share)
     across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
