@@ -43,12 +43,13 @@ def _with(**changes: Any) -> Callable[[FitConfig], FitConfig]:
     return lambda fit: fit.model_copy(update=changes)
 
 
-def _without(weight: str) -> Callable[[FitConfig], FitConfig]:
-    return lambda fit: fit.model_copy(update={"weights": fit.weights.model_copy(update={weight: 0.0})})
+def _without(*weights: str) -> Callable[[FitConfig], FitConfig]:
+    none = dict.fromkeys(weights, 0.0)
+    return lambda fit: fit.model_copy(update={"weights": fit.weights.model_copy(update=none)})
 
 
 def _without_evidence(fit: FitConfig) -> FitConfig:
-    return _without("joints")(_without("path")(_without("height")(fit))).model_copy(update={"settle": 0})
+    return _without("joints", "path", "height")(fit).model_copy(update={"settle": 0})
 
 
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {

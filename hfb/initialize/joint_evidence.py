@@ -1,6 +1,5 @@
 """What the joint network says about an observation, kept in the form that a fit compares itself with."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,14 +13,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
-from hfb.initialize.joint_network import (
-    HEIGHT_UNIT,
-    USUAL_HEIGHT_M,
-    JointClaim,
-    JointNetwork,
-    Window,
-    picture_channels,
-)
+from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
 from hfb.initialize.lifting_network import lift
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
@@ -110,11 +102,11 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
         windows.append(window)
         starts.append(start)
         told.append(
-            (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.height[0],
-             claim.log_height_scale[0].exp())
+            (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.log_height[0],
+             claim.height_scale[0])
         )  # fmt: skip
     # Copied: what inference mode makes must not enter a graph.
-    middle, scale, path, odds, height, height_scale = (
+    middle, scale, path, odds, log_height, height_scale = (
         torch.stack(values).clone() for values in zip(*told, strict=True)
     )
     forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
@@ -122,7 +114,7 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
     return JointEvidence(
         tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds, torch.stack(starts).to(middle),
         # The frames show the same proportions of the same person: their errors are alike, and no less for being many.
-        math.log(USUAL_HEIGHT_M) + HEIGHT_UNIT * height.mean(), HEIGHT_UNIT * height_scale.mean(),
+        log_height.mean(), height_scale.mean(),
     )  # fmt: skip
 
 
@@ -152,9 +144,9 @@ def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> Jo
     agree = 1.0 if float((path[0] * path[1]).sum()) >= 0 else -1.0
     log_odds = (claim.log_odds[0] + agree * claim.log_odds[1]) / 2
     path = torch.stack([path[0], agree * path[1]]).mean(0)
-    height, log_height_scale = claim.height.mean()[None], claim.log_height_scale.mean()[None]
+    log_height, height_scale = claim.log_height.mean()[None], claim.height_scale.mean()[None]
     return JointClaim(
-        joints.mean(0)[None], log_scale.mean(0)[None], path[None], log_odds[None], height, log_height_scale, ()
+        joints.mean(0)[None], log_scale.mean(0)[None], path[None], log_odds[None], log_height, height_scale, ()
     )
 
 

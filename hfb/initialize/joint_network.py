@@ -5,6 +5,7 @@ behind the pelvis in the same units at the pelvis' distance. So nothing depends 
 or the person's distance.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -22,10 +23,11 @@ from hfb.shapes import Array, Float, Shaped, Tensor
 PICTURE_PX = 96
 CHANNELS = 7
 ROUNDS = 3
-USUAL_HEIGHT_M, HEIGHT_UNIT = 1.7, 0.1
 _EXCHANGES = 4
 
 _MARGIN = 0.12
+_LOG_HEIGHT, _LOG_HEIGHT_UNIT = math.log(1.7), 0.1
+"""About the mean and the spread of grown people's heights [m], as logarithms: what is learned has about unit size."""
 _MAP, _DETAIL = 64, 32
 _LOOKS = (
     (0.0, 0.0),
@@ -128,8 +130,7 @@ class JointClaim:
         joints: at the middle of the exposure. log_scale: logarithm of the Laplace scale of each coordinate.
         path: from the exposure's start to its end, up to the sign that one picture cannot tell.
         log_odds: that ``path`` has the right sign, for the whole body.
-        height, log_height_scale: how tall the person stands, in `HEIGHT_UNIT` (logarithm) from `USUAL_HEIGHT_M`, by
-            proportions; the logarithm of its standard deviation.
+        log_height: how tall the person stands [m], by proportions. height_scale: its standard deviation.
         rounds: ``joints`` after each round, the last one included.
     """
 
@@ -137,8 +138,8 @@ class JointClaim:
     log_scale: Float[Tensor, "N 24 3"]
     path: Float[Tensor, "N 24 3"]
     log_odds: Float[Tensor, "N"]
-    height: Float[Tensor, "N"]
-    log_height_scale: Float[Tensor, "N"]
+    log_height: Float[Tensor, "N"]
+    height_scale: Float[Tensor, "N"]
     rounds: tuple[Float[Tensor, "N 24 3"], ...]
 
 
@@ -200,9 +201,9 @@ class JointNetwork(nn.Module):
         path, log_scale = self.say(tokens[:, :-1]).float().split(3, -1)
         odds = self.turn(tokens[:, -1]).float()[:, 0]
         height, log_height_scale = self.stature(tokens[:, -1]).float().unbind(1)
-        return JointClaim(
-            joints, (log_scale - 3).clamp(-7, 1), path, odds, height, log_height_scale.clamp(-3, 1), tuple(rounds)
-        )
+        log_height = _LOG_HEIGHT + _LOG_HEIGHT_UNIT * height
+        height_scale = _LOG_HEIGHT_UNIT * log_height_scale.clamp(-3, 1).exp()
+        return JointClaim(joints, (log_scale - 3).clamp(-7, 1), path, odds, log_height, height_scale, tuple(rounds))
 
 
 class _Exchange(nn.Module):

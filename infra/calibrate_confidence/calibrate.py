@@ -57,7 +57,7 @@ def main() -> None:
         odds["several"] = fit_direction_odds([direction for _, direction in several])
     else:
         odds["several"] = odds["single"]
-    write(options.out / "directions.json", odds | {"made_from": made_from})
+    write(options.out / "directions.json", odds | {"made_from": made_from | {"methods": [first]}})
 
 
 def read_cases(folder: Path, method: str) -> list[tuple[JointCase, DirectionCase]]:

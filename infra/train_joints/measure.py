@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from hfb.initialize.joint_network import HEIGHT_UNIT, USUAL_HEIGHT_M, JointNetwork
+from hfb.initialize.joint_network import JointNetwork
 
 
 class Pictures(Protocol):
@@ -54,8 +54,7 @@ def measure(network: JointNetwork, bank: Pictures, most: int = 600) -> dict[str,
         rows["still"].append(torch.minimum(forth, back) / path.norm(dim=-1).mean(1).clamp_min(1e-3))
         far = path.norm(dim=-1).mean(1) > 0.08
         rows["sign"].append(((claim.log_odds > 0) == (forth < back)).float()[far])
-        told = USUAL_HEIGHT_M * torch.exp(HEIGHT_UNIT * claim.height)
-        rows["height_cm"].append(100 * (told - torch.from_numpy(bank.height_m[chosen])).abs())
+        rows["height_cm"].append(100 * (claim.log_height.exp() - torch.from_numpy(bank.height_m[chosen])).abs())
         within.append(((claim.joints - truth[:, 1]).abs() < 0.693 * torch.exp(claim.log_scale)).float().mean((0, 1)))
     figures = {name: round(float(torch.cat(values).mean()), 3) for name, values in rows.items()}
     return figures | {"half_within": [round(float(one), 2) for one in torch.stack(within).mean(0)]}
@@ -69,11 +68,6 @@ def as_large(starts: torch.Tensor, truth: torch.Tensor, log_factor: torch.Tensor
     )
     factor = (wanted / spread * log_factor.exp())[:, None, None]
     return torch.cat([centre + (starts[..., :2] - centre) * factor, starts[..., 2:] * factor], -1)
-
-
-def as_told(height_m: np.ndarray) -> np.ndarray:
-    """Heights as the network tells them."""
-    return np.log(height_m / USUAL_HEIGHT_M) / HEIGHT_UNIT
 
 
 def relative(joints: torch.Tensor) -> torch.Tensor:

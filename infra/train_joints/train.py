@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from measure import as_large, as_told, measure
+from measure import as_large, measure
 from safetensors.torch import load_file
 
 from hfb.body.skeleton import MIRROR
@@ -141,12 +141,8 @@ def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.nd
     return starts.astype(np.float32)
 
 
-def loss_of(claim: JointClaim, truth: torch.Tensor, height: torch.Tensor) -> torch.Tensor:
-    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign; the height's likelihood.
-
-    Args:
-        height: (N,), as the network tells it.
-    """
+def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor) -> torch.Tensor:
+    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign, the height."""
     middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
     axes = truth.new_tensor(_AXES)
     joints = sum(
@@ -159,7 +155,7 @@ def loss_of(claim: JointClaim, truth: torch.Tensor, height: torch.Tensor) -> tor
     length = path.abs().mean((1, 2))
     sign = torch.nn.functional.binary_cross_entropy_with_logits(claim.log_odds, agrees.float(), reduction="none")
     moved = (length / 0.05).clamp(max=1)
-    tall = ((claim.height - height) * torch.exp(-claim.log_height_scale)).square() / 2 + claim.log_height_scale
+    tall = ((claim.log_height - height_m.log()) / claim.height_scale).square() / 2 + claim.height_scale.log()
     bones = claim.joints - claim.joints[:, :1] - (middle - middle[:, :1])
     return (
         10 * joints + 5 * (bones * axes).abs().mean() + 0.3 * likelihood + 6 * torch.minimum(forth, back).mean()
@@ -215,7 +211,7 @@ def main() -> None:
         network.train()
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
             claim = network(pictures, starts)
-        loss = loss_of(claim, truth, torch.from_numpy(as_told(bank.height_m[chosen])))
+        loss = loss_of(claim, truth, torch.from_numpy(bank.height_m[chosen]))
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)

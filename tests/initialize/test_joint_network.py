@@ -92,7 +92,7 @@ def test_every_weight_gets_a_gradient() -> None:
     network = JointNetwork()
     claim = network(torch.randn(2, CHANNELS, PICTURE_PX, PICTURE_PX), torch.randn(2, 24, 3) * 0.3)
     rounds = sum(one.square().sum() for one in claim.rounds)
-    tall = claim.height.square() + claim.log_height_scale
+    tall = claim.log_height.square() + claim.height_scale
     (rounds + claim.log_scale.sum() + claim.path.square().sum() + (claim.log_odds + tall).sum()).backward()
     assert not [name for name, values in network.named_parameters() if values.grad is None]
 
