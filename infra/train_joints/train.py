@@ -22,7 +22,8 @@ _AXES = (1.2, 1.2, 0.6)
 _TALL = 0.15
 _CHECKPOINT_S = 240
 _AVERAGE = 0.998
-_ROLLED, _ROLL_DEG, _LEANING, _LEAN_DEG = 0.25, 10.0, 0.3, 14.0
+_MOVED, _ROLL_DEG, _ZOOM, _SHIFT = 0.5, 7.0, 0.06, 0.04
+_LEANING, _LEAN_DEG = 0.3, 14.0
 _LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
 
@@ -62,7 +63,7 @@ def augmented(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Pictures, starts and truths (N, 3, 24, 3): mirrored, recoloured, with holes and other starts."""
     count = len(chosen)
-    pictures, truth, starts = _rolled(bank.batch(chosen), bank.truth[chosen], _confused(bank, chosen, rng), rng)
+    pictures, truth, starts = _moved(bank.batch(chosen), bank.truth[chosen], _confused(bank, chosen, rng), rng)
     pictures, truth = torch.from_numpy(pictures).float() / 127.5 - 1, torch.from_numpy(truth)
     starts = _leaning(starts, rng)
     # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
@@ -88,16 +89,18 @@ def augmented(
     return pictures.contiguous(memory_format=torch.channels_last), starts, truth
 
 
-def _rolled(
+def _moved(
     pictures: np.ndarray, truth: np.ndarray, starts: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A share of everything turned about the line of sight, as a camera held aslant sees it."""
+    """A share of everything turned about the line of sight, nearer or farther, a little aside: other windows."""
     truth, starts = truth.copy(), starts.copy()
-    for row in np.flatnonzero(rng.random(len(pictures)) < _ROLLED):
+    for row in np.flatnonzero(rng.random(len(pictures)) < _MOVED):
         angle = np.deg2rad(np.clip(rng.normal(0, _ROLL_DEG), -30, 30))
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]], np.float32)
+        zoom, shift = np.exp(rng.normal(0, _ZOOM)), rng.normal(0, _SHIFT, 2)
+        turn = zoom * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         middle = (PICTURE_PX - 1) / 2
-        matrix = np.concatenate([turn, (middle - turn @ (middle, middle))[:, None]], 1)
+        move = middle - turn @ (middle, middle) + shift * PICTURE_PX / 2
+        matrix = np.concatenate([turn, move[:, None]], 1).astype(np.float32)
         layers = pictures[row].transpose(1, 2, 0)
         parts = [
             cv2.warpAffine(
@@ -106,7 +109,9 @@ def _rolled(
             for few in (slice(0, 4), slice(4, 7))  # OpenCV turns four channels at most
         ]
         pictures[row] = np.concatenate(parts, -1).transpose(2, 0, 1)
-        truth[row, ..., :2], starts[row, :, :2] = truth[row, ..., :2] @ turn.T, starts[row, :, :2] @ turn.T
+        for places in (truth[row], starts[row]):
+            places[..., :2] = places[..., :2] @ turn.T + shift
+            places[..., 2] *= zoom
     return pictures, truth, starts
 
 
