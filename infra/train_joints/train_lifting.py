@@ -58,9 +58,9 @@ class Bank:
 
 def _of_pictures(folder: Path) -> dict[str, np.ndarray]:
     """The middle and one end of each exposure as two frames."""
-    with np.load(folder / "joints.npz") as file:
-        done = int(file["done"])
-        truth, starts, unit_m = (file[name][:done] for name in ("truth", "starts", "unit_m"))
+    file = read_arrays(folder / "joints.npz")
+    done = int(file["done"])
+    truth, starts, unit_m = (file[name][:done] for name in ("truth", "starts", "unit_m"))
     end = 2 * np.random.default_rng(3).integers(2, size=done)
     joints = np.stack([truth[:, 1], truth[np.arange(done), end]], 1)
     return {"joints": joints, "starts": starts, "unit_m": np.repeat(unit_m[:, None], 2, 1)}
