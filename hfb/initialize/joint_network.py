@@ -130,7 +130,7 @@ class JointClaim:
         joints: at the middle of the exposure. log_scale: logarithm of the Laplace scale of each coordinate.
         path: from the exposure's start to its end, up to the sign that one picture cannot tell.
         log_odds: that ``path`` has the right sign, for the whole body.
-        log_height: how tall the person stands [m], by proportions. height_scale: its standard deviation.
+        log_height: logarithm of how tall the person stands [m], by proportions. height_scale: its standard deviation.
         rounds: ``joints`` after each round, the last one included.
     """
 

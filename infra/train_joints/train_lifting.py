@@ -22,8 +22,10 @@ _STEPS_MM = {
     "hip": 6, "knee": 11, "ankle": 8, "foot": 8, "collar": 7, "shoulder": 7, "elbow": 10, "wrist": 16, "hand": 15,
     "spine1": 4, "spine2": 5, "spine3": 6, "neck": 7, "head": 5, "pelvis": 0,
 }  # fmt: skip
-"""How far a fit's joints are off across the view, added at each joint: measured on 160 frames
-of held-out motions (16 mm in the mean; 25 until 2026-11-24)."""
+"""How far a fit's joints are off across the view, added at each joint: measured on 160 frames of held-out motions.
+
+16 mm in the mean; 25 until 2026-11-24.
+"""
 
 _INHERITED = 0.6
 _TOWARDS_START = 0.15
@@ -57,7 +59,7 @@ class Bank:
 
 
 def _of_pictures(folder: Path) -> dict[str, np.ndarray]:
-    """The middle and one end of each exposure as two frames."""
+    """The middle and one end of each exposure as two frames: nearer to each other than two exposures are."""
     file = read_arrays(folder / "joints.npz")
     done = int(file["done"])
     truth, starts, unit_m = (file[name][:done] for name in ("truth", "starts", "unit_m"))
