@@ -75,12 +75,14 @@ def test_a_claims_depth_is_shared(share: float) -> None:
         windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start, torch.tensor(0.5), ones[0]
     )
     metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
-    told = evidence.lifted(metres, share)
+    told = evidence.lifted(share, metres)
     across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
     expected = (1 - share) * middle[..., 2] + share * lift(across, start)
     torch.testing.assert_close(told.middle[..., 2], expected)
     assert torch.equal(told.middle[..., :2], middle[..., :2])
     assert torch.equal(told.scale, evidence.scale)
+    own = evidence.lifted(share).middle[..., 2]  # no fit yet: the claim's own joints across the view
+    torch.testing.assert_close(own, (1 - share) * middle[..., 2] + share * lift(middle, start))
 
 
 def test_the_record_is_of_these_weights() -> None:
