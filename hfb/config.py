@@ -170,7 +170,7 @@ class FitConfig(Record):
         0.0,
         ge=0,
         le=1,
-        description="share of the lifting network in the joint network's depth, before and between the stages",
+        description="share of the lifting network in the joint network's depth, after every stage but the last",
     )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"

@@ -135,9 +135,6 @@ def _objective(
     """Eq. (11) in the window around the mattes at its full size."""
     first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(observation.mattes))
     looks = config.settle > 0 or config.weights.joints + config.weights.path + config.weights.height > 0
-    evidence = look_for_joints(observation, first_bodies, body) if looks else None
-    if evidence is not None and config.lifting > 0:
-        evidence = evidence.lifted(config.lifting)
     return Objective(
         observation.cropped(*observation.region()),
         body,
@@ -149,7 +146,7 @@ def _objective(
         _texels(body, config) if config.weights.texture > 0 else None,
         matte_scales=config.matte_scales,
         image_scales=config.image_scales,
-        evidence=evidence,
+        evidence=look_for_joints(observation, first_bodies, body) if looks else None,
         motion_prior=motion_prior,
     )
 
@@ -166,7 +163,7 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
     for number, stage in enumerate(stages):
         if number > 0 and claimed is not None and config.lifting > 0:
             found = variables.joints_at_middle(everywhere.body)
-            everywhere = replace(everywhere, evidence=claimed.lifted(config.lifting, found))
+            everywhere = replace(everywhere, evidence=claimed.lifted(found, config.lifting))
         seen = everywhere.observation.resized(stage.size_px)
         visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)

@@ -62,14 +62,13 @@ class JointEvidence:
         way = self._units(closing) - self._units(opening)
         return -self.log_odds * torch.cosine_similarity(way.flatten(1), self.path.flatten(1))
 
-    def lifted(self, share: float, joints: Float[Tensor, "T 24 3"] | None = None) -> "JointEvidence":
-        """The claim with a share of its depth from the lifting network, which looks at joints across the view.
+    def lifted(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
+        """The claim with a share of its depth from the lifting network, which looks at a fit's joints across the view.
 
         Args:
-            joints: of a fit at mid-exposure, camera coordinates [m]; the claim's own when not given.
+            joints: of the fit at mid-exposure, camera coordinates [m].
         """
-        places = self.middle if joints is None else self._units(joints)
-        depth = torch.lerp(self.middle[..., 2], lift(places, self.start).to(self.middle), share)
+        depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start).to(self.middle), share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:

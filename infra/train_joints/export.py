@@ -25,8 +25,8 @@ _DATA = {
     "starts": "drawn by hfb.datasets.network_errors, placed beside the person",
     "while learning": "mirrored, colours exchanged, holes in mattes; from run13 on a quarter turned about the "
     "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); from run14 on "
-    "errors across the view weighed above depth, and the path half as much again; from run15 on the height, too; from "
-    "run16 on a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %)",
+    "errors across the view weighed above depth, and the path half as much again; from run15 on the height, too; in "
+    "run16 a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %)",
 }
 
 

@@ -45,7 +45,7 @@ def test_depth_is_nearer_than_the_guess_and_nearest_with_a_neighbour() -> None:
     pairs = torch.cat([lift(seen[frame : frame + 2], start[frame : frame + 2]) for frame in range(0, 60, 2)])
     off_alone, off_pairs = ((told - truth[..., 2]).abs().mean() for told in (alone, pairs))
     assert off_alone < 0.6 * guessed
-    assert off_pairs < 0.99 * off_alone  # 31.2 and 31.8 mm on held-out people with a fit's errors (data/lifting.json)
+    assert off_pairs < 0.97 * off_alone
 
 
 def test_time_has_no_arrow_and_a_frame_alone_is_its_own_neighbour() -> None:
@@ -75,14 +75,12 @@ def test_a_claims_depth_is_shared(share: float) -> None:
         windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start, torch.tensor(0.5), ones[0]
     )
     metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
-    told = evidence.lifted(share, metres)
+    told = evidence.lifted(metres, share)
     across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
     expected = (1 - share) * middle[..., 2] + share * lift(across, start)
     torch.testing.assert_close(told.middle[..., 2], expected)
     assert torch.equal(told.middle[..., :2], middle[..., :2])
     assert torch.equal(told.scale, evidence.scale)
-    own = evidence.lifted(share).middle[..., 2]  # no fit yet: the claim's own joints across the view
-    torch.testing.assert_close(own, (1 - share) * middle[..., 2] + share * lift(middle, start))
 
 
 def test_the_record_is_of_these_weights() -> None:
