@@ -172,6 +172,12 @@ class FitConfig(Record):
         le=1,
         description="share of the lifting network in the joint network's depth, after every stage but the last",
     )
+    across: float = Field(
+        1.0,
+        ge=0,
+        le=1,
+        description="share of the joint network's word across the view in the stages; outlines tell it, but not depth",
+    )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
     )
@@ -286,6 +292,7 @@ _BEST = FitConfig(
     directions=DirectionsConfig(search=True),
     settle=80,
     lifting=0.75,
+    across=0.2,
     size_moves_away=True,
     weights=Weights(
         image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04

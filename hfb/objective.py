@@ -37,6 +37,7 @@ class Objective:
         first: rotations of the first bodies, for the term that holds on to them.
         visible: texels seen in some sub-frame, for L_S; every texel when not given.
         evidence: where the joint network saw the joints, for the terms that compare with it.
+        across: share of the evidence's word on joints across the view; what it says of their depth counts whole.
         motion_prior: for L_A, which a single frame alone has: its neighbours know the direction better.
         settling: before any picture the path counts with the sign that is likelier, and in several frames too. A single
             frame's picture leaves the sign open; several frames know their paths better from each other.
@@ -55,6 +56,7 @@ class Objective:
     matte_scales: int = 1
     image_scales: int = 1
     evidence: JointEvidence | None = None
+    across: float = 1.0
     motion_prior: MotionPrior | None = None
     settling: bool = False
 
@@ -100,7 +102,8 @@ class Objective:
             some = [0, -2, -1] if whole else [-1]  # opening, closing and middle of the exposure
             places = rotations[:, some].flatten(0, 1), translations[:, some].flatten(0, 1)
             joints = shaped.joints_of(*places).unflatten(0, (frames, len(some)))
-            terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]))
+            share = joints.new_tensor([self.across, self.across, 1.0])
+            terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]), share)
             if whole:
                 terms["path"] = self._path_term(self.evidence, joints[:, 0], joints[:, 1])
         if weights.pose > 0:

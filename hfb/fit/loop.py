@@ -147,6 +147,7 @@ def _objective(
         matte_scales=config.matte_scales,
         image_scales=config.image_scales,
         evidence=look_for_joints(observation, first_bodies, body) if looks else None,
+        across=config.across,
         motion_prior=motion_prior,
     )
 

@@ -24,7 +24,7 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
         image=0, matte=0, boundary=held.boundary, joints=_JOINTS, path=_PATH, height=held.height,
         pose=held.pose / 20, shape=held.shape, motion=held.motion / 10, start=held.start / 10,
     )  # fmt: skip
-    skeleton = replace(objective, weights=weights, settling=True)
+    skeleton = replace(objective, weights=weights, across=1.0, settling=True)
     trajectory = variables.trajectory
     groups = [
         {"params": [trajectory.rotation, trajectory.translation], "lr": _RATE},

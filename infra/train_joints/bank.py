@@ -54,10 +54,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--frame-px", type=int, default=256, help="width of a frame; 144 until run17")
     parser.add_argument("--split", default="train", choices=SPLITS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    studio = Studio(options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed)
+    studio = Studio(
+        options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px
+    )
     options.out.mkdir(parents=True, exist_ok=True)
     shape = (options.count, CHANNELS, PICTURE_PX, PICTURE_PX)
     pictures = np.lib.format.open_memmap(options.out / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from bank import SPLITS, split
-from people import FRAME_PX, INSTANTS, People, draw_amplitude
+from people import INSTANTS, People, draw_amplitude
 
 from hfb.datasets.network_errors import draw_turns
 from hfb.datasets.viewpoints import PlacedCamera, front_of, in_camera, place
@@ -21,6 +21,7 @@ _EXPOSURES = ((0, 2, 4), (6, 8, 10))
 """Instants of two exposures: beginning, middle and end."""
 _SECONDS = (0.04, 1.2)
 _AT_ONCE = 100
+_FRAME_PX = 144
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Skeletons(People):
             axis_angle_to_matrix(torch.from_numpy(poses).float()), torch.from_numpy(places).float()
         )
         points = world.reshape(-1, 3).double().numpy()
-        camera = place(self._view(rng), front_of(poses[INSTANTS // 2, 0]), points, FRAME_PX)
+        camera = place(self._view(rng), front_of(poses[INSTANTS // 2, 0]), points, self.frame_px)
         seen, translations = in_camera(camera, poses, places, shaped.joints[0].double().numpy())
         rotations = axis_angle_to_matrix(torch.from_numpy(seen).float())
         joints = shaped.joints_of(rotations, torch.from_numpy(translations).float())
@@ -97,7 +98,7 @@ def main() -> None:
     parser.add_argument("--split", default="train", choices=SPLITS)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    people = Skeletons(options.mocap, split(options.mocap, options.split), options.seed)
+    people = Skeletons(options.mocap, split(options.mocap, options.split), options.seed, _FRAME_PX)
     joints = np.zeros((options.count, 2, 24, 3), np.float32)
     starts, unit_m = np.zeros_like(joints), np.zeros((options.count, 2), np.float32)
     began = time.monotonic()

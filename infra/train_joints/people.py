@@ -18,7 +18,6 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 STARTS = 2
-FRAME_PX = 144
 INSTANTS = 11
 _MIXED, _BENT, _FROM_BEHIND = 0.6, 0.5, 0.15
 _PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
@@ -30,8 +29,9 @@ _SHORTEST_S, _LONGEST_S = 0.02, 0.5
 class People:
     """Motions and the body; everything drawn from them is a function of the generator."""
 
-    def __init__(self, mocap: Path, clips: list[str], seed: int) -> None:
+    def __init__(self, mocap: Path, clips: list[str], seed: int, frame_px: int) -> None:
         """Read the named clips."""
+        self.frame_px = frame_px
         source = open_motions(mocap, seed)
         named = [index for index, name in enumerate(source.names()) if Path(name).stem in clips]
         made = open_motions(None, seed)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from people import FRAME_PX, INSTANTS, People
+from people import INSTANTS, People
 
 from hfb.body.height import height_m
 from hfb.datasets.backgrounds import room_background
@@ -45,9 +45,9 @@ class Sample:
 class Studio(People):
     """Motions, scenes and the body; everything drawn from them is a function of the sample's number."""
 
-    def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int) -> None:
+    def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int, frame_px: int) -> None:
         """Read the named clips and make the scenes."""
-        super().__init__(mocap, clips, seed)
+        super().__init__(mocap, clips, seed, frame_px)
         self.rasterizer = make_rasterizer("coverage", "cpu", 1)
         self.matting = NetworkMatting()
         self.scenes = []
@@ -55,7 +55,7 @@ class Studio(People):
             rng = np.random.default_rng([seed, 77, number])
             photos = backgrounds / ("polyhaven" if number % 4 else "budgie")
             textures = backgrounds / "textures" if number % 3 == 0 else None
-            scene = draw_scenery(photos if number % 5 else None, textures, self.body, FRAME_PX, rng)
+            scene = draw_scenery(photos if number % 5 else None, textures, self.body, self.frame_px, rng)
             self.scenes.append((scene.plate_linear, scene.texture_linear))
 
     def draw(self, rng: np.random.Generator) -> Sample:
@@ -77,7 +77,7 @@ class Studio(People):
         view = self._view(rng)
         world = shaped.pose(axis_angle_to_matrix(torch.from_numpy(poses).float()), torch.from_numpy(places).float())
         points = world.vertices[:, ::13].reshape(-1, 3).double().numpy()
-        camera = place(view, front_of(poses[INSTANTS // 2, 0]), points, FRAME_PX)
+        camera = place(view, front_of(poses[INSTANTS // 2, 0]), points, self.frame_px)
         vertices = world.vertices @ torch.from_numpy(camera.R_camera_world).float().T
         vertices = vertices + torch.from_numpy(camera.offset).float()
         plate, texture = self._scene(rng)
@@ -107,7 +107,7 @@ class Studio(People):
         if rng.random() < 0.5:
             plate = plate.flip(1)
         if rng.random() < 0.2:
-            room = room_background(FRAME_PX, FRAME_PX, rng).astype(np.float32)
+            room = room_background(self.frame_px, self.frame_px, rng).astype(np.float32)
             plate = torch.from_numpy(srgb_to_linear(room))
         tint = torch.from_numpy(np.exp(rng.normal(0, 0.25, 3))).float()
         return plate * float(np.exp(rng.normal(0, 0.15))), (texture * tint).clamp(0, 1)

@@ -22,7 +22,7 @@ _AXES = (1.2, 1.2, 0.6)
 _TALL = 0.15
 _CHECKPOINT_S = 240
 _AVERAGE = 0.998
-_MOVED, _ROLL_DEG, _ZOOM, _SHIFT = 0.5, 7.0, 0.06, 0.04
+_MOVED, _ROLL_DEG, _ZOOM, _SHIFT = 0.8, 9.0, 0.08, 0.04
 _LEANING, _LEAN_DEG = 0.3, 14.0
 _LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
@@ -52,6 +52,12 @@ class Bank:
 
     def __len__(self) -> int:
         return len(self.row)
+
+    def draw(self, rng: np.random.Generator, count: int, last: float) -> np.ndarray:
+        """Numbers of pictures (count,), a share of them of the last folder."""
+        ours = int(last * count)
+        newest = np.flatnonzero(self.folder == len(self.folders) - 1)
+        return np.concatenate([rng.choice(newest, ours), rng.integers(len(self), size=count - ours)])
 
     def batch(self, chosen: np.ndarray) -> np.ndarray:
         """(N, C, H, W) uint8."""
@@ -168,6 +174,42 @@ def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor) -> t
     )  # fmt: skip
 
 
+class Optimizer:
+    """Muon (Jordan, 2024) for hidden layers' weights, as matrices; AdamW for names, norms, biases, last layers."""
+
+    _LAST = ("name", "move", "say", "turn", "stature")
+
+    def __init__(self, network: JointNetwork, rate: float) -> None:
+        """Matrices share the network's memory, whose convolutions lie channels last."""
+        self._layers, rest = [], []
+        for name, weights in network.named_parameters():
+            if weights.dim() >= 2 and name.split(".")[0] not in self._LAST:
+                matrix = torch.nn.Parameter(_as_matrix(weights.data))
+                if matrix.data_ptr() != weights.data_ptr():
+                    raise ValueError(f"{name}: its matrix is a copy; the network has to lie channels last")
+                self._layers.append((weights, matrix))
+            else:
+                rest.append(weights)
+        matrices = [matrix for _, matrix in self._layers]
+        self._parts = (
+            torch.optim.AdamW(rest, lr=rate, weight_decay=0.05, fused=True),
+            torch.optim.Muon(matrices, lr=rate, weight_decay=0.05, adjust_lr_fn="match_rms_adamw"),
+        )
+
+    def step(self, rate: float) -> None:
+        """One step along the network's gradients."""
+        for weights, matrix in self._layers:
+            matrix.grad = None if weights.grad is None else _as_matrix(weights.grad)
+        for part in self._parts:
+            for group in part.param_groups:
+                group["lr"] = rate
+            part.step()
+
+
+def _as_matrix(weights: torch.Tensor) -> torch.Tensor:
+    return weights.permute(0, 2, 3, 1).flatten(1) if weights.dim() == 4 else weights
+
+
 def _weights(path: Path) -> dict[str, torch.Tensor]:
     if path.suffix == ".safetensors":
         return {name: weights.float() for name, weights in load_file(path).items()}
@@ -176,7 +218,7 @@ def _weights(path: Path) -> dict[str, torch.Tensor]:
 
 
 def main() -> None:
-    """AdamW, a cosine over the iterations, averaged weights; at times a checkpoint, figures and newer pictures."""
+    """A cosine over the iterations, averaged weights; at times a checkpoint, figures and newer pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bank", type=Path, nargs="+", required=True)
     parser.add_argument("--dev", type=Path, required=True)
@@ -186,6 +228,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=64)
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--last", type=float, default=0.0, help="share of every batch that the last bank gets at least")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--bfloat16", action="store_true", help="on processors that compute in it; on others far slower"
@@ -201,7 +244,7 @@ def main() -> None:
         network.load_state_dict(_weights(options.go_on), strict=False)  # layers that are new add nothing at first
     network = network.to(memory_format=torch.channels_last)
     average = copy.deepcopy(network)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=0.05, fused=True)
+    optimizer = Optimizer(network, options.rate)
     bank, dev = Bank(options.bank), Bank([options.dev])
     options.out.mkdir(parents=True, exist_ok=True)
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
@@ -209,18 +252,16 @@ def main() -> None:
         spent = time.monotonic() - began
         progress = min(1.0, max(iteration / options.iterations, spent / 60 / options.minutes))
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        chosen = rng.integers(len(bank), size=options.batch)
+        chosen = bank.draw(rng, options.batch, options.last)
         pictures, starts, truth = augmented(bank, chosen, rng)
         network.train()
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
             claim = network(pictures, starts)
         loss = loss_of(claim, truth, torch.from_numpy(bank.height_m[chosen]))
-        optimizer.zero_grad()
+        network.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
+        optimizer.step(rate)
         keep = min(_AVERAGE, (iteration + 1) / (iteration + 10))
         with torch.no_grad():
             for mean, new in zip(average.state_dict().values(), network.state_dict().values(), strict=True):

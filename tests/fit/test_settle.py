@@ -33,7 +33,10 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     variables = start_variables([start], seen, config, torch.Generator().manual_seed(0))
     first = axis_angle_to_matrix(start.pose)[None]
     rasterizer = make_rasterizer("coverage", "cpu", 1)
-    objective = Objective(seen, body, rasterizer, AnatomicalPrior(), config.weights, 8, first, evidence=evidence)
+    objective = Objective(
+        seen, body, rasterizer, AnatomicalPrior(), config.weights, 8, first, evidence=evidence,
+        across=0.0,  # that is for pictures, of which there are none here
+    )  # fmt: skip
 
     def error_mm() -> tuple[float, float]:
         """Of the joints at mid-exposure, and of their way during the exposure, relative to the pelvis."""
@@ -70,6 +73,22 @@ def test_one_picture_leaves_the_way_open_and_several_frames_know_it_themselves(f
     assert right is not None
     assert path(back, settling=True) > 3 * right
     assert path(back, settling=False) == (pytest.approx(right, rel=1e-4) if frames == 1 else None)
+
+
+@pytest.mark.parametrize("across", [0.0, 0.2, 1.0])
+def test_a_share_of_the_claim_counts_across_the_view_and_all_of_its_depth(across: float) -> None:
+    case = done(1)
+    evidence = true_evidence(case.scene)
+    weights = Weights(image=0, matte=0, boundary=0, joints=1)
+    shaped = case.fine.body.shape(case.found.betas)
+
+    def term(beside: tuple[float, float, float]) -> float:
+        elsewhere = replace(evidence, middle=evidence.middle + 1e4 * evidence.scale * torch.tensor(beside))
+        objective = replace(case.fine, evidence=elsewhere, weights=weights, across=across)
+        return float(objective.body_terms(case.found.trajectory, case.found.betas, shaped)["joints"])
+
+    assert term((1, 1, 0)) == pytest.approx(2e4 / 3 * across, rel=1e-2, abs=1)
+    assert term((0, 0, 1)) == pytest.approx(1e4 / 3, rel=1e-2)
 
 
 def test_a_claimed_height_is_taken_over_and_no_pose_moves_for_it() -> None:

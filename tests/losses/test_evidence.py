@@ -19,3 +19,10 @@ def test_gradient_is_that_of_finite_differences_and_zero_at_the_claim() -> None:
     still = torch.zeros(1, 24, 3, requires_grad=True)
     evidence_loss(still).backward()
     assert torch.equal(still.grad, torch.zeros_like(still))
+
+
+def test_a_share_weighs_the_coordinates_it_belongs_to() -> None:
+    off = torch.randn(2, 24, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    across, depth = evidence_loss(off[..., :2]), evidence_loss(off[..., 2:])
+    share = off.new_tensor([0.2, 0.2, 1.0])
+    torch.testing.assert_close(evidence_loss(off, share), (2 * 0.2 * across + depth) / 3)
