@@ -29,6 +29,8 @@ DEMO_ROWS = (
     Row("MPJPE [mm]", "mpjpe_mm", ".1f"),
     Row("PA-MPJPE [mm]", "pa_mpjpe_mm", ".1f"),
     Row("IoU", "iou", ".3f"),
+    Row("better way: MPJPE", "better_mpjpe_mm", ".1f"),  # of time, which one picture does not tell
+    Row("better way: IoU", "better_iou", ".3f"),
     Row("image PSNR [dB]", "psnr_db", ".1f"),
 )
 

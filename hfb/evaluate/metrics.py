@@ -111,8 +111,8 @@ def subset_errors(
     )
 
 
-def reverse_time(joints: Float[Array, "R J 3"], frames: int = 1) -> Float[Array, "R J 3"]:
-    """The same poses with the sub-frames of every frame in the opposite order.
+def reverse_time(joints: Float[Array, "R *s"], frames: int = 1) -> Float[Array, "R *s"]:
+    """The same poses, or silhouettes, with the sub-frames of every frame in the opposite order.
 
     A uniform exposure looks the same either way: this is what one frame cannot tell.
     """

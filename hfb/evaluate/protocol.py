@@ -8,7 +8,7 @@ import torch
 
 from hfb.body.model import Body, PosedBody
 from hfb.datasets.truth import Truth
-from hfb.evaluate.metrics import motion_errors, psnr_db, silhouette_iou, soft_iou
+from hfb.evaluate.metrics import motion_errors, psnr_db, reverse_time, silhouette_iou, soft_iou, wrong_direction
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.sampled import SampledMotion, still_motion
@@ -62,8 +62,8 @@ def picture_scores(blurred: Float[Tensor, "T H W 4"], observation: Observation) 
 def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Rasterizer) -> dict[str, float]:
     """All motion errors [mm] and the silhouette IoU against the truth at the nearest instants.
 
-    ``mpjpe_mm`` keeps the direction of time that the fit chose; ``better_mpjpe_mm`` takes the better of it and
-    its reverse, which no single uniformly exposed picture can tell apart.
+    ``mpjpe_mm`` and ``iou`` keep the direction of time that the fit chose; ``better_mpjpe_mm`` and ``better_iou`` take
+    the better of it and its reverse by MPJPE, which no single uniformly exposed picture can tell apart.
     """
     nearest = np.abs(truth.motion.times_s[None, :] - motion.times_s[:, None]).argmin(1)
     height, width = truth.silhouettes.shape[1:]
@@ -74,7 +74,10 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
             silhouettes[row] = rasterizer.silhouette_mean(vertices[None], camera, body.mesh) >= 0.5
     frames = int(motion.frame_index.max()) + 1
     errors = motion_errors(motion.joints, truth.motion.joints[nearest], frames)
-    return asdict(errors) | {"iou": silhouette_iou(silhouettes, truth.silhouettes[nearest].astype(np.float32))}
+    shown = truth.silhouettes[nearest].astype(np.float32)
+    turned = np.repeat(wrong_direction(motion.joints, truth.motion.joints[nearest], frames), len(nearest) // frames)
+    better = np.where(turned[:, None, None], reverse_time(silhouettes, frames), silhouettes)
+    return asdict(errors) | {"iou": silhouette_iou(silhouettes, shown), "better_iou": silhouette_iou(better, shown)}
 
 
 def at_rest(first_bodies: Sequence[FirstBody], like: SampledMotion, body: Body) -> SampledMotion:

@@ -26,7 +26,8 @@ _DATA = {
     "while learning": "mirrored, colours exchanged, holes in mattes; from run13 on a quarter turned about the "
     "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); from run14 on "
     "errors across the view weighed above depth, and the path half as much again; from run15 on the height, too; in "
-    "run16 a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %)",
+    "run16 and run17 a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %), in run18 eight in ten "
+    "(9 degrees, 8 %, 4 %)",
 }
 
 

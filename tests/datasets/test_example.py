@@ -1,5 +1,6 @@
 """The embedded example is reproducible, and its files agree with each other."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hfb.evaluate.metrics import blur_rate
 from hfb.evaluate.protocol import pose_rows, truth_scores
 from hfb.export.motion_file import save_motion
 from hfb.media.pictures import read_picture_srgb
+from hfb.motion.sampled import SampledMotion
 from hfb.render.rasterizer import make_rasterizer
 
 
@@ -49,6 +51,14 @@ def test_the_motion_renders_to_its_silhouettes(example: ExamplePaths) -> None:
     scores = truth_scores(truth.motion, truth, body, rasterizer)
     assert scores["iou"] > 0.999
     assert scores["mpjpe_mm"] < 1e-3
+    back = truth_scores(reversed_in_time(truth.motion), truth, body, rasterizer)
+    assert back["iou"] < 0.95
+    assert back["better_iou"] > 0.999
+    assert back["wrong_direction"] == 1
+
+
+def reversed_in_time(motion: SampledMotion) -> SampledMotion:
+    return replace(motion, poses=motion.poses[::-1], trans=motion.trans[::-1], joints=motion.joints[::-1])
 
 
 def test_a_motion_without_silhouettes_is_no_truth(example: ExamplePaths, tmp_path: Path) -> None:
