@@ -127,12 +127,17 @@ def wrong_direction(
     return np.array([metric(one[::-1], other) < metric(one, other) for one, other in pairs])
 
 
+def turned_in_time(rows: Float[Array, "R *s"], wrong: Bool[Array, "T"]) -> Float[Array, "R *s"]:
+    """The same rows, with time reversed in the frames whose direction is wrong."""
+    turned = np.repeat(wrong, len(rows) // len(wrong))
+    return np.where(turned.reshape(-1, *[1] * (rows.ndim - 1)), reverse_time(rows, len(wrong)), rows)
+
+
 def better_of_both(
     metric: Metric, predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1
 ) -> float:
     """The metric of the prediction with every frame turned to the direction of time that suits it better."""
-    turned = np.repeat(wrong_direction(predicted, truth, frames, metric), len(predicted) // frames)
-    return metric(np.where(turned[:, None, None], reverse_time(predicted, frames), predicted), truth)
+    return metric(turned_in_time(predicted, wrong_direction(predicted, truth, frames, metric)), truth)
 
 
 @dataclass(frozen=True)

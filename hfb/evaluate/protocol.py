@@ -8,7 +8,14 @@ import torch
 
 from hfb.body.model import Body, PosedBody
 from hfb.datasets.truth import Truth
-from hfb.evaluate.metrics import motion_errors, psnr_db, reverse_time, silhouette_iou, soft_iou, wrong_direction
+from hfb.evaluate.metrics import (
+    motion_errors,
+    psnr_db,
+    silhouette_iou,
+    soft_iou,
+    turned_in_time,
+    wrong_direction,
+)
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.sampled import SampledMotion, still_motion
@@ -73,11 +80,12 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
         for row, vertices in enumerate(pose_rows(motion, np.arange(len(nearest)), body).vertices):
             silhouettes[row] = rasterizer.silhouette_mean(vertices[None], camera, body.mesh) >= 0.5
     frames = int(motion.frame_index.max()) + 1
-    errors = motion_errors(motion.joints, truth.motion.joints[nearest], frames)
-    shown = truth.silhouettes[nearest].astype(np.float32)
-    turned = np.repeat(wrong_direction(motion.joints, truth.motion.joints[nearest], frames), len(nearest) // frames)
-    better = np.where(turned[:, None, None], reverse_time(silhouettes, frames), silhouettes)
-    return asdict(errors) | {"iou": silhouette_iou(silhouettes, shown), "better_iou": silhouette_iou(better, shown)}
+    true, shown = truth.motion.joints[nearest], truth.silhouettes[nearest].astype(np.float32)
+    better = turned_in_time(silhouettes, wrong_direction(motion.joints, true, frames))
+    return asdict(motion_errors(motion.joints, true, frames)) | {
+        "iou": silhouette_iou(silhouettes, shown),
+        "better_iou": silhouette_iou(better, shown),
+    }
 
 
 def at_rest(first_bodies: Sequence[FirstBody], like: SampledMotion, body: Body) -> SampledMotion:
