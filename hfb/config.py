@@ -178,6 +178,13 @@ class FitConfig(Record):
         le=1,
         description="share of the joint network's word across the view in the stages; outlines tell it, but not depth",
     )
+    compare: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of what the joint network sees to differ between the picture and the fit's own, before the "
+        "last stage",
+    )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
     )
@@ -293,6 +300,7 @@ _BEST = FitConfig(
     settle=80,
     lifting=0.75,
     across=0.2,
+    compare=0.75,
     size_moves_away=True,
     weights=Weights(
         image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04

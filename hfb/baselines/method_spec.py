@@ -49,7 +49,7 @@ def _without(*weights: str) -> Callable[[FitConfig], FitConfig]:
 
 
 def _without_evidence(fit: FitConfig) -> FitConfig:
-    return _without("joints", "path", "height")(fit).model_copy(update={"settle": 0})
+    return _without("joints", "path", "height")(fit).model_copy(update={"settle": 0, "compare": 0.0})
 
 
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
@@ -59,6 +59,7 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     "no-evidence": _without_evidence,
     "settled": _with(stages=()),
     "no-lifting": _with(lifting=0.0),
+    "no-compare": _with(compare=0.0),
     "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
@@ -71,6 +72,7 @@ MODIFIERS: Mapping[str, str] = {
     f"best-no-{{{','.join(Weights.model_fields)}}}": "Human from Blur without one term of its loss; also paper-no-...",
     "best-no-pyramid, best-no-kick": "one stage at full size; no first velocity of the root",
     "best-no-lifting": "without the lifting network, which tells depth from joints across the view",
+    "best-no-compare": "the joint network does not look at the fit's own picture",
     "best-no-evidence": "without the joint network; best-settled: with nothing but it, no picture is compared",
     "best-no-directions": "the motion as fitted, no search for its directions",
     "best-dibr, paper-coverage": "the other preset's silhouette",

@@ -25,6 +25,7 @@ _MEANS = {
     "initial_depth_mm": "initial_depth_mm",
     "wrong_direction": "wrong_direction",
     "best_of_two_mpjpe_mm": "better_mpjpe_mm",
+    "best_of_two_iou": "better_iou",
     "sharp_psnr_db": "sharp_psnr_db",
     "sharp_ssim": "sharp_ssim",
     "matte_iou": "matte_iou",

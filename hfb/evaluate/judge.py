@@ -18,6 +18,7 @@ from hfb.evaluate.metrics import (
     silhouette_iou,
     ssim,
     subset_errors,
+    turned_in_time,
     wrong_direction,
 )
 from hfb.evaluate.protocol import at_rest, picture_scores, pose_rows
@@ -65,9 +66,12 @@ def judge(
         silhouettes = _silhouettes(prediction, body, truth)
         if silhouettes is not None:
             nearest = _nearest(_clock(len(silhouettes), observation), truth.motion.times_s)
-            scores["iou"] = silhouette_iou(
-                silhouettes.astype(np.float32), truth.silhouettes[nearest].astype(np.float32)
-            )  # fmt: skip
+            shown = truth.silhouettes[nearest].astype(np.float32)
+            drawn = silhouettes.astype(np.float32)
+            scores["iou"] = silhouette_iou(drawn, shown)
+            if prediction.motion is not None:
+                wrong = wrong_direction(prediction.motion.joints, truth.motion.joints[nearest], frames)
+                scores["better_iou"] = silhouette_iou(turned_in_time(drawn, wrong), shown)
     if prediction.pictures is not None:
         scores |= _explained(prediction.pictures, observation)
         if sharp is not None:

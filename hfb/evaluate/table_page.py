@@ -107,13 +107,13 @@ def _counts(summary: Mapping[str, Any]) -> str:
 
 
 def _overall(summary: Mapping[str, Any], oracles: Sequence[str]) -> str:
-    header = ["method", "n", "MPJPE [mm]", "ratio to start", "PA-MPJPE [mm]", "better of both [mm]"]
-    header += ["in plane / depth [mm]", "IoU", "better than start", "wrong direction", "s per case"]
+    header = ["method", "n", "MPJPE [mm]", "ratio to start", "PA-MPJPE [mm]", "in plane / depth [mm]", "IoU"]
+    header += ["better way of time [mm], IoU", "better than start", "wrong direction", "s per case"]
     cells = {name: both["all"] for name, both in summary["methods"].items() if not is_start(both["all"])}
     best = _best([cell["mpjpe_mm"] for name, cell in cells.items() if name not in oracles], 1, True)
     start = summary["start"]["all"]
     first = [_start_name(summary), str(start["n"]), number(start["mpjpe_mm"], 1), "1", number(start["pa_mpjpe_mm"], 1)]
-    first += [UNKNOWN, UNKNOWN, number(start["iou"], 3), UNKNOWN, UNKNOWN, UNKNOWN]
+    first += [UNKNOWN, number(start["iou"], 3), UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN]
     rows = [
         [_name(name, oracles), *_overall_row(cell, None if name in oracles else best)] for name, cell in cells.items()
     ]
@@ -121,15 +121,15 @@ def _overall(summary: Mapping[str, Any], oracles: Sequence[str]) -> str:
 
 
 def _overall_row(cell: Cell, best: str | None) -> list[str]:
-    error = number(cell["mpjpe_mm"], 1)
+    error, better_iou = number(cell["mpjpe_mm"], 1), cell.get("best_of_two_iou")
     return [
         str(cell["n"]) + (f" ({cell['failed']}{_TIED}failed)" if cell["failed"] else ""),
         (f"**{error}**" if error == best else error) + interval(cell["mpjpe_ci95"], 1),
         number(cell["ratio"], 3) + interval(cell["ratio_ci95"], 3),
         number(cell["pa_mpjpe_mm"], 1),
-        number(cell["best_of_two_mpjpe_mm"], 1),
         _TIED.join([number(cell["in_plane_mm"], 0), "/", number(cell["depth_mm"], 0)]),
         number(cell["iou"], 3),
+        number(cell["best_of_two_mpjpe_mm"], 1) + ("" if better_iou is None else f",{_TIED}{better_iou:.3f}"),
         _percent(cell["better_than_start"]),
         _percent(cell["wrong_direction"]),
         number(cell["seconds_per_case"], 1),

@@ -13,12 +13,13 @@ from hfb.config import FitConfig, Stage
 from hfb.determinism import one_torch_thread
 from hfb.fit.alternatives import Alternatives
 from hfb.fit.clip_person import ClipPerson, as_person
+from hfb.fit.comparison import beside_the_fit
 from hfb.fit.confidence import joint_features, shipped_confidence
 from hfb.fit.directions import search_directions
 from hfb.fit.settle import settle
 from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
-from hfb.initialize.joint_evidence import look_for_joints
+from hfb.initialize.joint_evidence import JointEvidence, look_for_joints
 from hfb.losses.texture import TexelNeighbours, texel_neighbours
 from hfb.motion.clock import subframe_clock
 from hfb.motion.sampled import SampledMotion, sample_motion
@@ -162,9 +163,9 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
     optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
     claimed = everywhere.evidence
     for number, stage in enumerate(stages):
-        if number > 0 and claimed is not None and config.lifting > 0:
-            found = variables.joints_at_middle(everywhere.body)
-            everywhere = replace(everywhere, evidence=claimed.lifted(found, config.lifting))
+        if number > 0 and claimed is not None:
+            last = number == len(stages) - 1
+            everywhere = replace(everywhere, evidence=_told(claimed, variables, everywhere, config, last))
         seen = everywhere.observation.resized(stage.size_px)
         visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)
@@ -184,6 +185,19 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
                 break
         _restore(variables, best)
     return _Descent(best, best_iteration, history, objective)
+
+
+def _told(
+    claimed: JointEvidence, variables: Variables, everywhere: Objective, config: FitConfig, last: bool
+) -> JointEvidence:
+    """What the networks say of the joints after a stage: the lifting network sees more of them then, and before the
+    last stage the fit's own picture is worth a look."""
+    evidence = claimed
+    if config.lifting > 0:
+        evidence = evidence.lifted(variables.joints_at_middle(everywhere.body), config.lifting)
+    if last and config.compare > 0:
+        evidence = beside_the_fit(evidence, claimed, variables, everywhere, config.compare)
+    return evidence
 
 
 def _with_radius(result: FitResult, features: dict[str, Float[Array, "R 24"]]) -> FitResult:

@@ -71,6 +71,14 @@ class JointEvidence:
         depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start).to(self.middle), share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
+    def of(self, observation: Observation) -> "JointEvidence":
+        """What the network says about other pictures in the same windows, beginning at the same first bodies.
+
+        Args:
+            observation: the same lines of sight, perhaps a crop of them or of another size.
+        """
+        return _look(observation, self.windows, self.start)
+
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
         """The claim's own expected distance from the truth at these joints' distance [m]."""
         unit_m = joints[:, :1, 2] * joints.new_tensor([window.units_to_tangents() for window in self.windows])[:, None]
@@ -86,21 +94,19 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
     Raises:
         InputError: a matte is empty.
     """
-    windows: list[Window] = []
-    starts: list[Tensor] = []
-    told: list[tuple[Tensor, ...]] = []
     mattes = observation.mattes
-    for frame, first in enumerate(first_bodies):
-        matte = mattes[frame].numpy()
-        window = Window.around(matte, observation.camera)
-        picture = picture_channels(
-            observation.frames_linear[frame].numpy(), observation.plate_linear.numpy(), matte, window
-        )
-        seen = torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1
-        start = window.to_units(_joints(first, body))
-        claim = _both_ways(seen, start)
-        windows.append(window)
-        starts.append(start)
+    windows = tuple(Window.around(matte.numpy(), observation.camera) for matte in mattes)
+    starts = [window.to_units(_joints(one, body)) for window, one in zip(windows, first_bodies, strict=True)]
+    return _look(observation, windows, torch.stack(starts).to(mattes))
+
+
+def _look(observation: Observation, windows: tuple[Window, ...], start: Float[Tensor, "T 24 3"]) -> JointEvidence:
+    plate = observation.plate_linear.numpy()
+    told: list[tuple[Tensor, ...]] = []
+    pictures = zip(observation.frames_linear, observation.mattes, windows, start, strict=True)
+    for frame, matte, window, first in pictures:
+        picture = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
+        claim = _both_ways(torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1, first)
         told.append(
             (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.log_height[0],
              claim.height_scale[0])
@@ -112,7 +118,7 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
     forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
     return JointEvidence(
-        tuple(windows), middle, scale, sign[:, None, None] * path, sign * odds, torch.stack(starts).to(middle),
+        windows, middle, scale, sign[:, None, None] * path, sign * odds, start.to(middle),
         # The frames show the same proportions of the same person: their errors are alike, and no less for being many.
         log_height.mean(), height_scale.mean(),
     )  # fmt: skip

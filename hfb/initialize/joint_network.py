@@ -84,6 +84,13 @@ class Window:
             x, y = x + side * float(jitter[0]), y + side * float(jitter[1])
         return Window(x - side / 2, y - side / 2, side, camera)
 
+    def within(self, camera: PinholeCamera) -> "Window":
+        """The same lines of sight in a crop of this window's picture, or in one of another size."""
+        across, down = camera.fx / self.camera.fx, camera.fy / self.camera.fy
+        left = camera.cx + across * (self.left - self.camera.cx)
+        top = camera.cy + down * (self.top - self.camera.cy)
+        return Window(left, top, across * self.side, camera)
+
     def units_to_tangents(self) -> float:
         """One unit of the window as a tangent of the line of sight: times a distance, metres."""
         return self.side / 2 / self.camera.fx

@@ -47,6 +47,7 @@ def test_benchmark(tiny: str, store: Path, tmp_path: Path, capsys: pytest.Captur
         "n", "initial_mpjpe_mm", "mpjpe_mm", "ratio", "ratio_ci95", "pa_mpjpe_mm", "initial_iou", "iou",
         "better_than_start", "wrong_direction", "best_of_two_mpjpe_mm", "seconds_per_case",
     } <= cell.keys()  # fmt: skip
+    assert cell["best_of_two_iou"] > 0
     assert [one["blur"] for one in printed["methods"]["tiny"]["bins"]][-1] == [0.9, 1.1]
 
     # The very case, as a user's own pictures.

@@ -63,6 +63,13 @@ def test_units_know_neither_size_nor_distance_nor_the_cut() -> None:
     assert torch.allclose(finer.to_units(joints), seen, atol=1e-9)
 
 
+def test_a_window_has_the_same_lines_of_sight_in_a_crop_of_another_size() -> None:
+    window = Window.around(box(120, 160, slice(30, 90), slice(50, 80)), CAMERA)
+    other = window.within(CAMERA.crop(30, 10, 100, 90).resize(180, 200))
+    assert other.side == pytest.approx(2 * window.side)
+    assert torch.allclose(other.to_units(people(1)), window.to_units(people(1)), atol=1e-9)
+
+
 def test_the_picture_shows_the_matte_where_the_units_say() -> None:
     matte = box(120, 160, slice(30, 90), slice(50, 80))
     window = Window.around(matte, CAMERA)
@@ -166,3 +173,15 @@ def test_several_frames_give_the_paths_their_signs() -> None:
         scene = moving_scene(body, size_px=96, frames=2, step_m=step_m)
         evidence = look_for_joints(scene.observation, scene.middle, body)
         assert (torch.sign(evidence.path[..., 0].mean(1)) == np.sign(step_m)).all()
+
+
+def test_other_pictures_are_looked_at_in_the_same_windows() -> None:
+    scene = moving_scene(load_default_body(), size_px=128, frames=2)
+    seen = scene.observation
+    evidence = look_for_joints(seen, scene.middle, load_default_body())
+    dark = evidence.of(replace(seen, frames_linear=0.5 * seen.frames_linear))
+    assert dark.windows == evidence.windows
+    assert torch.equal(dark.start, evidence.start)
+    assert 0.001 < float((dark.middle - evidence.middle).abs().mean()) < 0.1
+    # A crop whose border repeats shows the windows the same pixels.
+    torch.testing.assert_close(evidence.of(seen.cropped(*seen.region())).middle, evidence.middle, atol=1e-3, rtol=0)
