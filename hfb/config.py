@@ -183,7 +183,7 @@ class FitConfig(Record):
         ge=0,
         le=1,
         description="share of what the joint network sees to differ between the picture and the fit's own, before the "
-        "last stage",
+        "last of several stages",
     )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"

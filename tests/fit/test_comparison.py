@@ -54,8 +54,8 @@ def test_a_fit_that_shows_the_picture_is_left_alone() -> None:
     seen = scene.observation
     evidence = look_for_joints(seen, scene.middle, BODY)
     fitted = at_rest(scene.middle[0], seen)
-    claimed = evidence.of(picture_of(fitted, seen))
-    told = beside_the_fit(evidence, claimed, fitted, objective_of(seen, scene.middle[0]), 0.7)
+    shown = picture_of(fitted, seen)
+    told = beside_the_fit(evidence, evidence.of(shown), fitted, objective_of(shown, scene.middle[0]), 0.7)
     assert torch.equal(told.middle, evidence.middle)
     torch.testing.assert_close(told.log_height, height_m(BODY, fitted.betas.detach()).log())
     assert float(told.height_scale) < float(evidence.height_scale)

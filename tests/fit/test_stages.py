@@ -1,7 +1,7 @@
 """From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
 
 from hfb.body.assets import load_default_body
-from hfb.config import FitConfig, Stage
+from hfb.config import FitConfig, Stage, Weights
 from hfb.fit.loop import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
@@ -32,3 +32,18 @@ def test_a_stage_without_gain_ends_by_its_patience() -> None:
     assert told[5] == (21, 40)
     assert result.history["total"][result.best_iteration] == min(result.history["total"])
     assert len(run(still)[0].history["total"]) == 20  # without patience a stage takes its time
+
+
+def test_the_fits_own_picture_is_looked_at_before_the_last_stage_alone() -> None:
+    body, stage = load_default_body(), Stage(size_px=48, iterations=3)
+    scene = moving_scene(body, size_px=48)
+    weights = Weights(joints=3, height=0.04)
+
+    def losses(compare: float, *stages: Stage) -> list[float]:
+        config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, weights=weights, compare=compare)
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    without, with_it = losses(0, stage, stage, stage), losses(0.75, stage, stage, stage)
+    assert with_it[:6] == without[:6]
+    assert with_it[6] != without[6]
+    assert losses(0.75, stage) == losses(0, stage)
