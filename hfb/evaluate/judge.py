@@ -18,10 +18,9 @@ from hfb.evaluate.metrics import (
     silhouette_iou,
     ssim,
     subset_errors,
-    turned_in_time,
     wrong_direction,
 )
-from hfb.evaluate.protocol import at_rest, picture_scores, pose_rows
+from hfb.evaluate.protocol import at_rest, picture_scores, pose_rows, silhouette_scores
 from hfb.evaluate.reliability import direction_row, joint_row
 from hfb.fit.confidence import shipped_confidence
 from hfb.formation import compose
@@ -68,10 +67,11 @@ def judge(
             nearest = _nearest(_clock(len(silhouettes), observation), truth.motion.times_s)
             shown = truth.silhouettes[nearest].astype(np.float32)
             drawn = silhouettes.astype(np.float32)
-            scores["iou"] = silhouette_iou(drawn, shown)
-            if prediction.motion is not None:
+            if prediction.motion is None:  # without joints no direction is the better one
+                scores["iou"] = silhouette_iou(drawn, shown)
+            else:
                 wrong = wrong_direction(prediction.motion.joints, truth.motion.joints[nearest], frames)
-                scores["better_iou"] = silhouette_iou(turned_in_time(drawn, wrong), shown)
+                scores |= silhouette_scores(drawn, shown, wrong)
     if prediction.pictures is not None:
         scores |= _explained(prediction.pictures, observation)
         if sharp is not None:

@@ -23,7 +23,7 @@ from hfb.observation import Observation
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
 from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.shapes import Array, Bool, Float, Int, Tensor
 
 
 def pose_rows(motion: SampledMotion, rows: Int[Array, "S"], body: Body) -> PosedBody:
@@ -81,11 +81,16 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
             silhouettes[row] = rasterizer.silhouette_mean(vertices[None], camera, body.mesh) >= 0.5
     frames = int(motion.frame_index.max()) + 1
     true, shown = truth.motion.joints[nearest], truth.silhouettes[nearest].astype(np.float32)
-    better = turned_in_time(silhouettes, wrong_direction(motion.joints, true, frames))
-    return asdict(motion_errors(motion.joints, true, frames)) | {
-        "iou": silhouette_iou(silhouettes, shown),
-        "better_iou": silhouette_iou(better, shown),
-    }
+    errors = asdict(motion_errors(motion.joints, true, frames))
+    return errors | silhouette_scores(silhouettes, shown, wrong_direction(motion.joints, true, frames))
+
+
+def silhouette_scores(
+    drawn: Float[Array, "R H W"], shown: Float[Array, "R H W"], wrong: Bool[Array, "T"]
+) -> dict[str, float]:
+    """``iou`` in the direction of time that was claimed, ``better_iou`` with the wrong frames' time reversed."""
+    better = turned_in_time(drawn, wrong)
+    return {"iou": silhouette_iou(drawn, shown), "better_iou": silhouette_iou(better, shown)}
 
 
 def at_rest(first_bodies: Sequence[FirstBody], like: SampledMotion, body: Body) -> SampledMotion:

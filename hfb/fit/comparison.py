@@ -14,7 +14,6 @@ from hfb.body.height import height_m
 from hfb.fit.variables import Variables
 from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
-from hfb.motion.clock import subframe_clock
 from hfb.objective import Objective
 from hfb.observation import Observation
 
@@ -22,6 +21,7 @@ _HEIGHT_SHARE = 0.22
 """Of the claim's own scale: 20 times the word on the height once two claims of it are compared."""
 
 _NOBODY = 0.01
+"""Of a pixel: where fit and matte cover less, nobody is."""
 
 
 def beside_the_fit(
@@ -53,11 +53,11 @@ def _drawn(variables: Variables, objective: Objective) -> Observation:
     """
     seen, body = objective.observation, objective.body
     with torch.no_grad():
-        rotations, translations = variables.motion(body).at(subframe_clock(objective.subframes))
-        posed = body.shape(variables.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
-        bodies = posed.vertices.unflatten(0, rotations.shape[:2])
         blurred = torch.stack(
-            [objective.rasterizer.render_mean(one, variables.texture, seen.camera, body.mesh) for one in bodies]
+            [
+                objective.rasterizer.render_mean(one, variables.texture, seen.camera, body.mesh)
+                for one in variables.vertices(body, objective.subframes)
+            ]
         )
         alpha = blurred[..., 3]
         bare = torch.maximum(alpha, seen.mattes) < _NOBODY

@@ -21,7 +21,6 @@ from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_evidence import JointEvidence, look_for_joints
 from hfb.losses.texture import TexelNeighbours, texel_neighbours
-from hfb.motion.clock import subframe_clock
 from hfb.motion.sampled import SampledMotion, sample_motion
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective
@@ -264,10 +263,8 @@ def _texels(body: Body, config: FitConfig) -> TexelNeighbours:
 
 def _visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
     """Texels the camera sees when a stage begins: visibility changes too slowly to be worth every iteration."""
-    with torch.no_grad():
-        rotations, translations = variables.motion(body).at(subframe_clock(config.subframes))
-        posed = body.shape(variables.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
-        return visible_texels(posed.vertices, seen.camera, body.mesh, config.texture_px)
+    vertices = variables.vertices(body, config.subframes).flatten(0, 1)
+    return visible_texels(vertices, seen.camera, body.mesh, config.texture_px)
 
 
 def _result(

@@ -10,7 +10,7 @@ from hfb.body.model import Body, bone_length
 from hfb.config import FitConfig
 from hfb.fit.clip_person import ClipPerson
 from hfb.initialize.first_body import FirstBody
-from hfb.motion.clock import next_opening
+from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest
 from hfb.observation import Observation
 from hfb.shapes import Float, Tensor
@@ -53,6 +53,13 @@ class Variables:
         with torch.no_grad():
             rotations, translations = self.motion(body).at(self.betas.new_tensor([0.5]))
             return body.shape(self.betas).joints_of(rotations[:, 0], translations[:, 0])
+
+    def vertices(self, body: Body, subframes: int) -> Float[Tensor, "T S V 3"]:
+        """Of every frame's sub-frames, camera coordinates [m]; no gradient."""
+        with torch.no_grad():
+            rotations, translations = self.motion(body).at(subframe_clock(subframes))
+            posed = body.shape(self.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
+            return posed.vertices.unflatten(0, rotations.shape[:2])
 
     def in_metres(self, body: Body) -> "Variables":
         """The same person and motion without a reference, as a snapshot."""

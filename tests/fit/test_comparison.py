@@ -12,7 +12,6 @@ from hfb.fit.variables import Variables, start_variables
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_evidence import look_for_joints
-from hfb.motion.clock import subframe_clock
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.priors.anatomy import AnatomicalPrior
@@ -37,8 +36,7 @@ def objective_of(seen: Observation, first: FirstBody) -> Objective:
 
 def picture_of(variables: Variables, seen: Observation) -> Observation:
     with torch.no_grad():
-        rotations, translations = variables.motion(BODY).at(subframe_clock(8))
-        vertices = BODY.shape(variables.betas).pose(rotations[0], translations[0]).vertices
+        (vertices,) = variables.vertices(BODY, 8)
         drawn = make_rasterizer("coverage", "cpu", 1).render_mean(vertices, variables.texture, seen.camera, BODY.mesh)
     return replace(seen, frames_linear=compose(drawn, seen.plate_linear)[None], mattes=drawn[None, ..., 3])
 
