@@ -11,11 +11,13 @@ from dataclasses import replace
 import torch
 
 from hfb.body.height import height_m
+from hfb.body.model import Body
 from hfb.fit.variables import Variables
 from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.objective import Objective
 from hfb.observation import Observation
+from hfb.render.rasterizer import Rasterizer
 
 _HEIGHT_SHARE = 0.22
 """Of the claim's own scale: 20 times the word on the height once two claims of it are compared."""
@@ -35,28 +37,28 @@ def beside_the_fit(
         claimed: what the network said about the picture.
         objective: with the observation that the fit is drawn for.
     """
-    drawn = claimed.of(_drawn(variables, objective))
+    body = objective.body
+    told = claimed.of(drawn(variables, objective.observation, body, objective.rasterizer, objective.subframes))
     with torch.no_grad():
-        tall = height_m(objective.body, variables.betas).log()
+        tall = height_m(body, variables.betas).log()
     return replace(
         evidence,
-        middle=evidence.middle + share * (claimed.middle - drawn.middle),
-        log_height=tall + claimed.log_height - drawn.log_height,
+        middle=evidence.middle + share * (claimed.middle - told.middle),
+        log_height=tall + claimed.log_height - told.log_height,
         height_scale=_HEIGHT_SHARE * evidence.height_scale,
     )
 
 
-def _drawn(variables: Variables, objective: Objective) -> Observation:
+def drawn(variables: Variables, seen: Observation, body: Body, rasterizer: Rasterizer, subframes: int) -> Observation:
     """The fit's re-blurred pictures over the plate, its silhouettes as mattes.
 
     What nobody covers stays as it was seen: the camera's noise there is in both pictures then, and in no difference.
     """
-    seen, body = objective.observation, objective.body
     with torch.no_grad():
         blurred = torch.stack(
             [
-                objective.rasterizer.render_mean(one, variables.texture, seen.camera, body.mesh)
-                for one in variables.vertices(body, objective.subframes)
+                rasterizer.render_mean(one, variables.texture, seen.camera, body.mesh)
+                for one in variables.vertices(body, subframes)
             ]
         )
         alpha = blurred[..., 3]

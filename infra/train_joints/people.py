@@ -41,17 +41,20 @@ class People:
         self.mean = self.body.shape(torch.zeros(10))
 
     def _motion(
-        self, rng: np.random.Generator, seconds_range: tuple[float, float] = (_SHORTEST_S, _LONGEST_S)
+        self,
+        rng: np.random.Generator,
+        seconds_range: tuple[float, float] = (_SHORTEST_S, _LONGEST_S),
+        instants: int = INSTANTS,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         clips = self.recorded if rng.random() < 0.75 else self.made
         seconds = float(np.exp(rng.uniform(*np.log(seconds_range))))
-        piece = _piece(clips[rng.integers(len(clips))], seconds, rng)
+        piece = _piece(clips[rng.integers(len(clips))], seconds, instants, rng)
         if piece is None:
             return None
         poses, places = piece
         if rng.random() < _MIXED:
             for part in _PARTS:
-                other = _piece(self.recorded[rng.integers(len(self.recorded))], seconds, rng)
+                other = _piece(self.recorded[rng.integers(len(self.recorded))], seconds, instants, rng)
                 if other is not None and rng.random() < 0.5:
                     poses[:, part] = other[0][:, part]
         if rng.random() < _BENT:
@@ -79,11 +82,15 @@ class People:
 
     def stills(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
         """Joints (S, 24, 3) from the pelvis, as networks say them: bones turned, the mean body."""
-        errors = pose_errors(torch.from_numpy(poses).float(), turns)
-        errors = replace(errors, turns=errors.turns * torch.from_numpy(amplitudes)[:, None, None].float())
-        erring = errors.poses_at(torch.tensor([0.5, 1.0]))[-1]
+        erring = self.erring(poses, turns, amplitudes)
         stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(len(poses), 3))
         return stills - stills[:, :1]
+
+    def erring(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
+        """Poses (S, 24, 3) as networks say them, axis-angle."""
+        errors = pose_errors(torch.from_numpy(poses).float(), turns)
+        errors = replace(errors, turns=errors.turns * torch.from_numpy(amplitudes)[:, None, None].float())
+        return errors.poses_at(torch.tensor([0.5, 1.0]))[-1]
 
     def _placed(
         self, still: torch.Tensor, distance: float, truth: np.ndarray, window: Window, rng: np.random.Generator
@@ -112,11 +119,13 @@ def _bent(poses: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return bent if after <= max(float(before), 2.0) else poses
 
 
-def _piece(clip: MotionClip, seconds: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray] | None:
+def _piece(
+    clip: MotionClip, seconds: float, instants: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Poses and translations at the instants of a random exposure."""
     length = (len(clip.poses) - 1) / clip.fps
     seconds = min(seconds, length)
     start = rng.uniform(0, length - seconds)
     if has_jump(clip, start, start + seconds):
         return None
-    return resample(clip, np.clip(np.linspace(start, start + seconds, INSTANTS), 0, length))
+    return resample(clip, np.clip(np.linspace(start, start + seconds, instants), 0, length))

@@ -20,7 +20,7 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.render.rasterizer import make_rasterizer
 from hfb.rotations import axis_angle_to_matrix
 
-_CLOTHED = 0.25
+CLOTHED = 0.25
 _SCENES = 240
 
 
@@ -72,7 +72,7 @@ class Studio(People):
             return None
         poses, places = motion
         betas = torch.from_numpy(np.clip(rng.standard_normal(10), -2, 2)).float()
-        body = dress(self.body, draw_clothing(self.body, rng)) if rng.random() < _CLOTHED else self.body
+        body = dress(self.body, draw_clothing(self.body, rng)) if rng.random() < CLOTHED else self.body
         shaped, bare = body.shape(betas), self.body.shape(betas)
         view = self._view(rng)
         world = shaped.pose(axis_angle_to_matrix(torch.from_numpy(poses).float()), torch.from_numpy(places).float())
@@ -84,7 +84,7 @@ class Studio(People):
         mean = self.rasterizer.render_mean(vertices, texture, camera.lens, body.mesh)
         frame = compose(mean, plate)
         noise = rng.uniform(0.002, 0.012)
-        frame, plate = (_as_file(one, noise * share, rng) for one, share in ((frame, 1.0), (plate, 0.5)))
+        frame, plate = (as_file(one, noise * share, rng) for one, share in ((frame, 1.0), (plate, 0.5)))
         gain = float(np.exp(rng.normal(0, 0.03)))
         matte = clean(self.matting.look(frame, plate * gain))
         if matte.sum() < 60:
@@ -113,7 +113,7 @@ class Studio(People):
         return plate * float(np.exp(rng.normal(0, 0.15))), (texture * tint).clamp(0, 1)
 
 
-def _as_file(picture: torch.Tensor, noise: float, rng: np.random.Generator) -> np.ndarray:
+def as_file(picture: torch.Tensor, noise: float, rng: np.random.Generator) -> np.ndarray:
     """Sensor noise and 8 bits."""
     noisy = picture.numpy() + rng.normal(0, noise, picture.shape)
     return srgb_to_linear(np.round(linear_to_srgb(np.clip(noisy, 0, 1)) * 255).astype(np.float32) / 255)

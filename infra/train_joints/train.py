@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import torch
 from measure import as_large, measure
+from muon import Muon
 from safetensors.torch import load_file
 
 from hfb.body.skeleton import MIRROR
@@ -20,6 +21,10 @@ _ROUND_SHARES = (0.25, 0.5, 1.0)
 _AXES = (1.2, 1.2, 0.6)
 """What an error weighs across the view and in depth, where the lifting network has a word, too."""
 _TALL = 0.15
+_APART = 2.0
+"""What the difference of two views weighs beside each of them."""
+_LAST = ("name", "move", "say", "turn", "stature")
+"""What Muon leaves to AdamW."""
 _CHECKPOINT_S = 240
 _AVERAGE = 0.998
 _MOVED, _ROLL_DEG, _ZOOM, _SHIFT = 0.8, 9.0, 0.08, 0.04
@@ -28,7 +33,10 @@ _LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
 
 class Bank:
-    """Pictures with truths and starts, several files as one; what is still being drawn is left out."""
+    """Pictures with truths and starts, several files as one; what is still being drawn is left out.
+
+    A row of `bank.py` is one view of a person, one of `fits.py` two: as seen, and as a fit has it.
+    """
 
     def __init__(self, folders: list[Path]) -> None:
         """Map the pictures, read the joints."""
@@ -60,39 +68,45 @@ class Bank:
         return np.concatenate([rng.choice(newest, ours), rng.integers(len(self), size=count - ours)])
 
     def batch(self, chosen: np.ndarray) -> np.ndarray:
-        """(N, C, H, W) uint8."""
+        """(N, *views, C, H, W) uint8."""
         return np.stack([self.pictures[self.folder[index]][self.row[index]] for index in chosen])
 
 
 def augmented(
     bank: Bank, chosen: np.ndarray, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pictures, starts and truths (N, 3, 24, 3): mirrored, recoloured, with holes and other starts."""
+    """Pictures (N, V, C, H, W), starts (N, 24, 3), truths (N, V, 3, 24, 3): mirrored, recoloured, with other starts.
+
+    All views of a person are changed alike; matters of a single picture, such as a hole in a matte, are the first's.
+    """
     count = len(chosen)
-    pictures, truth, starts = _moved(bank.batch(chosen), bank.truth[chosen], _confused(bank, chosen, rng), rng)
+    seen, truth = bank.batch(chosen), bank.truth[chosen]
+    if seen.ndim == 4:
+        seen, truth = seen[:, None], truth[:, None]
+    pictures, truth, starts = _moved(seen, truth, _confused(bank, chosen, rng), rng)
     pictures, truth = torch.from_numpy(pictures).float() / 127.5 - 1, torch.from_numpy(truth)
-    starts = _leaning(starts, rng)
+    starts, middle = _leaning(starts, rng), truth[:, 0, 1]
     # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
     share = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
-    starts = as_large(torch.from_numpy(starts), truth[:, 1], torch.from_numpy(rng.normal(0, 0.04, count)).float())
+    starts = as_large(torch.from_numpy(starts), middle, torch.from_numpy(rng.normal(0, 0.04, count)).float())
     share = torch.from_numpy(share)
-    starts = starts * (1 - share) + truth[:, 1] * share
+    starts = starts * (1 - share) + middle * share
     starts = starts + torch.from_numpy(rng.normal(0, 0.02, starts.shape)).float()
-    mirrored = torch.from_numpy(rng.random(count) < 0.5)
-    pictures = torch.where(mirrored[:, None, None, None], pictures.flip(-1), pictures)
+    mirrored = torch.from_numpy(rng.random(count) < 0.5)[:, None, None]
+    pictures = torch.where(mirrored[..., None, None], pictures.flip(-1), pictures)
     across = torch.tensor([-1.0, 1.0, 1.0])
-    truth = torch.where(mirrored[:, None, None, None], truth[:, :, list(MIRROR)] * across, truth)
-    starts = torch.where(mirrored[:, None, None], starts[:, list(MIRROR)] * across, starts)
+    truth = torch.where(mirrored[..., None, None], truth[..., list(MIRROR), :] * across, truth)
+    starts = torch.where(mirrored, starts[:, list(MIRROR)] * across, starts)
     order = rng.permutation(3)
     if rng.random() < 0.5:
-        pictures = pictures[:, [0, *(1 + order), *(4 + order)]]
-    contrast = torch.from_numpy(np.exp(rng.normal(0, 0.2, (count, 1, 1, 1)))).float()
-    pictures[:, 1:] *= contrast
+        pictures = pictures[:, :, [0, *(1 + order), *(4 + order)]]
+    contrast = torch.from_numpy(np.exp(rng.normal(0, 0.2, (count, 1, 1, 1, 1)))).float()
+    pictures[:, :, 1:] *= contrast
     for index in np.flatnonzero(rng.random(count) < 0.3):  # a matte with a hole, or a scrap too much
         height, width = rng.integers(5, 26, 2)
         top, left = rng.integers(0, 96 - height), rng.integers(0, 96 - width)
-        pictures[index, 0, top : top + height, left : left + width] = -1 if rng.random() < 0.7 else 1
-    return pictures.contiguous(memory_format=torch.channels_last), starts, truth
+        pictures[index, 0, 0, top : top + height, left : left + width] = -1 if rng.random() < 0.7 else 1
+    return pictures, starts, truth
 
 
 def _moved(
@@ -107,14 +121,15 @@ def _moved(
         middle = (PICTURE_PX - 1) / 2
         move = middle - turn @ (middle, middle) + shift * PICTURE_PX / 2
         matrix = np.concatenate([turn, move[:, None]], 1).astype(np.float32)
-        layers = pictures[row].transpose(1, 2, 0)
-        parts = [
-            cv2.warpAffine(
-                np.ascontiguousarray(layers[..., few]), matrix, layers.shape[:2], borderMode=cv2.BORDER_REPLICATE
-            )
-            for few in (slice(0, 4), slice(4, 7))  # OpenCV turns four channels at most
-        ]
-        pictures[row] = np.concatenate(parts, -1).transpose(2, 0, 1)
+        for view, picture in enumerate(pictures[row]):
+            layers = picture.transpose(1, 2, 0)
+            parts = [
+                cv2.warpAffine(
+                    np.ascontiguousarray(layers[..., few]), matrix, layers.shape[:2], borderMode=cv2.BORDER_REPLICATE
+                )
+                for few in (slice(0, 4), slice(4, 7))  # OpenCV turns four channels at most
+            ]
+            pictures[row, view] = np.concatenate(parts, -1).transpose(2, 0, 1)
         for places in (truth[row], starts[row]):
             places[..., :2] = places[..., :2] @ turn.T + shift
             places[..., 2] *= zoom
@@ -152,8 +167,13 @@ def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.nd
     return starts.astype(np.float32)
 
 
-def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor) -> torch.Tensor:
-    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign, the height."""
+def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor, views: int) -> torch.Tensor:
+    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign, the height.
+
+    Args:
+        claim: about N * views pictures. truth: (N * views, 3, 24, 3). views: of one person, one after the other; with
+            two of them their difference counts, too.
+    """
     middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
     axes = truth.new_tensor(_AXES)
     joints = sum(
@@ -166,48 +186,24 @@ def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor) -> t
     length = path.abs().mean((1, 2))
     sign = torch.nn.functional.binary_cross_entropy_with_logits(claim.log_odds, agrees.float(), reduction="none")
     moved = (length / 0.05).clamp(max=1)
+    moved = moved.unflatten(0, (-1, views))[:, 0]  # a fit's own direction is a guess
+    sign = sign.unflatten(0, (-1, views))[:, 0]
     tall = ((claim.log_height - height_m.log()) / claim.height_scale).square() / 2 + claim.height_scale.log()
-    bones = claim.joints - claim.joints[:, :1] - (middle - middle[:, :1])
-    return (
-        10 * joints + 5 * (bones * axes).abs().mean() + 0.3 * likelihood + 6 * torch.minimum(forth, back).mean()
-        + 0.05 * (sign * moved).mean() + _TALL * tall.mean()
+    loss = (
+        10 * joints + 5 * (_bones(claim.joints - middle) * axes).abs().mean() + 0.3 * likelihood
+        + 6 * torch.minimum(forth, back).mean() + 0.05 * (sign * moved).mean() + _TALL * tall.mean()
     )  # fmt: skip
+    if views == 1:
+        return loss
+    wrong = (claim.joints - middle).unflatten(0, (-1, views))
+    wrong = (wrong[:, 0] - wrong[:, 1]) * axes
+    height = (claim.log_height - height_m.log()).unflatten(0, (-1, views))
+    apart = 10 * wrong.abs().mean() + 5 * _bones(wrong).abs().mean()
+    return loss + _APART * (apart + 2 * (height[:, 0] - height[:, 1]).abs().mean())
 
 
-class Optimizer:
-    """Muon (Jordan, 2024) for hidden layers' weights, as matrices; AdamW for names, norms, biases, last layers."""
-
-    _LAST = ("name", "move", "say", "turn", "stature")
-
-    def __init__(self, network: JointNetwork, rate: float) -> None:
-        """Matrices share the network's memory, whose convolutions lie channels last."""
-        self._layers, rest = [], []
-        for name, weights in network.named_parameters():
-            if weights.dim() >= 2 and name.split(".")[0] not in self._LAST:
-                matrix = torch.nn.Parameter(_as_matrix(weights.data))
-                if matrix.data_ptr() != weights.data_ptr():
-                    raise ValueError(f"{name}: its matrix is a copy; the network has to lie channels last")
-                self._layers.append((weights, matrix))
-            else:
-                rest.append(weights)
-        matrices = [matrix for _, matrix in self._layers]
-        self._parts = (
-            torch.optim.AdamW(rest, lr=rate, weight_decay=0.05, fused=True),
-            torch.optim.Muon(matrices, lr=rate, weight_decay=0.05, adjust_lr_fn="match_rms_adamw"),
-        )
-
-    def step(self, rate: float) -> None:
-        """One step along the network's gradients."""
-        for weights, matrix in self._layers:
-            matrix.grad = None if weights.grad is None else _as_matrix(weights.grad)
-        for part in self._parts:
-            for group in part.param_groups:
-                group["lr"] = rate
-            part.step()
-
-
-def _as_matrix(weights: torch.Tensor) -> torch.Tensor:
-    return weights.permute(0, 2, 3, 1).flatten(1) if weights.dim() == 4 else weights
+def _bones(joints: torch.Tensor) -> torch.Tensor:
+    return joints - joints[:, :1]
 
 
 def _weights(path: Path) -> dict[str, torch.Tensor]:
@@ -229,6 +225,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--last", type=float, default=0.0, help="share of every batch that the last bank gets at least")
+    parser.add_argument("--fits", type=Path, nargs="*", default=[], help="of fits.py: learn to compare")
+    parser.add_argument("--fits-share", type=float, default=0.6, help="of the pictures of every batch")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--bfloat16", action="store_true", help="on processors that compute in it; on others far slower"
@@ -244,20 +242,29 @@ def main() -> None:
         network.load_state_dict(_weights(options.go_on), strict=False)  # layers that are new add nothing at first
     network = network.to(memory_format=torch.channels_last)
     average = copy.deepcopy(network)
-    optimizer = Optimizer(network, options.rate)
+    optimizer = Muon(network, options.rate, 0.05, _LAST)
     bank, dev = Bank(options.bank), Bank([options.dev])
+    fits = Bank(options.fits) if options.fits else None
     options.out.mkdir(parents=True, exist_ok=True)
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
     while iteration < options.iterations and (time.monotonic() - began) / 60 < options.minutes:
         spent = time.monotonic() - began
         progress = min(1.0, max(iteration / options.iterations, spent / 60 / options.minutes))
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
-        chosen = bank.draw(rng, options.batch, options.last)
-        pictures, starts, truth = augmented(bank, chosen, rng)
         network.train()
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
-            claim = network(pictures, starts)
-        loss = loss_of(claim, truth, torch.from_numpy(bank.height_m[chosen]))
+        ours = round(options.fits_share * options.batch / 2) if fits else 0
+        loss = torch.zeros(())
+        for source, count in ((bank, options.batch - 2 * ours), (fits, ours)):
+            if source is None or count == 0:
+                continue
+            chosen = source.draw(rng, count, options.last if source is bank else 0.0)
+            pictures, starts, truth = augmented(source, chosen, rng)
+            views = pictures.shape[1]
+            pictures = pictures.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+            with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
+                claim = network(pictures, starts.repeat_interleave(views, 0))
+            heights = torch.from_numpy(source.height_m[chosen]).flatten()
+            loss = loss + count * views / options.batch * loss_of(claim, truth.flatten(0, 1), heights, views)
         network.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -275,6 +282,8 @@ def main() -> None:
             facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "bank": len(bank), "loss": running}
             print(json.dumps(facts | figures), flush=True)
             bank.read()
+            if fits:
+                fits.read()
             torch.save(average.state_dict(), options.out / "average.part")
             (options.out / "average.part").rename(options.out / "average.pt")
     torch.save(average.state_dict(), options.out / "average.pt")
@@ -286,6 +295,7 @@ def main() -> None:
         "seed": options.seed,
         "after": options.go_on and options.go_on.parent.name,
         "pictures": len(bank),
+        "fits": len(fits) if fits else 0,
         "dev": measure(average, dev),
     }
     (options.out / "training.json").write_text(json.dumps(facts, indent=1) + "\n")

@@ -29,12 +29,14 @@ def main() -> None:
     parser.add_argument("--run", type=Path, nargs="+", required=True, help="of train.py; the last one's weights")
     parser.add_argument("--metrics", type=Path, required=True, help="what measure.py or compare.py wrote with --out")
     parser.add_argument("--name", choices=["matting", "second_look"], default="matting")
+    parser.add_argument("--went-on", action="store_true", help="the run began with what lies in --out: keep its story")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     state = torch.load(options.run[-1] / "folded.pt", weights_only=True)
     content = save({name: weights.half().contiguous() for name, weights in sorted(state.items())})
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / f"{options.name}.safetensors").write_bytes(content)
+    story = json.loads((options.out / f"{options.name}.json").read_text())["training"] if options.went_on else []
     trained = [json.loads((run / "training.json").read_text()) for run in options.run]
     about = {
         "weights": f"{options.name}.safetensors",
@@ -43,7 +45,7 @@ def main() -> None:
         "channels": state["entry.0.weight"].shape[1],
         "widths": WIDTHS,
         "data": _DATA,
-        "training": [_stage(facts) for facts in trained],
+        "training": [*story, *(_stage(facts) for facts in trained)],
         "held_out": json.loads(options.metrics.read_text()),
     }
     (options.out / f"{options.name}.json").write_text(json.dumps(about, indent=1) + "\n")

@@ -15,7 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from muon import Muon
 from plates import PATTERNS, ROOMS, make_patterns, make_rooms, read_photos
+from safetensors.torch import load_file
 from scenes import Difficulty, Scene, draw_scene
 from torch import nn
 from torch.nn import functional
@@ -131,6 +133,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--start", type=Path, help="training state to go on from")
+    parser.add_argument("--go-on", type=Path, help="begin with what ships (.safetensors), without normalisation")
     parser.add_argument("--second", action="store_true", help="the network that sees the shipped first one's matte")
     parser.add_argument("--band-weight", type=float, default=2.0, help="of the blurred band in the loss")
     parser.add_argument("--half", action="store_true", help="multiply in bfloat16")
@@ -139,12 +142,15 @@ def main() -> None:
     torch.manual_seed(options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
     channels = CHANNELS + EVIDENCE_CHANNELS * options.second
-    network = MatteNetwork(WIDTHS, nn.BatchNorm2d, channels).to(memory_format=torch.channels_last)
-    average = MatteNetwork(WIDTHS, nn.BatchNorm2d, channels)
+    normalisation = () if options.go_on else (nn.BatchNorm2d,)
+    network, average = (MatteNetwork(WIDTHS, *normalisation, channels=channels) for _ in range(2))
+    network = network.to(memory_format=torch.channels_last)
+    if options.go_on:
+        network.load_state_dict({name: weights.float() for name, weights in load_file(options.go_on).items()})
     if options.start:
         network.load_state_dict(widened(torch.load(options.start, weights_only=True), channels))
     average.load_state_dict(network.state_dict())
-    optimiser = torch.optim.AdamW(network.parameters(), options.rate, weight_decay=0.01)
+    optimiser = Muon(network, options.rate, 0.01, ("exit",))
     loader = DataLoader(
         Scenes(options.bank, options.photos, options.size, options.seed, options.second), batch_size=options.fresh,
         num_workers=1, prefetch_factor=16,
@@ -159,7 +165,8 @@ def main() -> None:
         if time.monotonic() - saved > _EVERY_S or progress >= 1:
             saved = time.monotonic()
             torch.save(average.state_dict(), options.out / "state.pt")
-            torch.save(fold(average, WIDTHS).state_dict(), options.out / "folded.pt")
+            folded = average if options.go_on else fold(average, WIDTHS)
+            torch.save(folded.state_dict(), options.out / "folded.pt")
             facts = {"iterations": step, "seconds": elapsed, "loss": smooth, "options": vars(options)}
             (options.out / "training.json").write_text(json.dumps(facts, default=str))
             print(f"{step} iterations, {elapsed:.0f} s, loss {smooth}", flush=True)
@@ -172,16 +179,15 @@ def main() -> None:
         batch = torch.cat([fresh, torch.stack([remembered[int(k)] for k in chosen])])
         batch = augment(batch, generator).float().contiguous(memory_format=torch.channels_last)
         warm = min(1.0, (step + 1) / 100)
-        for group in optimiser.param_groups:
-            group["lr"] = options.rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1, progress))))
+        rate = options.rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1, progress))))
         network.train()
         with torch.autocast("cpu", torch.bfloat16, enabled=options.half):
             output = network(batch[:, :channels])
         loss = matte_loss(output.float(), batch[:, channels:], options.band_weight)
-        optimiser.zero_grad()
+        network.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
+        optimiser.step(rate)
         keep = min(0.998, (1 + step) / (10 + step))
         with torch.no_grad():
             for mine, theirs in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
