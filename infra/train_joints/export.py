@@ -37,9 +37,7 @@ def main() -> None:
     parser.add_argument("--run", type=Path, required=True, help="of train.py")
     parser.add_argument("--held-out", type=Path, required=True, help="a bank of motions that training never saw")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument(
-        "--share", type=float, default=1.0, help="of the run's weights, the rest stays: learns less by heart than either"
-    )
+    parser.add_argument("--share", type=float, default=1.0, help="of the run's weights; the rest stays as it was")
     parser.add_argument("--went-on", action="store_true", help="the run began with what lies in --out: keep its story")
     options = parser.parse_args()
     network = JointNetwork()
