@@ -121,7 +121,7 @@ class Gym(Studio):
         firsts = self._first_bodies(exposures, poses, joints, rng)
         result = fit(seen, firsts, self.body, _hasty(rng), int(rng.integers(1 << 30)), self.prior)
         found = Variables(result.trajectory, torch.from_numpy(result.motion.betas).float(), result.texture)
-        again = drawn(found, seen, self.body, self.rasterizer, 8)
+        again = drawn(found, seen, self.body, self.rasterizer, preset("best").fit.subframes)
         turns, places = result.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
         person = self.body.shape(found.betas)
         rows = []
