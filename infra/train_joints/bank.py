@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from people import STARTS
-from pictures import Studio
+from pictures import Sample, Studio
 
 from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
 
@@ -45,44 +45,73 @@ def _take(clip: str) -> str:
     return "_".join(clip.split("_")[1:3])
 
 
-def main() -> None:
-    """Write pictures, truths and starts as three arrays."""
-    parser = argparse.ArgumentParser(description=__doc__)
+class Rows:
+    """A bank that is being drawn: pictures, truths and starts as two files, which training may read meanwhile."""
+
+    def __init__(self, folder: Path, count: int, views: tuple[int, ...], starts: int) -> None:
+        """Room for so many samples of some views each."""
+        folder.mkdir(parents=True, exist_ok=True)
+        shape = (count, *views, CHANNELS, PICTURE_PX, PICTURE_PX)
+        self._pictures = np.lib.format.open_memmap(folder / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)
+        self._joints = {
+            "truth": np.zeros((count, *views, 3, 24, 3), np.float32),
+            "starts": np.zeros((count, starts, 24, 3), np.float32),
+            "unit_m": np.zeros(count, np.float32),
+            "height_m": np.zeros((count, *views), np.float32),
+        }
+        self._folder, self._done, self._began = folder, 0, time.monotonic()
+
+    @property
+    def full(self) -> bool:
+        """Whether there is no more room."""
+        return self._done == len(self._pictures)
+
+    def add(self, sample: Sample) -> None:
+        """The next one, where there is room."""
+        if self.full:
+            return
+        self._pictures[self._done] = sample.picture
+        for name, values in self._joints.items():
+            values[self._done] = getattr(sample, name)
+        self._done += 1
+        if self._done % 250 == 0 or self._done == 20:
+            print(f"{self._done} pictures in {time.monotonic() - self._began:.0f} s", flush=True)
+            self.save()
+
+    def save(self) -> None:
+        """What there is, whole."""
+        self._pictures.flush()
+        part = self._folder / "joints.part.npz"
+        np.savez(part, **self._joints, done=self._done)
+        part.rename(self._folder / "joints.npz")
+
+
+def parser_of(description: str | None) -> argparse.ArgumentParser:
+    """What to draw from, how much and where to."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--mocap", type=Path, required=True)
     parser.add_argument("--backgrounds", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=1000)
-    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--frame-px", type=int, default=256, help="width of a frame; 144 until run17")
     parser.add_argument("--split", default="train", choices=SPLITS)
+    return parser
+
+
+def main() -> None:
+    """Write pictures, truths and starts."""
+    parser = parser_of(__doc__)
+    parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
     studio = Studio(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px
     )
-    options.out.mkdir(parents=True, exist_ok=True)
-    shape = (options.count, CHANNELS, PICTURE_PX, PICTURE_PX)
-    pictures = np.lib.format.open_memmap(options.out / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)
-    truth = np.zeros((options.count, 3, 24, 3), np.float32)
-    starts = np.zeros((options.count, STARTS, 24, 3), np.float32)
-    unit_m, height_m = np.zeros((2, options.count), np.float32)
-    began = time.monotonic()
-
-    def save(done: int) -> None:
-        pictures.flush()
-        part = options.out / "joints.part.npz"
-        np.savez(part, truth=truth, starts=starts, unit_m=unit_m, height_m=height_m, done=done)
-        part.rename(options.out / "joints.npz")  # training may read while this draws
-
+    rows = Rows(options.out, options.count, (), STARTS)
     for number in range(options.count):
-        sample = studio.draw(np.random.default_rng([options.seed, options.first + number]))
-        pictures[number], truth[number], starts[number] = sample.picture, sample.truth, sample.starts
-        unit_m[number], height_m[number] = sample.unit_m, sample.height_m
-        if number % 1000 == 999 or number == 49:
-            print(f"{number + 1} pictures in {time.monotonic() - began:.0f} s", flush=True)
-            save(number + 1)
-    save(options.count)
+        rows.add(studio.draw(np.random.default_rng([options.seed, options.first + number])))
+    rows.save()
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ _MIXED, _BENT, _FROM_BEHIND = 0.6, 0.5, 0.15
 _PARTS = ((9, 12, 15), (13, 16, 18, 20, 22), (14, 17, 19, 21, 23), (1, 4, 7, 10, 2, 5, 8, 11), (3, 6))
 """Head, left arm, right arm, both legs, waist: parts that one motion may lend another."""
 _BEND_RAD = 0.2
-_SHORTEST_S, _LONGEST_S = 0.02, 0.5
+SECONDS = (0.02, 0.5)
 
 
 class People:
@@ -43,7 +43,7 @@ class People:
     def _motion(
         self,
         rng: np.random.Generator,
-        seconds_range: tuple[float, float] = (_SHORTEST_S, _LONGEST_S),
+        seconds_range: tuple[float, float] = SECONDS,
         instants: int = INSTANTS,
     ) -> tuple[np.ndarray, np.ndarray] | None:
         clips = self.recorded if rng.random() < 0.75 else self.made

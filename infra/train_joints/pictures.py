@@ -1,13 +1,16 @@
 """Blurred people with known joints: mocap seen by a random camera, matted as `hfb` would, with erring starts."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
-from people import INSTANTS, People
+from people import INSTANTS, SECONDS, People
 
 from hfb.body.height import height_m
+from hfb.body.mesh import Mesh
 from hfb.datasets.backgrounds import room_background
 from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.scenery import draw_scenery
@@ -17,11 +20,16 @@ from hfb.initialize.joint_network import Window, picture_channels
 from hfb.matting.matting import clean
 from hfb.matting.network import NetworkMatting
 from hfb.photometry import linear_to_srgb, srgb_to_linear
+from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
 from hfb.rotations import axis_angle_to_matrix
 
-CLOTHED = 0.25
+Found = TypeVar("Found")
+
+_CLOTHED = 0.25
 _SCENES = 240
+LEAST_PX = 60
+"""A matte of fewer pixels shows nobody."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +37,36 @@ class Sample:
     """One picture around one person.
 
     Attributes:
-        picture: (C, H, W) uint8, see `picture_channels`.
-        truth: (3, 24, 3) joints at u = 0, 1/2 and 1 in the window's units. starts: (STARTS, 24, 3) of them that err.
+        picture: (*views, C, H, W) uint8, see `picture_channels`; as seen, and of a fit (`fits.py`) as the fit has it.
+        truth: (*views, 3, 24, 3) joints at u = 0, 1/2 and 1 in the window's units. starts: (_, 24, 3) of them that err.
         unit_m: how many metres one unit of the window is at the person's distance.
-        height_m: how tall the person stands.
+        height_m: (*views,) how tall the person stands.
     """
 
     picture: np.ndarray
     truth: np.ndarray
     starts: np.ndarray
     unit_m: float
-    height_m: float
+    height_m: float | np.ndarray
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A person in motion before a camera and a plate.
+
+    Attributes:
+        mesh, vertices: (S, V, 3) clothed, camera coordinates [m]. poses: (S, 24, 3). joints: (S, 24, 3) bare [m].
+        plate, texture: linear light.
+    """
+
+    betas: torch.Tensor
+    mesh: Mesh
+    vertices: torch.Tensor
+    poses: np.ndarray
+    joints: torch.Tensor
+    lens: PinholeCamera
+    plate: torch.Tensor
+    texture: torch.Tensor
 
 
 class Studio(People):
@@ -60,45 +87,54 @@ class Studio(People):
 
     def draw(self, rng: np.random.Generator) -> Sample:
         """A sample; draws in which nobody is found are drawn again."""
-        for _ in range(50):
-            found = self._try(rng)
-            if found is not None:
-                return found
-        raise RuntimeError("fifty draws without a person")
+        return until_found(lambda: self._try(rng))
 
     def _try(self, rng: np.random.Generator) -> Sample | None:
-        motion = self._motion(rng)
+        shot = self._shot(rng)
+        if shot is None:
+            return None
+        noise = rng.uniform(0.002, 0.012)
+        frame = as_file(self._exposed(shot, slice(None)), noise, rng)
+        plate = as_file(shot.plate, noise / 2, rng)
+        gain = float(np.exp(rng.normal(0, 0.03)))
+        matte = clean(self.matting.look(frame, plate * gain))
+        if matte.sum() < LEAST_PX:
+            return None
+        window = Window.around(matte, shot.lens, jitter=rng.normal(0, 0.04, 3))
+        middle = INSTANTS // 2
+        truth = window.to_units(shot.joints[[0, middle, -1]]).numpy()
+        starts = self._starts(shot.poses, truth, window, shot.joints, rng)
+        unit_m = float(shot.joints[middle, 0, 2]) * window.units_to_tangents()
+        channels = picture_channels(frame, plate, matte, window)
+        return Sample(channels, truth, starts, unit_m, float(height_m(self.body, shot.betas)))
+
+    def _shot(
+        self, rng: np.random.Generator, seconds_range: tuple[float, float] = SECONDS, instants: int = INSTANTS
+    ) -> Shot | None:
+        """Somebody before a camera; nobody where the motion jumps."""
+        motion = self._motion(rng, seconds_range, instants)
         if motion is None:
             return None
         poses, places = motion
         betas = torch.from_numpy(np.clip(rng.standard_normal(10), -2, 2)).float()
-        body = dress(self.body, draw_clothing(self.body, rng)) if rng.random() < CLOTHED else self.body
+        body = dress(self.body, draw_clothing(self.body, rng)) if rng.random() < _CLOTHED else self.body
         shaped, bare = body.shape(betas), self.body.shape(betas)
         view = self._view(rng)
         world = shaped.pose(axis_angle_to_matrix(torch.from_numpy(poses).float()), torch.from_numpy(places).float())
         points = world.vertices[:, ::13].reshape(-1, 3).double().numpy()
-        camera = place(view, front_of(poses[INSTANTS // 2, 0]), points, self.frame_px)
+        camera = place(view, front_of(poses[instants // 2, 0]), points, self.frame_px)
         vertices = world.vertices @ torch.from_numpy(camera.R_camera_world).float().T
         vertices = vertices + torch.from_numpy(camera.offset).float()
         plate, texture = self._scene(rng)
-        mean = self.rasterizer.render_mean(vertices, texture, camera.lens, body.mesh)
-        frame = compose(mean, plate)
-        noise = rng.uniform(0.002, 0.012)
-        frame, plate = (as_file(one, noise * share, rng) for one, share in ((frame, 1.0), (plate, 0.5)))
-        gain = float(np.exp(rng.normal(0, 0.03)))
-        matte = clean(self.matting.look(frame, plate * gain))
-        if matte.sum() < 60:
-            return None
-        window = Window.around(matte, camera.lens, jitter=rng.normal(0, 0.04, 3))
-        cameras_poses, translations = in_camera(camera, poses, places, bare.joints[0].double().numpy())
-        rotations = axis_angle_to_matrix(torch.from_numpy(cameras_poses).float())
+        poses, translations = in_camera(camera, poses, places, bare.joints[0].double().numpy())
+        rotations = axis_angle_to_matrix(torch.from_numpy(poses).float())
         joints = bare.joints_of(rotations, torch.from_numpy(translations).float())
-        middle = INSTANTS // 2
-        truth = window.to_units(joints[[0, middle, -1]]).numpy()
-        starts = self._starts(cameras_poses, truth, window, joints, rng)
-        unit_m = float(joints[middle, 0, 2]) * window.units_to_tangents()
-        channels = picture_channels(frame, plate, matte, window)
-        return Sample(channels, truth, starts, unit_m, float(height_m(self.body, betas)))
+        return Shot(betas, body.mesh, vertices, poses, joints, camera.lens, plate, texture)
+
+    def _exposed(self, shot: Shot, instants: slice) -> torch.Tensor:
+        """The picture (H, W, 3), in linear light, of an exposure over some instants."""
+        mean = self.rasterizer.render_mean(shot.vertices[instants], shot.texture, shot.lens, shot.mesh)
+        return compose(mean, shot.plate)
 
     def _scene(self, rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor]:
         """A plate turned around at random, and somebody else's clothes."""
@@ -111,6 +147,15 @@ class Studio(People):
             plate = torch.from_numpy(srgb_to_linear(room))
         tint = torch.from_numpy(np.exp(rng.normal(0, 0.25, 3))).float()
         return plate * float(np.exp(rng.normal(0, 0.15))), (texture * tint).clamp(0, 1)
+
+
+def until_found(draw: Callable[[], Found | None]) -> Found:
+    """What is drawn; where nobody is found, what is drawn next."""
+    for _ in range(50):
+        found = draw()
+        if found is not None:
+            return found
+    raise RuntimeError("fifty draws without a person")
 
 
 def as_file(picture: torch.Tensor, noise: float, rng: np.random.Generator) -> np.ndarray:
