@@ -31,7 +31,9 @@ from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float
 
 _WHOLE_PX = 256
-_CROPS_PX = (288, 192)  # the smaller one sees long smears better, the larger one edges
+_CROP_PX = 288
+_LOOKS = (1.0, 1.4)
+"""Sizes of the crop, relative to at most _CROP_PX, at which it is looked at; a small one is enlarged."""
 _LEAST_PX = 32
 _MARGIN = 0.2
 _CLEARLY_CHANGED = 0.05  # in sRGB
@@ -50,7 +52,7 @@ class NetworkMatting:
         self._second = shipped_second() if second is None else second.eval()
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """Look at the whole frame at 256 px, then twice at the person's box, put that matte into the whole frame."""
+        """Look at the whole frame at 256 px, then at the person's box at two sizes, put that matte into the frame."""
         frame, plate = (np.clip(np.asarray(picture, np.float32), 0, None) for picture in (frame_linear, plate_linear))
         check_sizes(frame, plate)
         plate = aligned_plate(frame, plate)
@@ -66,10 +68,12 @@ class NetworkMatting:
         inner = (slice(top, bottom), slice(left, right))
         gain = _gain_without(first, small_frame, small_plate)
         lit = frame[inner], plate[inner] * gain
-        crops = [[np.clip(shrink(one, px), 0, 1) for one in lit] for px in _CROPS_PX]
-        looks = [np.dstack(self.look_twice(crop[0], crop[1])) for crop in crops]
-        size = looks[0].shape[1::-1]
-        alpha, doubt = np.mean([cv2.resize(look, size) for look in looks], axis=0).transpose(2, 0, 1)
+        longer = min(_CROP_PX, max(bottom - top, right - left))
+        crops = [[np.clip(_sized(one, round(longer * look)), 0, 1) for one in lit] for look in _LOOKS]
+        looks = (np.dstack(self.look_twice(crop[0], crop[1])) for crop in crops)
+        size = crops[0][0].shape[1::-1]
+        seen = [cv2.resize(look, size, interpolation=cv2.INTER_AREA) for look in looks]
+        alpha, doubt = np.mean(seen, axis=0).transpose(2, 0, 1)
         alpha = explained_matte(crops[0][0], crops[0][1], clean(alpha), doubt)
         matte = np.zeros((height, width), np.float32)
         matte[inner] = cv2.resize(alpha, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
@@ -94,6 +98,16 @@ class NetworkMatting:
         alpha, doubt = _answer(self._network, seen)
         told = colour_evidence(frame, plate, alpha, doubt)
         return _answer(self._second, np.concatenate([seen, told]))
+
+
+def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
+    """So many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
+    height, width = picture.shape[:2]
+    scale = longer_px / max(height, width)
+    if scale <= 1:
+        return shrink(picture, longer_px)
+    size = (round(width * scale), round(height * scale))
+    return cv2.resize(np.asarray(picture, np.float32), size, interpolation=cv2.INTER_CUBIC)
 
 
 def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:

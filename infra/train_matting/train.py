@@ -30,7 +30,13 @@ from hfb.matting.second_look import COLOUR_STARTS, EVIDENCE_CHANNELS, colour_evi
 
 _REMEMBERED = 480
 _CLOSE = Difficulty(
-    scale=(0.45, 1.1), empty_share=0.02, cut_share=0.15, hard_share=0.25, slide_share=0.45, picture_share=0.15
+    photo_share=0.4,
+    scale=(0.45, 1.1),
+    empty_share=0.02,
+    cut_share=0.15,
+    hard_share=0.25,
+    slide_share=0.45,
+    picture_share=0.15,
 )
 """The second network sees the box around the person."""
 _EVERY_S = 120
