@@ -182,8 +182,8 @@ class FitConfig(Record):
         0.0,
         ge=0,
         le=1,
-        description="share of what the joint network sees to differ between the picture and the fit's own, before the "
-        "last of several stages",
+        description="share of what the joint network sees to differ between the picture and the fit's own, before "
+        "every stage of the last one's size but a first",
     )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
@@ -292,6 +292,8 @@ _BEST = FitConfig(
     stages=(
         Stage(size_px=64, iterations=60),
         Stage(size_px=128, iterations=50),
+        Stage(size_px=256, iterations=25),  # before each of these three the fit's own picture is looked at
+        Stage(size_px=256, iterations=25),
         Stage(size_px=256, iterations=50, cosine=True),
     ),
     matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further

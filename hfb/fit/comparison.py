@@ -31,21 +31,26 @@ def beside_the_fit(
 ) -> JointEvidence:
     """The evidence, moved by a share of what the network sees to differ between the picture and the fit's own.
 
-    Its height becomes the fit's, changed by the whole of what the network sees to differ.
+    Its height becomes the fit's, changed by the whole of what the network sees to differ; of a single frame at the
+    first comparison alone: one picture tells so little of proportions that further ones add but their own errors.
 
     Args:
         claimed: what the network said about the picture.
-        objective: with the observation that the fit is drawn for.
+        objective: with the observation that the fit is drawn for, and the evidence until now.
     """
     body = objective.body
     told = claimed.of(drawn(variables, objective.observation, body, objective.rasterizer, objective.subframes))
+    moved = replace(evidence, middle=evidence.middle + share * (claimed.middle - told.middle))
+    before = objective.evidence
+    if before is not None and before.height_compared and len(before.windows) == 1:
+        return replace(moved, log_height=before.log_height, height_scale=before.height_scale, height_compared=True)
     with torch.no_grad():
         tall = height_m(body, variables.betas).log()
     return replace(
-        evidence,
-        middle=evidence.middle + share * (claimed.middle - told.middle),
+        moved,
         log_height=tall + claimed.log_height - told.log_height,
         height_scale=_HEIGHT_SHARE * evidence.height_scale,
+        height_compared=True,
     )
 
 

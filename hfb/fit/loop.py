@@ -163,8 +163,8 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
     claimed = everywhere.evidence
     for number, stage in enumerate(stages):
         if number > 0 and claimed is not None:
-            last = number == len(stages) - 1
-            everywhere = replace(everywhere, evidence=_told(claimed, variables, everywhere, config, last))
+            full = stage.size_px == stages[-1].size_px
+            everywhere = replace(everywhere, evidence=_told(claimed, variables, everywhere, config, full))
         seen = everywhere.observation.resized(stage.size_px)
         visible = _visible(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)
@@ -187,14 +187,14 @@ def _descend(variables: Variables, everywhere: Objective, config: FitConfig, on_
 
 
 def _told(
-    claimed: JointEvidence, variables: Variables, everywhere: Objective, config: FitConfig, last: bool
+    claimed: JointEvidence, variables: Variables, everywhere: Objective, config: FitConfig, full: bool
 ) -> JointEvidence:
-    """What the networks say of the joints after a stage: the lifting network sees more of them then, and before the
-    last stage the fit's own picture is worth a look."""
+    """What the networks say of the joints after a stage: the lifting network sees more of them then, and before
+    every stage of full size the fit's own picture is worth a look."""
     evidence = claimed
     if config.lifting > 0:
         evidence = evidence.lifted(variables.joints_at_middle(everywhere.body), config.lifting)
-    if last and config.compare > 0:
+    if full and config.compare > 0:
         evidence = beside_the_fit(evidence, claimed, variables, everywhere, config.compare)
     return evidence
 

@@ -31,6 +31,7 @@ class JointEvidence:
         start: the first body's joints, from which the network began.
         log_height, height_scale: logarithm of how tall the person stands [m], by proportions, and the standard
             deviation of its error; one person is seen in all frames.
+        height_compared: the height is a fit's, corrected (`hfb.fit.comparison`), and no longer the network's own.
     """
 
     windows: tuple[Window, ...]
@@ -41,6 +42,7 @@ class JointEvidence:
     start: Float[Tensor, "T 24 3"]
     log_height: Float[Tensor, ""]
     height_scale: Float[Tensor, ""]
+    height_compared: bool = False
 
     def off(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
         """How far joints at mid-exposure [m, camera] lie from the claim, in the claim's own scales."""

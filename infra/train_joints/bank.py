@@ -14,6 +14,9 @@ from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
 TRAINING_SUBJECTS = (1, 2, 3, 5, 6, 7, 8, 11, 12, 14)
 """Subjects 9, 10 and 13 are for reports alone."""
 
+FURTHER_SUBJECTS = (60, 61, 94, 135)
+"""Learned from whole, so that what is held out of the others stays what it was."""
+
 SPLITS = ("train", "dev", "dev-other", "all", "report")
 
 _OTHER = "_daz"
@@ -26,17 +29,21 @@ def split(mocap: Path, chosen: str) -> list[str]:
     No take of the other conversion is learned from that is held out, whole or in part, in the first one.
     """
     names = sorted(path.stem for path in mocap.glob("*.bvh"))
-    ours = [name for name in names if int(name.split("_")[1]) in TRAINING_SUBJECTS]
+    ours, further = (
+        [name for name in names if int(name.split("_")[1]) in subjects]
+        for subjects in (TRAINING_SUBJECTS, FURTHER_SUBJECTS)
+    )
     first, others = ([name for name in ours if (_OTHER in name) == other] for other in (False, True))
     held_out = {_take(name) for name in first[3::4]}
     held_out |= set(sorted({_take(name) for name in others} - {_take(name) for name in first})[3::4])
     return {
         "train": [name for index, name in enumerate(first) if index % 4 != 3]
-        + [name for name in others if _take(name) not in held_out],
+        + [name for name in others if _take(name) not in held_out]
+        + further,
         "dev": first[3::4],
         "dev-other": [name for name in others if _take(name) in held_out],
-        "all": ours,
-        "report": [name for name in names if name not in ours],
+        "all": ours + further,
+        "report": [name for name in names if name not in ours + further],
     }[chosen]
 
 

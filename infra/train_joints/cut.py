@@ -11,11 +11,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bvh", type=Path, required=True, help="recordings named SUBJECT_TRIAL.bvh")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--hz", type=float, help="of all recordings, where their files say another rate than the true one"
+    )
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for path in sorted(options.bvh.rglob("*.bvh")):
         head, body = path.read_text().split("MOTION", 1)
         _, step, *frames = [line for line in body.splitlines() if line.strip()]
+        step = f"Frame Time: {1 / options.hz:.8f}" if options.hz else step
         frames, seconds = frames[1:], float(step.split(":")[1])
         parts = max(1, round(len(frames) * seconds / _SECONDS))
         for part in range(parts):

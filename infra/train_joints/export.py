@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import torch
-from bank import TRAINING_SUBJECTS
+from bank import FURTHER_SUBJECTS, TRAINING_SUBJECTS
 from measure import measure
 from safetensors.torch import load_file, save
 from train import Bank
@@ -17,7 +17,8 @@ _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",
     "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), subjects "
     f"{', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip (1, 2, 5, 6 and 7 in one "
-    "conversion until run13, all in two since); limbs lent between clips (upper bodies "
+    f"conversion until run13, all in two since), from run20 on also {', '.join(map(str, FURTHER_SUBJECTS))}; "
+    "limbs lent between clips (upper bodies "
     "alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
     "backgrounds": "Poly Haven HDRI views, Buddies of Budgie backgrounds, scikit-image textures (all CC0); "
     "generated rooms",

@@ -1,6 +1,6 @@
 """Draw fits to learn from: `python fits.py --mocap FOLDER --backgrounds FOLDER --out f1 --count 2000 --seed 1`.
 
-Every row is a picture and what a fit makes of it before its last stage, as that is when the two are compared.
+Every row is a picture and what a fit makes of it before its stages of full size, as that is when the two are compared.
 """
 
 from pathlib import Path
@@ -115,11 +115,13 @@ class Gym(Studio):
 
 
 def _hasty(rng: np.random.Generator) -> FitConfig:
-    """What ships, up to before the last stage and in some haste."""
+    """What ships, up to before the stages of full size and in some haste."""
     config = preset("best").fit
     haste = rng.uniform(*_HASTE)
     stages = tuple(
-        Stage(**(stage.model_dump() | {"iterations": round(haste * stage.iterations)})) for stage in config.stages[:-1]
+        Stage(**(stage.model_dump() | {"iterations": round(haste * stage.iterations)}))
+        for stage in config.stages
+        if stage.size_px < config.stages[-1].size_px
     )
     changed = {
         "stages": stages,

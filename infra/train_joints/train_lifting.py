@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from bank import TRAINING_SUBJECTS
+from bank import FURTHER_SUBJECTS, TRAINING_SUBJECTS
 from safetensors.torch import load_file, save
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR, PARENTS
@@ -204,6 +204,8 @@ def export(network: LiftingNetwork, held_out: Bank, folder: Path, training: dict
         "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), "
         f"subjects {', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip or take, in two "
         "conversions (github DragonForgedTheArtist/IClone-CMU-Mocap; AtelierCircle/CMU-MoCap-01-09 and -10-14, MIT); "
+        f"in the last training also {', '.join(map(str, FURTHER_SUBJECTS))} "
+        "(papagina/Auto_Conditioned_RNN_motion, MIT); "
         "limbs lent between clips, joints bent a little; a quarter generated",
         "starts": "drawn by hfb.datasets.network_errors",
         "training": training,

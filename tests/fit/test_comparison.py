@@ -69,3 +69,18 @@ def test_what_differs_points_at_the_picture() -> None:
     missing = window.to_units(true.joints_at_middle(BODY)[0]) - window.to_units(fitted.joints_at_middle(BODY)[0])
     assert float(torch.cosine_similarity(moved.flatten(), missing.flatten(), dim=0)) > 0.6
     assert float((moved[0] - missing).norm()) < 0.9 * float(missing.norm())
+
+
+def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at_each() -> None:
+    for frames in (1, 2):
+        scene = moving_scene(BODY, frames=frames, size_px=96)
+        seen, first = scene.observation, scene.middle
+        evidence = look_for_joints(seen, first, BODY)
+        smaller = replace(first[0], betas=first[0].betas - 1)
+        fits = [start_variables([one] * frames, seen, CONFIG, torch.Generator()) for one in (smaller, first[0])]
+        objective = replace(objective_of(seen, first[0]), evidence=evidence)
+        once = beside_the_fit(evidence, evidence, fits[0], objective, 0.7)
+        twice = beside_the_fit(evidence, evidence, fits[1], replace(objective, evidence=once), 0.7)
+        assert torch.equal(twice.log_height, once.log_height) == (frames == 1)
+        assert torch.equal(twice.height_scale, once.height_scale)
+        assert not torch.equal(twice.middle, once.middle)

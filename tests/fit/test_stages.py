@@ -34,8 +34,8 @@ def test_a_stage_without_gain_ends_by_its_patience() -> None:
     assert len(run(still)[0].history["total"]) == 20  # without patience a stage takes its time
 
 
-def test_the_fits_own_picture_is_looked_at_before_the_last_stage_alone() -> None:
-    body, stage = load_default_body(), Stage(size_px=48, iterations=3)
+def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a_first() -> None:
+    body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
     scene = moving_scene(body, size_px=48)
     weights = Weights(joints=3, height=0.04)
 
@@ -43,7 +43,11 @@ def test_the_fits_own_picture_is_looked_at_before_the_last_stage_alone() -> None
         config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, weights=weights, compare=compare)
         return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
 
-    without, with_it = losses(0, stage, stage, stage), losses(0.75, stage, stage, stage)
-    assert with_it[:6] == without[:6]
-    assert with_it[6] != without[6]
-    assert losses(0.75, stage) == losses(0, stage)
+    def first_change(*stages: Stage) -> int | None:
+        both = zip(losses(0, *stages), losses(0.75, *stages), strict=True)
+        return next((number for number, (without, with_it) in enumerate(both) if without != with_it), None)
+
+    assert first_change(stage, coarse, coarse, stage) == 9
+    assert first_change(coarse, stage, stage) == 3
+    assert first_change(stage, stage) == 3
+    assert first_change(stage) is None
