@@ -1,7 +1,12 @@
 """From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
 
+from unittest.mock import Mock
+
+import pytest
+
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, Weights
+from hfb.fit import loop
 from hfb.fit.loop import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
@@ -34,7 +39,9 @@ def test_a_stage_without_gain_ends_by_its_patience() -> None:
     assert len(run(still)[0].history["total"]) == 20  # without patience a stage takes its time
 
 
-def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a_first() -> None:
+def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
     scene = moving_scene(body, size_px=48)
     weights = Weights(joints=3, height=0.04)
@@ -51,3 +58,7 @@ def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a
     assert first_change(coarse, stage, stage) == 3
     assert first_change(stage, stage) == 3
     assert first_change(stage) is None
+    looks = Mock(side_effect=loop.beside_the_fit)  # the real one, counted
+    monkeypatch.setattr(loop, "beside_the_fit", looks)
+    losses(0.75, coarse, stage, stage, stage)
+    assert looks.call_count == 3
