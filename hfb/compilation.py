@@ -26,7 +26,7 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 
 @lru_cache
 def _sources(folder: Path) -> str:
-    files = (*sorted(folder.glob("kernels*.py")), Path(__file__))
+    files = (*sorted(folder.glob("kernels*.py")), Path(__file__), Path(__file__).with_name("vector_code.py"))
     return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -11,6 +11,7 @@ knows; nested ones it leaves slow.
 import numpy as np
 from numba import njit
 
+from hfb.body.kernels_vector import BLOCK, FEATURES, add_block
 from hfb.compilation import LOOP, SUM_INLINE, entry, loop_entry, sum_entry
 
 LANES = 8  # instants at once: a number that the compiler knows, so that loops over them become single operations
@@ -253,34 +254,38 @@ def skin_gradient(transforms, rest, offsets, starts, joints, weights, given, of_
 
 @sum_entry
 def blend(feature, directions, offsets):
-    """Fill `offsets` (S, V, 3) with pose blend shapes (SMPL's eq. 9) of S poses' features (S, n); S is a multiple of 4.
+    """Fill `offsets` (S, V, 3) with pose blend shapes (SMPL's eq. 9) of the features (S, 208) of S poses, S of 4s.
 
-    directions: (V, 3, n), which are read from memory once: they are too many for the processor's cache.
+    directions: (V, 3, 208), which are read from memory once: they are too many for the processor's cache. Three
+    directions times four poses at once are twelve sums that do not wait for each other, and load little for it.
     """
     for v in range(directions.shape[0]):
-        for c in range(3):
-            for s in range(0, feature.shape[0], 4):
-                zero = directions.dtype.type(0)
-                first, second, third, fourth = zero, zero, zero, zero
-                for k in range(directions.shape[2]):
-                    along = directions[v, c, k]
-                    first += along * feature[s, k]
-                    second += along * feature[s + 1, k]
-                    third += along * feature[s + 2, k]
-                    fourth += along * feature[s + 3, k]
-                offsets[s, v, c], offsets[s + 1, v, c] = first, second
-                offsets[s + 2, v, c], offsets[s + 3, v, c] = third, fourth
+        for s in range(0, feature.shape[0], 4):
+            zero = directions.dtype.type(0)
+            x0, x1, x2, x3 = zero, zero, zero, zero
+            y0, y1, y2, y3 = zero, zero, zero, zero
+            z0, z1, z2, z3 = zero, zero, zero, zero
+            for k in range(FEATURES):
+                x, y, z = directions[v, 0, k], directions[v, 1, k], directions[v, 2, k]
+                first, second, third, fourth = feature[s, k], feature[s + 1, k], feature[s + 2, k], feature[s + 3, k]
+                x0, x1, x2, x3 = x0 + x * first, x1 + x * second, x2 + x * third, x3 + x * fourth
+                y0, y1, y2, y3 = y0 + y * first, y1 + y * second, y2 + y * third, y3 + y * fourth
+                z0, z1, z2, z3 = z0 + z * first, z1 + z * second, z2 + z * third, z3 + z * fourth
+            offsets[s, v, 0], offsets[s, v, 1], offsets[s, v, 2] = x0, y0, z0
+            offsets[s + 1, v, 0], offsets[s + 1, v, 1], offsets[s + 1, v, 2] = x1, y1, z1
+            offsets[s + 2, v, 0], offsets[s + 2, v, 1], offsets[s + 2, v, 2] = x2, y2, z2
+            offsets[s + 3, v, 0], offsets[s + 3, v, 1], offsets[s + 3, v, 2] = x3, y3, z3
 
 
 @loop_entry
 def blend_gradient(given, directions, of_feature):
-    """Add to `of_feature` (S, n), the features of S poses, what the offsets' gradient (S, V, 3) asks of them.
+    """Add to `of_feature` (S, 208), the features of S poses, what the offsets' gradient (S, V, 3) asks of them.
 
-    directions: (V, 3, n). What the camera does not see asks for nothing and is passed over, half of the work.
+    directions: (V, 3, 208). What the camera does not see asks for nothing and is passed over, half of the work.
     """
     for v in range(directions.shape[0]):
         for s in range(given.shape[0]):
-            a, b, c = given[s, v, 0], given[s, v, 1], given[s, v, 2]
-            if a != 0.0 or b != 0.0 or c != 0.0:
-                for k in range(of_feature.shape[1]):
-                    of_feature[s, k] += a * directions[v, 0, k] + b * directions[v, 1, k] + c * directions[v, 2, k]
+            x, y, z = given[s, v, 0], given[s, v, 1], given[s, v, 2]
+            if (x != 0.0) | (y != 0.0) | (z != 0.0):
+                for k in range(0, FEATURES, BLOCK):
+                    add_block(of_feature, s * FEATURES + k, directions, 3 * v * FEATURES + k, x, y, z)

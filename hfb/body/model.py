@@ -74,6 +74,12 @@ class Body:
         """The skinning weights as lists, see `hfb.body.skinning.sparse_weights`."""
         return skinning.sparse_weights(self.skinning_weights)
 
+    @cached_property
+    def padded_pose_directions(self) -> Float[Tensor, "V 3 208"]:
+        """The pose blend shapes as `hfb.body.operators.blend` reads them; of no vertices where the model has none."""
+        none = self.template.new_empty(0, 3, 207)
+        return operators.padded(none if self.pose_directions is None else self.pose_directions)
+
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
         return Body(
@@ -159,5 +165,5 @@ class ShapedBody:
         identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
         feature = (rotations[:, 1:] - identity).flatten(1)
         if feature.device.type == "cpu":
-            return operators.blend(feature, directions)
+            return operators.blend(feature, self.body.padded_pose_directions)
         return skinning.blend(feature, directions)

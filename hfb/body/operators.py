@@ -125,15 +125,20 @@ def _skin_backward(ctx, given):  # type: ignore[no-untyped-def]
 skin.register_autograd(_skin_backward, setup_context=_keep_skin)
 
 
+def padded(feature: Tensor) -> Tensor:
+    """Features of poses, or directions along them, with zeros up to the number that the kernels know: (.., 208)."""
+    return torch.nn.functional.pad(feature, (0, kernels.FEATURES - feature.shape[-1]))
+
+
 @torch.library.custom_op("hfb::blend", mutates_args=())
 def blend(feature: Tensor, directions: Tensor) -> Tensor:
     """Pose blend shapes (SMPL's eq. 9) of S poses (S, V, 3) [m].
 
     Args:
-        feature: (S, n), what the poses differ in from the rest pose. directions: (V, 3, n), constants [m].
+        feature: (S, n), what the poses differ in from the rest pose. directions: (V, 3, 208), `padded`, constants [m].
     """
     count = len(feature)
-    fours = torch.nn.functional.pad(feature, (0, 0, 0, -count % 4))  # the kernel works on four poses at once
+    fours = torch.nn.functional.pad(padded(feature), (0, 0, 0, -count % 4))  # the kernel works on four poses at once
     offsets = feature.new_empty(len(fours), len(directions), 3)
     kernels.blend(*_arrays(fours, directions), offsets.numpy())
     return offsets[:count]
@@ -145,24 +150,25 @@ def _(feature: Tensor, directions: Tensor) -> Tensor:
 
 
 @torch.library.custom_op("hfb::blend_gradient", mutates_args=())
-def blend_gradient(given: Tensor, directions: Tensor) -> Tensor:
-    """Gradient of the features."""
-    of_feature = given.new_zeros(given.shape[0], directions.shape[2])
+def blend_gradient(given: Tensor, directions: Tensor, features: int) -> Tensor:
+    """Gradient of the features (S, n)."""
+    of_feature = given.new_zeros(len(given), kernels.FEATURES)
     kernels.blend_gradient(*_arrays(given, directions), of_feature.numpy())
-    return of_feature
+    return of_feature[:, :features].contiguous()
 
 
 @blend_gradient.register_fake
-def _(given: Tensor, directions: Tensor) -> Tensor:
-    return given.new_empty(given.shape[0], directions.shape[2])
+def _(given: Tensor, directions: Tensor, features: int) -> Tensor:
+    return given.new_empty(given.shape[0], features)
 
 
 def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    ctx.features = inputs[0].shape[1]
     ctx.save_for_backward(inputs[1])
 
 
 def _blend_backward(ctx, given):  # type: ignore[no-untyped-def]
-    return blend_gradient(given, *ctx.saved_tensors), None
+    return blend_gradient(given, *ctx.saved_tensors, ctx.features), None
 
 
 blend.register_autograd(_blend_backward, setup_context=_keep_blend)

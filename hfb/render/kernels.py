@@ -18,6 +18,7 @@ from hfb.render.kernels_overlap import chain_pieces, resolve
 from hfb.render.kernels_screen import find_front, find_outline, mask_for, project, see_faces, to_metres
 from hfb.render.kernels_shading import FOUND, GATHERED, PLACES, shade, shade_gradient
 from hfb.render.kernels_vector import add_scaled
+from hfb.vector_code import LANES
 
 
 @njit(**JIT)
@@ -36,9 +37,9 @@ def _resolve_overlaps(outline, projected, width, place, unsure, pixels, windings
     most = 3 + 2 * longest + longest * longest // 2  # heights: borders, ends and crossings
     resolve(
         unsure, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
-        np.empty(longest, np.int64), np.empty((longest, 5), np.float64), np.empty(most, np.float64),
-        np.empty(most, np.float64), np.empty(longest, np.int64), np.empty(longest, np.float64),
-        np.empty(longest, np.int64),
+        np.empty(longest, np.int64), np.empty((longest, 6), np.float64), np.zeros(most + LANES, np.float64),
+        np.empty(most + LANES, np.float64), np.empty(most + LANES, np.float64), np.empty(longest, np.int64),
+        np.empty(2 * LANES * longest, np.float64),
     )  # fmt: skip
     return weights
 
@@ -87,7 +88,7 @@ def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     if box[0] < box[2]:
         find_front(projected, faces, front)
     outline = _outline(front, edge_vertices, edge_faces)
-    seen = np.empty((0, 0), np.int64)
+    seen = np.empty((0, 0), np.int64)[:, :]
     pixels, _, coverage, owner, edge, shares = _trace(outline, projected, box, np.int64(lens[5]), seen, 0)
     return projected, outline, pixels, coverage, owner, edge, shares
 

@@ -11,9 +11,11 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import INLINE, JIT, LOOP
+from hfb.render.kernels_vector import keep_nearest
+from hfb.vector_code import if_less, lane_numbers, smaller
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
-ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
+TILE_COLUMNS, TILE_ROWS = 4, 2  # most faces' centres lie in one such tile
 FAR_PX = 1e9  # a corner projected farther out than this is not used
 
 
@@ -136,10 +138,14 @@ def find_candidates(projected, faces, front, box, candidates):
 
 
 @njit(**LOOP)
-def fill_depth(projected, faces, candidates, box, mask, seen):
-    """Let the faces listed compete for the pixels' centres: `seen` (region) keeps the largest 1/z, and the face in
-    the bits of the mask. One number for both, as the larger of two numbers can be taken without a branch."""
+def fill_depth(projected, faces, candidates, box, mask, tiles):
+    """Let the faces listed compete for the pixels' centres: `tiles` (the region, and what tiles stand out of it) keeps
+    the largest 1/z, and the face in the bits of the mask. One number for both, as the larger of two numbers can be taken
+    without a branch."""
     left, top, right, bottom = box[0], box[1], box[2], box[3]
+    stride, lane = tiles.shape[1], lane_numbers()
+    below = if_less(lane, np.float64(TILE_COLUMNS), 0.0, 1.0)
+    right_of = lane - np.float64(TILE_COLUMNS) * below
     for m in range(candidates.shape[0]):
         f = candidates[m]
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -153,24 +159,26 @@ def fill_depth(projected, faces, candidates, box, mask, seen):
         c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
         r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
         r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
-        for r in range(r_from, r_to + 1):
-            for c in range(c_from, c_to + 1, 2):  # two at once: most faces are no wider, and looping would be a guess
-                for column in (c, min(c + 1, c_to)):
-                    px, py = column + 0.5 - x0, r + 0.5 - y0
-                    b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
-                    b0 = 1.0 - b1 - b2
-                    inside = -np.int64(min(b0, b1, b2) >= ON_EDGE)
-                    mine = pack(b0 * z0 + b1 * z1 + b2 * z2, np.int64(f), mask) & inside
-                    seen[r - top, column - left] = max(seen[r - top, column - left], mine)
+        # What stands out of a face's bounds is outside of it; what stands out of the box is nobody's.
+        for r in range(r_from, r_to + 1, TILE_ROWS):
+            py = below + (r + 0.5 - y0)
+            for c in range(c_from, c_to + 1, TILE_COLUMNS):
+                px = right_of + (c + 0.5 - x0)
+                b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
+                b0 = 1.0 - b1 - b2
+                least = smaller(b0, smaller(b1, b2))
+                at = (r - top) * stride + c - left
+                keep_nearest(tiles, at, at + stride, b0 * z0 + b1 * z1 + b2 * z2, least, np.int64(f), mask)
 
 
 @njit(**JIT)
 def see_faces(projected, faces, box, mask):
     """Which face that looks at the camera is seen at each pixel's centre: (`seen` of the region, which look at it)."""
     front = np.zeros(faces.shape[0], np.bool_)
-    seen = np.zeros((box[3] - box[1], box[2] - box[0]), np.int64)
-    if seen.size > 0:
+    height, width = box[3] - box[1], box[2] - box[0]
+    tiles = np.zeros((height + TILE_ROWS - 1, width + TILE_COLUMNS - 1), np.int64)
+    if height > 0:
         candidates = np.empty(faces.shape[0], np.uint32)
         n = find_candidates(projected, faces, front, box, candidates)
-        fill_depth(projected, faces, candidates[:n], box, mask, seen)
-    return seen, front
+        fill_depth(projected, faces, candidates[:n], box, mask, tiles)
+    return tiles[:height, :width], front

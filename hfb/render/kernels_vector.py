@@ -1,7 +1,6 @@
 """Compiled parts: four channels of a picture or a texture at a time, in one register.
 
-The compiler that numba brings does not pack four neighbouring numbers by itself, so these few steps are written for it.
-Positions are counted in numbers from the beginning of an array without gaps.
+Positions as in `hfb.vector_code`.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -10,36 +9,11 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from hfb.vector_code import address, fma, load, positions, shuffle, splat
+
 _LANES = range(4)
+ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
 BATCH = 64  # columns of the tables of `kernels_shading`
-
-
-def _address(context, builder, array_type, array, position):
-    """Pointer to four numbers of an array, and their type."""
-    data = context.make_array(array_type)(context, builder, array).data
-    four = ir.VectorType(context.get_value_type(array_type.dtype), 4)
-    return builder.bitcast(builder.gep(data, [position]), four.as_pointer()), four, array_type.dtype.bitwidth // 8
-
-
-def _load(context, builder, array_type, array, position):
-    pointer, _, align = _address(context, builder, array_type, array, position)
-    value = builder.load(pointer)
-    value.align = align
-    return value
-
-
-def _splat(builder, scalar, four):
-    first = builder.insert_element(ir.Constant(four, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(ir.IntType(32), 4), [0, 0, 0, 0]))
-
-
-def _shuffle(builder, left, right, order):
-    return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(ir.IntType(32), 4), list(order)))
-
-
-def _fma(builder, a, b, c):
-    """a b + c, rounded once where the processor can."""
-    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
 def _convert(context, builder, value, target):
@@ -49,25 +23,20 @@ def _convert(context, builder, value, target):
     return value if value.type == kind else (builder.fptrunc if wide else builder.fpext)(value, kind)
 
 
-def _positions(context, builder, signature, arguments, wanted):
-    return [context.cast(builder, arguments[k], signature.args[k], types.intp) for k in wanted]
-
-
 @intrinsic
 def dots(typingctx, picture, pixel, texture, a, b, c, d):
     """Inner products of the four channels at `pixel` with the texels at a, b, c and d."""
     signature = types.UniTuple(texture.dtype, 4)(picture, pixel, texture, a, b, c, d)
 
     def codegen(context, builder, signature, arguments):
-        at, *corners = _positions(context, builder, signature, arguments, (1, 3, 4, 5, 6))
-        given = _load(context, builder, signature.args[0], arguments[0], at)
-        p, q, r, s = (
-            builder.fmul(given, _load(context, builder, signature.args[2], arguments[2], corner)) for corner in corners
-        )
+        at, *corners = positions(context, builder, signature, arguments, (1, 3, 4, 5, 6))
+        given = load(context, builder, signature.args[0], arguments[0], at, 4)
+        texels = (load(context, builder, signature.args[2], arguments[2], corner, 4) for corner in corners)
+        p, q, r, s = (builder.fmul(given, texel) for texel in texels)
         # Sums along four registers as one register of four sums: transposed by halves.
-        pq = builder.fadd(_shuffle(builder, p, q, (0, 2, 4, 6)), _shuffle(builder, p, q, (1, 3, 5, 7)))
-        rs = builder.fadd(_shuffle(builder, r, s, (0, 2, 4, 6)), _shuffle(builder, r, s, (1, 3, 5, 7)))
-        sums = builder.fadd(_shuffle(builder, pq, rs, (0, 2, 4, 6)), _shuffle(builder, pq, rs, (1, 3, 5, 7)))
+        pq = builder.fadd(shuffle(builder, p, q, (0, 2, 4, 6)), shuffle(builder, p, q, (1, 3, 5, 7)))
+        rs = builder.fadd(shuffle(builder, r, s, (0, 2, 4, 6)), shuffle(builder, r, s, (1, 3, 5, 7)))
+        sums = builder.fadd(shuffle(builder, pq, rs, (0, 2, 4, 6)), shuffle(builder, pq, rs, (1, 3, 5, 7)))
         values = [builder.extract_element(sums, ir.Constant(ir.IntType(32), lane)) for lane in _LANES]
         return cgutils.pack_array(builder, values)
 
@@ -80,13 +49,13 @@ def add_to_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, 
     signature = types.void(texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, picture, pixel)
 
     def codegen(context, builder, signature, arguments):
-        *corners, at = _positions(context, builder, signature, arguments, (1, 2, 3, 4, 10))
-        given = _load(context, builder, signature.args[9], arguments[9], at)
+        *corners, at = positions(context, builder, signature, arguments, (1, 2, 3, 4, 10))
+        given = load(context, builder, signature.args[9], arguments[9], at, 4)
         for corner, weight in zip(corners, arguments[5:9], strict=True):
-            pointer, four, align = _address(context, builder, signature.args[0], arguments[0], corner)
+            pointer, four, align = address(context, builder, signature.args[0], arguments[0], corner, 4)
             held = builder.load(pointer)
             held.align = align
-            builder.store(_fma(builder, _splat(builder, weight, four), given, held), pointer).align = align
+            builder.store(fma(builder, splat(builder, weight, four), given, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -98,13 +67,13 @@ def mix_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, wei
     signature = types.void(texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, colours, at)
 
     def codegen(context, builder, signature, arguments):
-        *corners, at = _positions(context, builder, signature, arguments, (1, 2, 3, 4, 10))
+        *corners, at = positions(context, builder, signature, arguments, (1, 2, 3, 4, 10))
         total = None
         for corner, weight in zip(corners, arguments[5:9], strict=True):
-            texel = _load(context, builder, signature.args[0], arguments[0], corner)
-            share = _splat(builder, weight, texel.type)
-            total = builder.fmul(share, texel) if total is None else _fma(builder, share, texel, total)
-        pointer, _, align = _address(context, builder, signature.args[9], arguments[9], at)
+            texel = load(context, builder, signature.args[0], arguments[0], corner, 4)
+            share = splat(builder, weight, texel.type)
+            total = builder.fmul(share, texel) if total is None else fma(builder, share, texel, total)
+        pointer, _, align = address(context, builder, signature.args[9], arguments[9], at, 4)
         builder.store(total, pointer).align = align
         return context.get_dummy_value()
 
@@ -117,12 +86,12 @@ def add_scaled(typingctx, picture, pixel, colours, at, scale):
     signature = types.void(picture, pixel, colours, at, scale)
 
     def codegen(context, builder, signature, arguments):
-        to, source = _positions(context, builder, signature, arguments, (1, 3))
-        given = _load(context, builder, signature.args[2], arguments[2], source)
-        pointer, four, align = _address(context, builder, signature.args[0], arguments[0], to)
+        to, source = positions(context, builder, signature, arguments, (1, 3))
+        given = load(context, builder, signature.args[2], arguments[2], source, 4)
+        pointer, four, align = address(context, builder, signature.args[0], arguments[0], to, 4)
         held = builder.load(pointer)
         held.align = align
-        builder.store(_fma(builder, _splat(builder, arguments[4], four), given, held), pointer).align = align
+        builder.store(fma(builder, splat(builder, arguments[4], four), given, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -134,14 +103,14 @@ def add_corner(typingctx, gradient, at, weight, x, y, z):
     signature = types.void(gradient, at, weight, x, y, z)
 
     def codegen(context, builder, signature, arguments):
-        (to,) = _positions(context, builder, signature, arguments, (1,))
-        pointer, four, align = _address(context, builder, signature.args[0], arguments[0], to)
+        (to,) = positions(context, builder, signature, arguments, (1,))
+        pointer, four, align = address(context, builder, signature.args[0], arguments[0], to, 4)
         held = builder.load(pointer)
         held.align = align
         asked = ir.Constant(four, [0.0, 0.0, 0.0, 0.0])
         for lane, number in enumerate(arguments[3:6]):
             asked = builder.insert_element(asked, number, ir.Constant(ir.IntType(32), lane))
-        builder.store(_fma(builder, _splat(builder, arguments[2], four), asked, held), pointer).align = align
+        builder.store(fma(builder, splat(builder, arguments[2], four), asked, held), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
@@ -157,14 +126,16 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
     signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha)
 
     def codegen(context, builder, signature, arguments):
-        at, *corners = _positions(context, builder, signature, arguments, (1, 3, 4, 5))
-        first, second, third = (_load(context, builder, signature.args[2], arguments[2], corner) for corner in corners)
+        at, *corners = positions(context, builder, signature, arguments, (1, 3, 4, 5))
+        first, second, third = (
+            load(context, builder, signature.args[2], arguments[2], corner, 4) for corner in corners
+        )
         seen = ir.Constant(first.type, [0.0, 0.0, 0.0, 0.0])
         for lane, number in ((0, arguments[6]), (1, arguments[7]), (3, arguments[8])):
             seen = builder.insert_element(seen, number, ir.Constant(ir.IntType(32), lane))
         for number, vector in enumerate((second, third, seen)):
             position = builder.add(at, ir.Constant(at.type, 4 * number * BATCH))
-            pointer, four, align = _address(context, builder, signature.args[0], arguments[0], position)
+            pointer, four, align = address(context, builder, signature.args[0], arguments[0], position, 4)
             value = _convert(context, builder, builder.fsub(vector, first), four.element)
             builder.store(value, pointer).align = align
         return context.get_dummy_value()
@@ -178,10 +149,37 @@ def gather_four(typingctx, table, to, source, at):
     signature = types.void(table, to, source, at)
 
     def codegen(context, builder, signature, arguments):
-        here, there = _positions(context, builder, signature, arguments, (1, 3))
-        value = _load(context, builder, signature.args[2], arguments[2], there)
-        pointer, four, align = _address(context, builder, signature.args[0], arguments[0], here)
+        here, there = positions(context, builder, signature, arguments, (1, 3))
+        value = load(context, builder, signature.args[2], arguments[2], there, 4)
+        pointer, four, align = address(context, builder, signature.args[0], arguments[0], here, 4)
         builder.store(_convert(context, builder, value, four.element), pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
+    """Let a face compete for a tile of 4 x 2 pixels, `above` and `below` where its rows begin: in `tiles` stays the larger
+    of what is there and, where least >= ON_EDGE, the nearness with the face in the bits of the mask (see
+    `kernels_screen.pack`)."""
+    signature = types.void(tiles, above, below, nearness, least, face, mask)
+
+    def codegen(context, builder, signature, arguments):
+        rows = positions(context, builder, signature, arguments, (1, 2))
+        face, mask = positions(context, builder, signature, arguments, (5, 6))
+        whole = ir.VectorType(ir.IntType(64), 8)
+        bits = builder.and_(builder.bitcast(arguments[3], whole), splat(builder, builder.not_(mask), whole))
+        bits = builder.or_(bits, splat(builder, face, whole))
+        inside = builder.fcmp_ordered(">=", arguments[4], ir.Constant(arguments[4].type, [ON_EDGE] * 8))
+        bits = builder.select(inside, bits, ir.Constant(whole, [0] * 8))
+        for row, first in zip(rows, (0, 4), strict=True):
+            pointer, _, align = address(context, builder, signature.args[0], arguments[0], row, 4)
+            held = builder.load(pointer)
+            held.align = align
+            mine = shuffle(builder, bits, bits, range(first, first + 4))
+            larger = builder.select(builder.icmp_signed(">", mine, held), mine, held)
+            builder.store(larger, pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen

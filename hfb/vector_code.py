@@ -1,0 +1,176 @@
+"""What kernels write in the compiler's own language: several neighbouring numbers at a time, in one register.
+
+The compiler that numba brings does not pack neighbouring numbers by itself where it cannot rule out that the arrays
+overlap, or tests for it at every call; so a few steps are written for it. Positions are counted in numbers from the
+beginning of an array without gaps.
+"""
+# mypy: ignore-errors
+# (builds code for numba: its types are not mypy's)
+
+import operator
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+
+def address(context, builder, array_type, array, position, count):
+    """Pointer to `count` numbers of an array, their type, and the bytes of one."""
+    data = context.make_array(array_type)(context, builder, array).data
+    vector = ir.VectorType(context.get_value_type(array_type.dtype), count)
+    return builder.bitcast(builder.gep(data, [position]), vector.as_pointer()), vector, array_type.dtype.bitwidth // 8
+
+
+def load(context, builder, array_type, array, position, count):
+    """So many numbers of an array from a position on."""
+    pointer, _, align = address(context, builder, array_type, array, position, count)
+    value = builder.load(pointer)
+    value.align = align
+    return value
+
+
+def splat(builder, scalar, vector):
+    """A number in every lane."""
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return shuffle(builder, first, first, [0] * vector.count)
+
+
+def shuffle(builder, left, right, order):
+    """Lanes of two vectors, numbered through, in another order."""
+    return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
+
+
+def fma(builder, a, b, c):
+    """a b + c, rounded once where the processor can."""
+    return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
+
+
+def positions(context, builder, signature, arguments, wanted):
+    """Some of the arguments as positions."""
+    return [context.cast(builder, arguments[k], signature.args[k], types.intp) for k in wanted]
+
+
+class _Lanes(types.Type):
+    """Eight float64 side by side, in compiled code alone."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+
+LANES = 8
+_lanes, _vector = _Lanes(), ir.VectorType(ir.DoubleType(), LANES)
+register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind, _vector))
+
+
+def _widened(context, builder, kind, value):
+    """Lanes as they are; a number into every lane."""
+    if kind is _lanes:
+        return value
+    return splat(builder, context.cast(builder, value, kind, types.float64), _vector)
+
+
+def _operator(symbol, operation):
+    """Let a sign of Python's work on lanes, and on lanes and a number."""
+    pairs = ((_lanes, _lanes), (_lanes, types.float64), (types.float64, _lanes))
+    infer_global(symbol)(type("_", (ConcreteTemplate,), {"cases": [signature(_lanes, *pair) for pair in pairs]}))
+
+    def lower(context, builder, signature, arguments):
+        left, right = (_widened(context, builder, *one) for one in zip(signature.args, arguments, strict=True))
+        return getattr(builder, operation)(left, right)
+
+    for pair in pairs:
+        lower_builtin(symbol, *pair)(lower)
+
+
+for _symbol, _operation in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+    _operator(_symbol, _operation)
+
+
+@intrinsic
+def lanes(typingctx, number):
+    """A number in every lane."""
+
+    def codegen(context, builder, signature, arguments):
+        return _widened(context, builder, signature.args[0], arguments[0])
+
+    return _lanes(number), codegen
+
+
+@intrinsic
+def lane_numbers(typingctx):
+    """0 to 7."""
+
+    def codegen(context, builder, signature, arguments):
+        return ir.Constant(_vector, [float(lane) for lane in range(LANES)])
+
+    return _lanes(), codegen
+
+
+@intrinsic
+def load_lanes(typingctx, array, position):
+    """Eight numbers of a float64 array from a position on."""
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (1,))
+        return load(context, builder, signature.args[0], arguments[0], at, LANES)
+
+    return _lanes(array, position), codegen
+
+
+@intrinsic
+def store_lanes(typingctx, array, position, value):
+    """Write eight numbers to a float64 array."""
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (1,))
+        pointer, _, align = address(context, builder, signature.args[0], arguments[0], at, LANES)
+        builder.store(arguments[2], pointer).align = align
+        return context.get_dummy_value()
+
+    return types.void(array, position, value), codegen
+
+
+def _choice(comparison):
+    def choose(typingctx, left, right, then, otherwise):
+        def codegen(context, builder, signature, arguments):
+            given = zip(signature.args, arguments, strict=True)
+            left, right, then, otherwise = (_widened(context, builder, *one) for one in given)
+            return builder.select(builder.fcmp_ordered(comparison, left, right), then, otherwise)
+
+        return _lanes(left, right, then, otherwise), codegen
+
+    return choose
+
+
+if_less = intrinsic(_choice("<"))
+"""In every lane `then` where left < right, else `otherwise`: of (left, right, then, otherwise), lanes or numbers."""
+
+if_equal = intrinsic(_choice("=="))
+"""As `if_less`, where left and right are equal."""
+
+
+@intrinsic
+def smaller(typingctx, left, right):
+    """The smaller number in every lane; the second where one is not a number."""
+
+    def codegen(context, builder, signature, arguments):
+        left, right = (_widened(context, builder, *one) for one in zip(signature.args, arguments, strict=True))
+        return builder.select(builder.fcmp_ordered("<", left, right), left, right)
+
+    return _lanes(left, right), codegen
+
+
+@intrinsic
+def sum_lanes(typingctx, value):
+    """Sum of all lanes, in an order that is always the same."""
+
+    def codegen(context, builder, signature, arguments):
+        total, count = arguments[0], LANES
+        while count > 1:
+            count //= 2
+            halves = (shuffle(builder, total, total, range(at, at + count)) for at in (0, count))
+            total = builder.fadd(*halves)
+        return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
+
+    return types.float64(value), codegen
