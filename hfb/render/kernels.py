@@ -70,13 +70,16 @@ def _trace(outline, projected, box, width, seen, mask):
     )
     owner, edge, shares = np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 2), np.float64)
     moving = weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, weights, owner, edge, shares)
-    return (pixels[:n], codes[:n], coverage[:n], owner[:moving], edge[:moving], shares[:moving])
+    return (
+        pixels[:n].copy(), codes[: n if seen.shape[0] > 0 else 0].copy(), coverage[:n].copy(),
+        owner[:moving].copy(), edge[:moving].copy(), shares[:moving].copy(),
+    )  # fmt: skip
 
 
 @njit(**JIT)
 def _outline(front, edge_vertices, edge_faces):
     outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
-    return outline[: find_outline(front, edge_vertices, edge_faces, outline)]
+    return outline[: find_outline(front, edge_vertices, edge_faces, outline)].copy()
 
 
 @entry
