@@ -33,8 +33,9 @@ def _load(piece, older, column, row, outline, projected, edge, span, member, par
     """Read one pixel's pieces; returns their number, that of the heights, and the pixel's mean winding if 0 at its
     top left corner.
 
-    part: x and y of start and end, relative to the pixel, and what x and the edge's parameter grow by along y. heights: where pieces begin, and where they
-    leave sideways: with the pixel's top and bottom, all heights at which something begins or ends.
+    part: x and y of start and end, relative to the pixel, and what x and the edge's parameter grow by along y.
+    heights: where pieces begin, and where they leave sideways: with the pixel's top and bottom, all heights at which
+    something begins or ends.
     """
     m, n, mean = 0, 2, 0.0
     heights[0], heights[1] = 0.0, 1.0

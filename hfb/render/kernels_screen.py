@@ -140,8 +140,8 @@ def find_candidates(projected, faces, front, box, candidates):
 @njit(**LOOP)
 def fill_depth(projected, faces, candidates, box, mask, tiles):
     """Let the faces listed compete for the pixels' centres: `tiles` (the region, and what tiles stand out of it) keeps
-    the largest 1/z, and the face in the bits of the mask. One number for both, as the larger of two numbers can be taken
-    without a branch."""
+    the largest 1/z, and the face in the bits of the mask. One number for both, as the larger of two numbers can be
+    taken without a branch."""
     left, top, right, bottom = box[0], box[1], box[2], box[3]
     stride, lane = tiles.shape[1], lane_numbers()
     below = if_less(lane, np.float64(TILE_COLUMNS), 0.0, 1.0)

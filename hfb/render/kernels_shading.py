@@ -14,7 +14,16 @@ from numba import njit
 from hfb.compilation import INLINE, LOOP
 from hfb.render.kernels_screen import NOTHING
 from hfb.render.kernels_surface import edge_colour, edge_gradient
-from hfb.render.kernels_vector import BATCH, add_corner, add_to_texels, dots, gather_face, gather_four, mix_texels
+from hfb.render.kernels_vector import (
+    BATCH,
+    add_corner,
+    add_to_texels,
+    dots,
+    gather_face,
+    gather_four,
+    mix_texels,
+    prefetch,
+)
 
 # Blocks of what is gathered, several numbers of a pixel side by side: the face's second and third corner as seen from
 # its first (x, y, 1/z, -), the pixel as seen from there (x, y, - 1/z there, alpha), and texture coordinates (of the
@@ -30,6 +39,20 @@ FOUND = 24 * BATCH
 # Rows of a batch's places (int32): the pixel's place in its list and in the picture, corners in (V, 4), first texel.
 SLOT, AT, CORNER_0, CORNER_1, CORNER_2, TEXEL = (BATCH * row for row in range(6))
 PLACES = 6 * BATCH
+
+
+@njit(**INLINE)
+def _look_ahead(m, codes, projected, faces, uv):
+    """Ask for the memory that pixels further down the list will need."""
+    last = codes.shape[0] - 1
+    f = np.int64(max(codes[min(m + 32, last)], 0))
+    prefetch(faces, 3 * f)
+    prefetch(uv, 6 * f)
+    prefetch(uv, 6 * f + 5)
+    f = np.int64(max(codes[min(m + 16, last)], 0))
+    prefetch(projected, 4 * np.int64(faces[f, 0]))
+    prefetch(projected, 4 * np.int64(faces[f, 1]))
+    prefetch(projected, 4 * np.int64(faces[f, 2]))
 
 
 @njit(**INLINE)
@@ -99,6 +122,7 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
             row += 1
         column, code, alpha = pixel - row * width, codes[m], min(coverage[m], 1.0)
         if code >= 0:
+            _look_ahead(m, codes, projected, faces, uv)
             _gather(n, m, pixel, row, column, alpha, projected, faces, uv, np.uint32(code), near, places)
             n += 1
             if n == BATCH:
@@ -205,6 +229,7 @@ def shade_gradient(
             row += 1
         column, code, alpha = pixel - row * width, codes[m], scale * min(coverage[m], 1.0)
         if code >= 0:
+            _look_ahead(m, codes, projected, faces, uv)
             _gather(n, m, pixel, row, column, alpha, projected, faces, uv, np.uint32(code), near, places)
             n += 1
             if n == BATCH:

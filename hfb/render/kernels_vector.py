@@ -160,9 +160,11 @@ def gather_four(typingctx, table, to, source, at):
 
 @intrinsic
 def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
-    """Let a face compete for a tile of 4 x 2 pixels, `above` and `below` where its rows begin: in `tiles` stays the larger
-    of what is there and, where least >= ON_EDGE, the nearness with the face in the bits of the mask (see
-    `kernels_screen.pack`)."""
+    """Let a face compete for a tile of 4 x 2 pixels, `above` and `below` where its rows begin.
+
+    In `tiles` stays the larger of what is there and, where least >= ON_EDGE, the nearness with the face in the bits of
+    the mask (see `kernels_screen.pack`).
+    """
     signature = types.void(tiles, above, below, nearness, least, face, mask)
 
     def codegen(context, builder, signature, arguments):
@@ -183,3 +185,20 @@ def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
         return context.get_dummy_value()
 
     return signature, codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, position):
+    """Ask for a number of an array, which will be needed soon."""
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (1,))
+        pointer, _, _ = address(context, builder, signature.args[0], arguments[0], at, 1)
+        byte = ir.IntType(8).as_pointer()
+        whole = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
+        ask = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(ask, [builder.bitcast(pointer, byte), *(ir.Constant(whole, n) for n in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(array, position), codegen
