@@ -148,8 +148,8 @@ def _cover_slabs(base, m, at_left, member, part, n, heights, active, lines, span
             p = active[k]
             piece = member[p]
             # The stretch goes to the ends of its edge: integrals of 1 - t and t.
-            start, along = span[piece, 0] - part[p, 1] * part[p, 5], part[p, 5]
-            t1, t2 = start + low * along, start + high * along
+            start, ya, along = span[piece, 0], part[p, 1], part[p, 5]  # which may be large: ya is taken off first
+            t1, t2 = start + (low - ya) * along, start + (high - ya) * along
             second = 0.5 * step * (t2 * t2 - t1 * t1)
             weights[piece, 0] += sum_lanes(if_equal(to_left, between, step * (t2 - t1) - second, 0.0))
             weights[piece, 1] += sum_lanes(if_equal(to_left, between, second, 0.0))

@@ -1,0 +1,58 @@
+"""Eight numbers at a time: each sign and choice against numpy's."""
+
+import numpy as np
+from numba import njit
+
+from hfb.vector_code import (
+    LANES,
+    if_equal,
+    if_less,
+    lane_numbers,
+    lanes,
+    load_lanes,
+    smaller,
+    store_lanes,
+    sum_lanes,
+)
+
+LEFT = np.array([0.0, -1.0, 2.5, 3.0, np.nan, np.inf, -0.0, 7.0])
+RIGHT = np.array([1.0, -1.0, 2.0, np.nan, 4.0, np.inf, 0.0, 8.0])
+OPERATIONS = 10
+
+
+@njit
+def everything(left, right, results):
+    a, b = load_lanes(left, 0), load_lanes(right, 0)
+    values = (
+        a + b, a - b, a * b, 2.0 * a + (b - 1.0), if_less(a, b, a, 5.0), if_equal(a, b, 1.0, b), smaller(a, b),
+        lane_numbers(), lanes(3.5), lanes(7),
+    )  # fmt: skip
+    for number, value in enumerate(values):
+        store_lanes(results, number * LANES, value)
+    return sum_lanes(lane_numbers() * lane_numbers())
+
+
+def test_lanes_do_what_numpy_does() -> None:
+    results = np.empty(OPERATIONS * LANES)
+    total = everything(LEFT, RIGHT, results)
+    with np.errstate(invalid="ignore"):  # infinity from infinity
+        difference = LEFT - RIGHT
+    expected = [
+        LEFT + RIGHT, difference, LEFT * RIGHT, 2 * LEFT + (RIGHT - 1), np.where(LEFT < RIGHT, LEFT, 5.0),
+        np.where(LEFT == RIGHT, 1.0, RIGHT), np.where(LEFT < RIGHT, LEFT, RIGHT), np.arange(8.0), np.full(8, 3.5),
+        np.full(8, 7.0),
+    ]  # fmt: skip
+    np.testing.assert_array_equal(results.reshape(OPERATIONS, LANES), expected)
+    assert total == (np.arange(8.0) ** 2).sum()
+
+
+@njit
+def shifted(numbers, results):
+    for at in range(0, results.shape[0], LANES):
+        store_lanes(results, at, load_lanes(numbers, at + 1))
+
+
+def test_lanes_are_read_and_written_from_any_number_on() -> None:
+    numbers, results = np.arange(1.0 + 3 * LANES), np.zeros(3 * LANES)
+    shifted(numbers, results)
+    np.testing.assert_array_equal(results, numbers[1:])
