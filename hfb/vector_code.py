@@ -10,7 +10,7 @@ beginning of an array without gaps.
 import operator
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -174,3 +174,20 @@ def sum_lanes(typingctx, value):
         return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
 
     return types.float64(value), codegen
+
+
+@intrinsic
+def prefetch(typingctx, array, position):
+    """Ask for a number of an array, which will be needed soon."""
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (1,))
+        pointer, _, _ = address(context, builder, signature.args[0], arguments[0], at, 1)
+        byte = ir.IntType(8).as_pointer()
+        whole = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
+        ask = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(ask, [builder.bitcast(pointer, byte), *(ir.Constant(whole, n) for n in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(array, position), codegen

@@ -14,7 +14,7 @@ import torch
 from hfb.body import operators, skinning
 from hfb.body.mesh import Mesh
 from hfb.body.skeleton import BONES, PARENTS
-from hfb.shapes import Float, Int, Tensor
+from hfb.shapes import Float, Int, Shaped, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
 
@@ -75,10 +75,10 @@ class Body:
         return skinning.sparse_weights(self.skinning_weights)
 
     @cached_property
-    def padded_pose_directions(self) -> Float[Tensor, "V 3 208"]:
-        """The pose blend shapes as `hfb.body.operators.blend` reads them; of no vertices where the model has none."""
+    def rounded_pose_directions(self) -> tuple[Shaped[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
+        """The pose blend shapes, see `hfb.body.skinning.rounded`; of no vertices where the model has none."""
         none = self.template.new_empty(0, 3, 207)
-        return operators.padded(none if self.pose_directions is None else self.pose_directions)
+        return skinning.rounded(none if self.pose_directions is None else self.pose_directions)
 
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
@@ -134,14 +134,7 @@ class ShapedBody:
             translations: added to the posed vertices [m]; the root turns about its own joint, as in SMPL.
         """
         T_world_rest, joints = self._placed(rotations, translations)
-        offsets = self._pose_offsets(rotations)
-        if rotations.device.type == "cpu":
-            none = T_world_rest.new_empty(0, 0, 3)
-            held = self.body.sparse_skinning
-            vertices = operators.skin(T_world_rest, self.vertices, none if offsets is None else offsets, *held)
-        else:
-            vertices = skinning.skin(T_world_rest, self.vertices, offsets, self.body.skinning_weights)
-        return PosedBody(vertices, joints)
+        return PosedBody(self._skinned(T_world_rest, rotations), joints)
 
     def joints_of(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
@@ -157,13 +150,19 @@ class ShapedBody:
             return operators.place_joints(rotations, translations, self.joints, _PARENTS)
         return skinning.place_joints(rotations, translations, self.joints)
 
-    def _pose_offsets(self, rotations: Float[Tensor, "S 24 3 3"]) -> Float[Tensor, "S V 3"] | None:
-        """Pose blend shapes (SMPL's eq. 9) [m]: displacements of the rest vertices."""
-        directions = self.body.pose_directions
-        if directions is None:
-            return None
-        identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
-        feature = (rotations[:, 1:] - identity).flatten(1)
-        if feature.device.type == "cpu":
-            return operators.blend(feature, self.body.padded_pose_directions)
-        return skinning.blend(feature, directions)
+    def _skinned(
+        self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
+    ) -> Float[Tensor, "S V 3"]:
+        """Vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
+        body, directions = self.body, self.body.pose_directions
+        if rotations.device.type == "cpu":
+            held = body.sparse_skinning
+            if directions is None:
+                return operators.skin(T_world_rest, self.vertices, *held)
+            given = T_world_rest, rotations, self.vertices, *body.rounded_pose_directions
+            return operators.blend_and_skin(*given, *held)[0]
+        offsets = None
+        if directions is not None:
+            identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
+            offsets = skinning.blend((rotations[:, 1:] - identity).flatten(1), directions)
+        return skinning.skin(T_world_rest, self.vertices, offsets, body.skinning_weights)

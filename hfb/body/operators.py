@@ -5,7 +5,8 @@ The readable formulas they are tested against are in `hfb.body.skinning`.
 
 import torch
 
-from hfb.body import kernels_skinning as kernels
+from hfb.body import kernels_blend as blending
+from hfb.body import kernels_skinning as skinning
 from hfb.shapes import Array, Tensor
 
 
@@ -25,7 +26,7 @@ def place_joints(
     """
     transforms = rotations.new_empty(*rotations.shape[:2], 3, 4)
     joints = rotations.new_empty(*rotations.shape[:2], 3)
-    kernels.place(*_arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
+    skinning.place(*_arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
     return transforms, joints
 
 
@@ -44,7 +45,7 @@ def place_joints_gradient(
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
     given = _arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
-    kernels.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
+    skinning.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
     return of_rotations, of_translations, of_rest
 
 
@@ -70,45 +71,40 @@ place_joints.register_autograd(_chain_backward, setup_context=_keep_chain)
 
 
 @torch.library.custom_op("hfb::skin", mutates_args=())
-def skin(transforms: Tensor, rest: Tensor, offsets: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
+def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
     """Vertices (S, V, 3) [m] of the rest body turned by the transforms of the joints that hold them.
 
     Args:
-        transforms: (S, 24, 3, 4), rest body to world. rest: (V, 3) [m]. offsets: (S, V, 3) pose blend shapes [m], or
-            empty. starts, joints, weights: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        transforms: (S, 24, 3, 4), rest body to world. rest: (V, 3) [m]. starts, joints, weights: of each vertex in
+            turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
-    kernels.skin(*_arrays(transforms, rest, offsets, starts, joints, weights), vertices.numpy())
+    skinning.skin(*_arrays(transforms, rest, starts, joints, weights), vertices.numpy())
     return vertices
 
 
 @skin.register_fake
-def _(transforms: Tensor, rest: Tensor, offsets: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
+def _(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
     return rest.new_empty(transforms.shape[0], *rest.shape)
 
 
 @torch.library.custom_op("hfb::skin_gradient", mutates_args=())
 def skin_gradient(
-    transforms: Tensor, rest: Tensor, offsets: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
-    given: Tensor, wants_rest: bool, wants_offsets: bool,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-    """Gradients of the transforms, the rest vertices and the offsets; the last two empty where not asked for."""
+    transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
+) -> tuple[Tensor, Tensor]:
+    """Gradients of the transforms and of the rest vertices; the second empty where not asked for."""
     of_transforms = transforms.new_empty(transforms.shape)
     of_rest = rest.new_zeros(rest.shape if wants_rest else (0, 3))
-    of_offsets = rest.new_zeros(offsets.shape if wants_offsets else (0, 0, 3))
-    arrays = _arrays(transforms, rest, offsets, starts, joints, weights, given)
-    kernels.skin_gradient(*arrays, of_transforms.numpy(), of_rest.numpy(), of_offsets.numpy())
-    return of_transforms, of_rest, of_offsets
+    arrays = _arrays(transforms, rest, starts, joints, weights, given)
+    skinning.skin_gradient(*arrays, of_transforms.numpy(), of_rest.numpy())
+    return of_transforms, of_rest
 
 
 @skin_gradient.register_fake
 def _(
-    transforms: Tensor, rest: Tensor, offsets: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
-    given: Tensor, wants_rest: bool, wants_offsets: bool,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-    of_rest = rest.new_empty(rest.shape if wants_rest else (0, 3))
-    of_offsets = rest.new_empty(offsets.shape if wants_offsets else (0, 0, 3))
-    return transforms.new_empty(transforms.shape), of_rest, of_offsets
+    transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
+) -> tuple[Tensor, Tensor]:
+    return transforms.new_empty(transforms.shape), rest.new_empty(rest.shape if wants_rest else (0, 3))
 
 
 def _keep_skin(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
@@ -116,59 +112,76 @@ def _keep_skin(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
 
 
 def _skin_backward(ctx, given):  # type: ignore[no-untyped-def]
-    transforms, rest, offsets = ctx.needs_input_grad[:3]
-    gradients = skin_gradient(*ctx.saved_tensors, given, rest, offsets)
-    wanted = (gradient if want else None for gradient, want in zip(gradients, (transforms, rest, offsets), strict=True))
-    return *wanted, None, None, None
+    wants_rest = ctx.needs_input_grad[1]
+    of_transforms, of_rest = skin_gradient(*ctx.saved_tensors, given, wants_rest)
+    return of_transforms, of_rest if wants_rest else None, None, None, None
 
 
 skin.register_autograd(_skin_backward, setup_context=_keep_skin)
 
 
-def padded(feature: Tensor) -> Tensor:
-    """Features of poses, or directions along them, with zeros up to the number that the kernels know: (.., 208)."""
-    return torch.nn.functional.pad(feature, (0, kernels.FEATURES - feature.shape[-1]))
+def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
+    """Shape of what `blend_and_skin` keeps for its way back."""
+    return -(-transforms.shape[0] // blending.LANES), rest.shape[0], 3 * blending.LANES
 
 
-@torch.library.custom_op("hfb::blend", mutates_args=())
-def blend(feature: Tensor, directions: Tensor) -> Tensor:
-    """Pose blend shapes (SMPL's eq. 9) of S poses (S, V, 3) [m].
+@torch.library.custom_op("hfb::blend_and_skin", mutates_args=())
+def blend_and_skin(
+    transforms: Tensor, rotations: Tensor, rest: Tensor, directions: Tensor, steps: Tensor, starts: Tensor,
+    joints: Tensor, weights: Tensor,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """`skin` of a rest body with pose blend shapes (SMPL's eq. 9): vertices (S, V, 3) [m], and what its way back needs.
 
     Args:
-        feature: (S, n), what the poses differ in from the rest pose. directions: (V, 3, 208), `padded`, constants [m].
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame, which tell the displacements.
+        directions, steps: (V, 3, 208) in units of (V, 3) [m], see `hfb.body.skinning.rounded`; constants.
     """
-    count = len(feature)
-    fours = torch.nn.functional.pad(padded(feature), (0, 0, 0, -count % 4))  # the kernel works on four poses at once
-    offsets = feature.new_empty(len(fours), len(directions), 3)
-    kernels.blend(*_arrays(fours, directions), offsets.numpy())
-    return offsets[:count]
+    vertices = rest.new_empty(transforms.shape[0], *rest.shape)
+    points = rest.new_empty(_kept(transforms, rest))
+    given = _arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
+    blending.blend_and_skin(*given, points.numpy(), vertices.numpy())
+    return vertices, points
 
 
-@blend.register_fake
-def _(feature: Tensor, directions: Tensor) -> Tensor:
-    return feature.new_empty(feature.shape[0], directions.shape[0], 3)
+@blend_and_skin.register_fake
+def _(
+    transforms: Tensor, rotations: Tensor, rest: Tensor, directions: Tensor, steps: Tensor, starts: Tensor,
+    joints: Tensor, weights: Tensor,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    return rest.new_empty(transforms.shape[0], *rest.shape), rest.new_empty(_kept(transforms, rest))
 
 
-@torch.library.custom_op("hfb::blend_gradient", mutates_args=())
-def blend_gradient(given: Tensor, directions: Tensor, features: int) -> Tensor:
-    """Gradient of the features (S, n)."""
-    of_feature = given.new_zeros(len(given), kernels.FEATURES)
-    kernels.blend_gradient(*_arrays(given, directions), of_feature.numpy())
-    return of_feature[:, :features].contiguous()
+@torch.library.custom_op("hfb::blend_and_skin_gradient", mutates_args=())
+def blend_and_skin_gradient(
+    transforms: Tensor, directions: Tensor, steps: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
+    points: Tensor, given: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    """Gradients of the transforms, the rotations by their displacements, and the rest vertices."""
+    of_transforms = transforms.new_empty(transforms.shape)
+    of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
+    of_rest = transforms.new_zeros(given.shape[1:])
+    arrays = _arrays(transforms, directions, steps, starts, joints, weights, points, given)
+    blending.blend_and_skin_gradient(*arrays, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
+    return of_transforms, of_rotations, of_rest
 
 
-@blend_gradient.register_fake
-def _(given: Tensor, directions: Tensor, features: int) -> Tensor:
-    return given.new_empty(given.shape[0], features)
+@blend_and_skin_gradient.register_fake
+def _(
+    transforms: Tensor, directions: Tensor, steps: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
+    points: Tensor, given: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    of_rotations = transforms.new_empty(*transforms.shape[:2], 3, 3)
+    return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(given.shape[1:])
 
 
 def _keep_blend(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.features = inputs[0].shape[1]
-    ctx.save_for_backward(inputs[1])
+    transforms, _, _, *constants = inputs
+    ctx.save_for_backward(transforms, *constants, output[1])
+    ctx.mark_non_differentiable(output[1])
 
 
-def _blend_backward(ctx, given):  # type: ignore[no-untyped-def]
-    return blend_gradient(given, *ctx.saved_tensors, ctx.features), None
+def _blend_backward(ctx, given, _):  # type: ignore[no-untyped-def]
+    return *blend_and_skin_gradient(*ctx.saved_tensors, given), None, None, None, None, None
 
 
-blend.register_autograd(_blend_backward, setup_context=_keep_blend)
+blend_and_skin.register_autograd(_blend_backward, setup_context=_keep_blend)

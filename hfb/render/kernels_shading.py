@@ -22,8 +22,8 @@ from hfb.render.kernels_vector import (
     gather_face,
     gather_four,
     mix_texels,
-    prefetch,
 )
+from hfb.vector_code import prefetch
 
 # Blocks of what is gathered, several numbers of a pixel side by side: the face's second and third corner as seen from
 # its first (x, y, 1/z, -), the pixel as seen from there (x, y, - 1/z there, alpha), and texture coordinates (of the

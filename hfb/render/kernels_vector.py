@@ -185,20 +185,3 @@ def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
         return context.get_dummy_value()
 
     return signature, codegen
-
-
-@intrinsic
-def prefetch(typingctx, array, position):
-    """Ask for a number of an array, which will be needed soon."""
-
-    def codegen(context, builder, signature, arguments):
-        (at,) = positions(context, builder, signature, arguments, (1,))
-        pointer, _, _ = address(context, builder, signature.args[0], arguments[0], at, 1)
-        byte = ir.IntType(8).as_pointer()
-        whole = ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [byte, whole, whole, whole])
-        ask = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        builder.call(ask, [builder.bitcast(pointer, byte), *(ir.Constant(whole, n) for n in (0, 3, 1))])
-        return context.get_dummy_value()
-
-    return types.void(array, position), codegen

@@ -5,9 +5,9 @@ import torch
 
 from hfb.body import operators, skinning
 from hfb.body.assets import load_default_body
-from hfb.body.kernels_skinning import LANES
 from hfb.body.skeleton import PARENTS
 from hfb.rotations import axis_angle_to_matrix
+from hfb.vector_code import LANES
 
 CHAIN = torch.tensor(PARENTS, dtype=torch.int32)
 CHECKS = ("test_schema", "test_autograd_registration", "test_faketensor")
@@ -23,68 +23,89 @@ def assert_near(found: torch.Tensor, expected: torch.Tensor, relative: float) ->
     assert (found - expected).norm() <= relative * expected.norm()
 
 
-@pytest.mark.parametrize("offset", [False, True], ids=["plain", "pose blend shapes"])
+def directions_like_smpl(dtype: torch.dtype, vertices: int) -> torch.Tensor:
+    """Pose blend shapes of millimetres, of which every vertex has a few of centimetres, as in such files."""
+    return 1e-3 * random(vertices, 3, 207, dtype=dtype, seed=6) * random(vertices, 3, 207, dtype=dtype, seed=7) ** 2
+
+
+@pytest.mark.parametrize("blended", [False, True], ids=["plain", "pose blend shapes"])
 @pytest.mark.parametrize(("dtype", "relative"), [(torch.float64, 1e-12), (torch.float32, 5e-6)])
-def test_values_and_gradients_are_the_readable_ones(dtype: torch.dtype, relative: float, offset: bool) -> None:
+def test_values_and_gradients_are_the_readable_ones(dtype: torch.dtype, relative: float, blended: bool) -> None:
     body, instants = load_default_body(dtype), LANES + 3
     size = (instants, *body.template.shape)
     weigh_vertices, weigh_joints = random(*size, dtype=dtype, seed=4), random(instants, 24, 3, dtype=dtype, seed=5)
     weigh_vertices[:, ::2] = 0  # half of a body is turned away from the camera
+    weigh_vertices[2:5, 1] = 0
+    numbers, steps = skinning.rounded(directions_like_smpl(dtype, len(body.template)))
     results = []
     for fast in (True, False):
         leaves = [
             axis_angle_to_matrix(0.5 * random(instants, 24, 3, dtype=dtype)), random(instants, 3, dtype=dtype, seed=1),
-            body.joint_template.clone(), body.template.clone(), 0.01 * random(*size, dtype=dtype, seed=3),
+            body.joint_template.clone(), body.template.clone(),
         ]  # fmt: skip
-        rotations, translations, rest_joints, rest, offsets = (leaf.requires_grad_() for leaf in leaves)
+        rotations, translations, rest_joints, rest = (leaf.requires_grad_() for leaf in leaves)
         if fast:
             transforms, joints = operators.place_joints(rotations, translations, rest_joints, CHAIN)
-            none = rest.new_empty(0, 0, 3)
-            vertices = operators.skin(transforms, rest, offsets if offset else none, *body.sparse_skinning)
+            if blended:
+                given = transforms, rotations, rest, numbers, steps
+                vertices = operators.blend_and_skin(*given, *body.sparse_skinning)[0]
+            else:
+                vertices = operators.skin(transforms, rest, *body.sparse_skinning)
         else:
             transforms, joints = skinning.place_joints(rotations, translations, rest_joints)
-            vertices = skinning.skin(transforms, rest, offsets if offset else None, body.skinning_weights)
+            feature = (rotations[:, 1:] - torch.eye(3, dtype=dtype)).flatten(1)
+            offsets = skinning.blend(feature, numbers[..., :207].to(dtype) * steps[..., None])
+            vertices = skinning.skin(transforms, rest, offsets if blended else None, body.skinning_weights)
         ((vertices * weigh_vertices).sum() + (joints * weigh_joints).sum()).backward()
-        gradients = [leaf.grad for leaf in leaves[: 5 if offset else 4]]
-        results.append([vertices.detach(), joints.detach(), *gradients])
+        results.append([vertices.detach(), joints.detach(), *(leaf.grad for leaf in leaves)])
     for found, expected in zip(*results, strict=True):
         assert_near(found, expected, relative)
+
+
+def test_rounded_directions_lose_next_to_nothing() -> None:
+    """Micrometres of a body, and 1e-4 of a gradient, which the whole project allows its fast paths."""
+    directions = directions_like_smpl(torch.float32, 500)
+    numbers, steps = skinning.rounded(directions)
+    assert numbers.dtype == torch.int16
+    error = numbers.double() * steps.double()[..., None] - torch.nn.functional.pad(directions, (0, 1)).double()
+    assert (error.abs().amax(-1) <= 0.51 * steps).all()  # half a step, and float32's own rounding of 32,767 of them
+    feature = (axis_angle_to_matrix(0.5 * random(8, 23, 3)) - torch.eye(3, dtype=torch.float64)).flatten(1)
+    offsets = skinning.blend(feature, error[..., :207])
+    assert offsets.abs().max() < 1e-5
+    gradient = random(8, 500, 3, seed=1).flatten(1)
+    lost = gradient @ error.flatten(0, 1)[:, :207]
+    assert lost.norm() < 1e-4 * (gradient @ directions.double().flatten(0, 1)).norm()
+    nothing, _ = skinning.rounded(torch.zeros(2, 3, 207))
+    assert not nothing.any()
+    exact, ones = skinning.rounded(directions.double())
+    assert torch.equal(exact[..., :207], directions.double())
+    assert (ones == 1).all()
 
 
 def test_gradients_are_finite_differences() -> None:
     weights = torch.softmax(3 * random(5, 24), 1)
     weights = torch.where(weights > 0.05, weights, 0.0)
     held = skinning.sparse_weights(weights)
-    transforms, rest, offsets = random(2, 24, 3, 4), random(5, 3, seed=1), random(2, 5, 3, seed=2)
-    leaves = [leaf.requires_grad_() for leaf in (transforms, rest, offsets)]
-    assert torch.autograd.gradcheck(lambda *given: operators.skin(*given, *held), leaves)
+    transforms, rotations, rest = random(2, 24, 3, 4), random(2, 24, 3, 3, seed=2), random(5, 3, seed=1)
+    directions = skinning.rounded(random(5, 3, 207, seed=3))
+    leaves = [leaf.requires_grad_() for leaf in (transforms, rotations, rest)]
+    assert torch.autograd.gradcheck(lambda *given: operators.skin(*given, *held), [leaves[0], leaves[2]])
+    assert torch.autograd.gradcheck(lambda *given: operators.blend_and_skin(*given, *directions, *held)[0], leaves)
     chain = [leaf.requires_grad_() for leaf in (random(1, 24, 3, 3), random(1, 3, seed=1), random(24, 3, seed=2))]
     assert torch.autograd.gradcheck(lambda *given: operators.place_joints(*given, CHAIN), chain)
 
 
-@pytest.mark.parametrize(("dtype", "relative"), [(torch.float64, 1e-12), (torch.float32, 5e-6)])
-def test_pose_blend_shapes_are_one_product(dtype: torch.dtype, relative: float) -> None:
-    directions, weights = random(50, 3, 207, dtype=dtype), random(9, 50, 3, dtype=dtype, seed=1)
-    weights[:, ::3], weights[2:5, 1] = 0, 0  # not seen: by nobody, by some
-    results = []
-    for blend in (operators.blend, skinning.blend):
-        feature = random(9, 207, dtype=dtype, seed=2).requires_grad_()
-        whole = blend(feature, operators.padded(directions) if blend is operators.blend else directions)
-        (whole * weights).sum().backward()
-        results.append([whole.detach(), feature.grad])
-    for found, expected in zip(*results, strict=True):
-        assert_near(found, expected, relative)
-
-
 def test_operators_are_well_formed() -> None:
     held = skinning.sparse_weights(torch.softmax(random(5, 24), 1))
-    given = random(2, 24, 3, 4).requires_grad_(), random(5, 3).requires_grad_()
-    for offsets in (torch.empty(0, 0, 3, dtype=torch.float64), random(2, 5, 3).requires_grad_()):
-        torch.library.opcheck(operators.skin, (*given, offsets, *held), test_utils=CHECKS)
+    transforms, rotations, rest = random(2, 24, 3, 4), random(2, 24, 3, 3), random(5, 3)
+    given = [leaf.requires_grad_() for leaf in (transforms, rotations, rest)]
+    torch.library.opcheck(operators.skin, (transforms, rest, *held), test_utils=CHECKS)
+    for dtype in (torch.float32, torch.float64):
+        leaves = [leaf.detach().to(dtype).requires_grad_() for leaf in given]
+        constants = *skinning.rounded(random(5, 3, 207, dtype=dtype)), *held[:2], held[2].to(dtype)
+        torch.library.opcheck(operators.blend_and_skin, (*leaves, *constants), test_utils=CHECKS)
     chain = random(2, 24, 3, 3).requires_grad_(), random(2, 3).requires_grad_(), random(24, 3).requires_grad_()
     torch.library.opcheck(operators.place_joints, (*chain, CHAIN), test_utils=CHECKS)
-    blended = random(2, 207).requires_grad_(), operators.padded(random(5, 3, 207))
-    torch.library.opcheck(operators.blend, blended, test_utils=CHECKS)
 
 
 def test_lists_of_weights_hold_what_the_table_holds() -> None:
