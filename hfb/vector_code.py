@@ -52,35 +52,44 @@ def positions(context, builder, signature, arguments, wanted):
 
 
 class _Lanes(types.Type):
-    """Eight float64 side by side, in compiled code alone."""
+    """So many numbers side by side, in compiled code alone."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Lanes")
+    def __init__(self, number, count) -> None:
+        super().__init__(name=f"{count} {number}")
+        self.number = number
+        self.vector = ir.VectorType(ir.FloatType() if number is types.float32 else ir.DoubleType(), count)
 
 
 LANES = 8
-_lanes, _vector = _Lanes(), ir.VectorType(ir.DoubleType(), LANES)
-register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind, _vector))
+_lanes = _Lanes(types.float64, LANES)
+_four = {number: _Lanes(number, 4) for number in (types.float32, types.float64)}
+register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind, kind.vector))
 
 
-def _widened(context, builder, kind, value):
+def _widened(context, builder, kind, value, lanes=_lanes):
     """Lanes as they are; a number into every lane."""
-    if kind is _lanes:
+    if isinstance(kind, _Lanes):
         return value
-    return splat(builder, context.cast(builder, value, kind, types.float64), _vector)
+    return splat(builder, context.cast(builder, value, kind, lanes.number), lanes.vector)
 
 
 def _operator(symbol, operation):
     """Let a sign of Python's work on lanes, and on lanes and a number."""
-    pairs = ((_lanes, _lanes), (_lanes, types.float64), (types.float64, _lanes))
-    infer_global(symbol)(type("_", (ConcreteTemplate,), {"cases": [signature(_lanes, *pair) for pair in pairs]}))
 
-    def lower(context, builder, signature, arguments):
-        left, right = (_widened(context, builder, *one) for one in zip(signature.args, arguments, strict=True))
-        return getattr(builder, operation)(left, right)
+    def allow(kind):
+        pairs = ((kind, kind), (kind, kind.number), (kind.number, kind))
 
-    for pair in pairs:
-        lower_builtin(symbol, *pair)(lower)
+        def lower(context, builder, signature, arguments):
+            given = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one, kind) for one in given)
+            return getattr(builder, operation)(left, right)
+
+        for pair in pairs:
+            lower_builtin(symbol, *pair)(lower)
+        return [signature(kind, *pair) for pair in pairs]
+
+    cases = [case for kind in (_lanes, *_four.values()) for case in allow(kind)]
+    infer_global(symbol)(type("_", (ConcreteTemplate,), {"cases": cases}))
 
 
 for _symbol, _operation in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
@@ -102,33 +111,79 @@ def lane_numbers(typingctx):
     """0 to 7."""
 
     def codegen(context, builder, signature, arguments):
-        return ir.Constant(_vector, [float(lane) for lane in range(LANES)])
+        return ir.Constant(_lanes.vector, [float(lane) for lane in range(LANES)])
 
     return _lanes(), codegen
 
 
+def _loading(kind_of):
+    def load_from(typingctx, array, position):
+        kind = kind_of(array.dtype)
+
+        def codegen(context, builder, signature, arguments):
+            (at,) = positions(context, builder, signature, arguments, (1,))
+            return load(context, builder, signature.args[0], arguments[0], at, kind.vector.count)
+
+        return kind(array, position), codegen
+
+    return load_from
+
+
+load_lanes = intrinsic(_loading(lambda number: _lanes))
+"""Eight numbers of a float64 array from a position on: of (array, position)."""
+
+load_four = intrinsic(_loading(_four.__getitem__))
+"""Four numbers of an array from a position on, of either precision: of (array, position)."""
+
+
 @intrinsic
-def load_lanes(typingctx, array, position):
-    """Eight numbers of a float64 array from a position on."""
+def load_three(typingctx, array, position):
+    """Three numbers of an array from a position on, of either precision, and a zero."""
+    kind = _four[array.dtype]
 
     def codegen(context, builder, signature, arguments):
         (at,) = positions(context, builder, signature, arguments, (1,))
-        return load(context, builder, signature.args[0], arguments[0], at, LANES)
+        three = load(context, builder, signature.args[0], arguments[0], at, 3)
+        return shuffle(builder, three, ir.Constant(three.type, [0.0] * 3), range(4))
 
-    return _lanes(array, position), codegen
+    return kind(array, position), codegen
 
 
 @intrinsic
 def store_lanes(typingctx, array, position, value):
-    """Write eight numbers to a float64 array."""
+    """Write all lanes to an array of their precision."""
 
     def codegen(context, builder, signature, arguments):
         (at,) = positions(context, builder, signature, arguments, (1,))
-        pointer, _, align = address(context, builder, signature.args[0], arguments[0], at, LANES)
+        count = signature.args[2].vector.count
+        pointer, _, align = address(context, builder, signature.args[0], arguments[0], at, count)
         builder.store(arguments[2], pointer).align = align
         return context.get_dummy_value()
 
     return types.void(array, position, value), codegen
+
+
+@intrinsic
+def with_last(typingctx, four, number):
+    """Four lanes with another number in the last one."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.insert_element(*arguments, ir.Constant(ir.IntType(32), 3))
+
+    return four(four, four.number), codegen
+
+
+@intrinsic
+def sum_three(typingctx, four):
+    """Sum of the first three of four lanes."""
+
+    def codegen(context, builder, signature, arguments):
+        one, two, three = (
+            builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), lane)) for lane in range(3)
+        )
+        return builder.fadd(builder.fadd(one, two), three)
+
+    return four.number(four), codegen
 
 
 def _choice(comparison):

@@ -1,6 +1,7 @@
-"""Eight numbers at a time: each sign and choice against numpy's."""
+"""Eight and four numbers at a time: each sign and choice against numpy's."""
 
 import numpy as np
+import pytest
 from numba import njit
 
 from hfb.vector_code import (
@@ -9,10 +10,14 @@ from hfb.vector_code import (
     if_less,
     lane_numbers,
     lanes,
+    load_four,
     load_lanes,
+    load_three,
     smaller,
     store_lanes,
     sum_lanes,
+    sum_three,
+    with_last,
 )
 
 LEFT = np.array([0.0, -1.0, 2.5, 3.0, np.nan, np.inf, -0.0, 7.0])
@@ -56,3 +61,22 @@ def test_lanes_are_read_and_written_from_any_number_on() -> None:
     numbers, results = np.arange(1.0 + 3 * LANES), np.zeros(3 * LANES)
     shifted(numbers, results)
     np.testing.assert_array_equal(results, numbers[1:])
+
+
+@njit
+def everything_with_four(left, right, number, results):
+    a, b = load_four(left, 1), load_three(right, 5)
+    for place, value in enumerate((a + b, a - b, a * b, number * a - (b - number), with_last(a, number))):
+        store_lanes(results, 4 * place, value)
+    return sum_three(a)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_four_lanes_do_what_numpy_does(dtype: type) -> None:
+    left, right, number = LEFT.astype(dtype), np.array([*range(5), 0.3, -2.0, 5.0], dtype), dtype(1.7)
+    results = np.zeros((5, 4), dtype)
+    total = everything_with_four(left, right, number, results)
+    a, b = left[1:5], np.append(right[5:], dtype(0))  # of which nothing lies behind the third
+    expected = [a + b, a - b, a * b, number * a - (b - number), np.append(a[:3], number)]
+    np.testing.assert_array_equal(results, np.array(expected, dtype))
+    assert total == left[1] + left[2] + left[3]

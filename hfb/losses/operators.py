@@ -25,10 +25,10 @@ def _compare(
     A loss at no scale is zero.
     """
     size, image, overlap, slopes = mean.shape[:2], 0.0, 0.0, [0.0, 0.0, 0.0]
-    of_image, of_matte = mean.new_empty(0, 3), mean.new_empty(0, 1)
+    of_image, of_matte = mean.new_empty(0, 4), mean.new_empty(0, 1)
     if image_scales > 0:
         table = kernels.levels(*size, image_scales)
-        of_image = mean.new_empty(int(table[-1, 0]), 3)
+        of_image = mean.new_empty(int(table[-1, 0]), 4)
         pictures = _pixels(mean), _pixels(plate), _pixels(frame), _pixels(matte)
         image, slopes[0] = kernels.compare_images(*pictures, *size, table, of_image.numpy())
     if matte_scales > 0:
@@ -55,7 +55,7 @@ def _(
             count = count + height * width
         return count
 
-    of_image, of_matte = mean.new_empty(coarse_pixels(image_scales), 3), mean.new_empty(coarse_pixels(matte_scales), 1)
+    of_image, of_matte = mean.new_empty(coarse_pixels(image_scales), 4), mean.new_empty(coarse_pixels(matte_scales), 1)
     return mean.new_empty(()), mean.new_empty(()), of_image, of_matte, mean.new_empty(3, dtype=torch.float64)
 
 

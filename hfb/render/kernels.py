@@ -71,7 +71,7 @@ def _trace(outline, projected, box, width, seen, mask):
     owner, edge, shares = np.empty(total, np.int32), np.empty(total, np.int32), np.empty((total, 2), np.float64)
     moving = weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, weights, owner, edge, shares)
     return (
-        pixels[:n].copy(), codes[: n if seen.shape[0] > 0 else 0].copy(), coverage[:n].copy(),
+        pixels[:n].copy(), codes[:n].copy(), coverage[:n].copy(),
         owner[:moving].copy(), edge[:moving].copy(), shares[:moving].copy(),
     )  # fmt: skip
 
@@ -91,7 +91,7 @@ def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
     if box[0] < box[2]:
         find_front(projected, faces, front)
     outline = _outline(front, edge_vertices, edge_faces)
-    seen = np.empty((0, 0), np.int64)[:, :]
+    seen = np.empty((0, 0), np.int64)[:, :]  # of the type of a region's view, so that the rest is compiled once
     pixels, _, coverage, owner, edge, shares = _trace(outline, projected, box, np.int64(lens[5]), seen, 0)
     return projected, outline, pixels, coverage, owner, edge, shares
 
