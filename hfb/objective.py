@@ -101,11 +101,11 @@ class Objective:
         if self.evidence is not None and (weights.joints > 0 or whole):
             some = [0, -2, -1] if whole else [-1]  # opening, closing and middle of the exposure
             places = rotations[:, some].flatten(0, 1), translations[:, some].flatten(0, 1)
-            joints = shaped.joints_of(*places).unflatten(0, (frames, len(some)))
+            joints = self.evidence.units(shaped.joints_of(*places).unflatten(0, (frames, len(some))))
             share = joints.new_tensor([self.across, self.across, 1.0])
             terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]), share)
             if whole:
-                terms["path"] = self._path_term(self.evidence, joints[:, 0], joints[:, 1])
+                terms["path"] = self._path_term(self.evidence, joints[:, 1] - joints[:, 0])
         if weights.pose > 0:
             turns = rotations[:, :-1, 1:].flatten(0, 2)
             vectors = rotation_vectors(turns) if turns.device.type == "cpu" else matrix_to_axis_angle(turns)
@@ -124,13 +124,11 @@ class Objective:
             terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
         return terms
 
-    def _path_term(
-        self, evidence: JointEvidence, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]
-    ) -> Float[Tensor, ""]:
-        forth = evidence_loss(evidence.off_path(opening, closing))
+    def _path_term(self, evidence: JointEvidence, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, ""]:
+        forth = evidence_loss(evidence.off_path(way))
         if self.settling:
             return forth
-        return torch.minimum(forth, evidence_loss(evidence.off_path(closing, opening)))
+        return torch.minimum(forth, evidence_loss(evidence.off_path(-way)))
 
     def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
         """What one frame's picture and matte say: the image, matting and background terms."""

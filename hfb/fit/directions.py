@@ -219,7 +219,8 @@ def _evidence(one: _Hypothesis, fitted: float, objective: Objective, shaped: Sha
         if (seen := objective.evidence) is not None:
             rotations, translations = one.trajectory.at(one.trajectory.rotation.new_tensor([0.0, 1.0]))
             joints = shaped.joints_of(rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (-1, 2))
-            against[2] = seen.backwards_logit(joints[:, 0], joints[:, 1])
+            opening, closing = seen.units(joints).unbind(1)
+            against[2] = seen.backwards_logit(closing - opening)
         costs = [torch.nn.functional.softplus(logits).sum().item() for logits in against]
     return np.array([min(one.loss - fitted, LARGEST_EXCESS), *costs])
 

@@ -13,7 +13,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
-from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, picture_channels
+from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
 from hfb.initialize.lifting_network import lift
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
@@ -44,24 +44,28 @@ class JointEvidence:
     height_scale: Float[Tensor, ""]
     height_compared: bool = False
 
-    def off(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-        """How far joints at mid-exposure [m, camera] lie from the claim, in the claim's own scales."""
-        return (self._units(joints) - self.middle) / self.scale
+    def units(self, joints: Float[Tensor, "T *n 24 3"]) -> Float[Tensor, "T *n 24 3"]:
+        """Joints [m, camera] of every frame as its window shows them."""
+        lenses = joints.new_tensor([window.lens() for window in self.windows])
+        return in_units(joints, lenses.view(-1, *(1,) * (joints.ndim - 2), lenses.shape[1]))
 
-    def off_path(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-        """How far the way from u = 0 to u = 1 lies from the claim, in the claim's own scales."""
-        return (self._units(closing) - self._units(opening) - self.path) / self.scale
+    def off(self, middle: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
+        """How far joints at mid-exposure, in units, lie from the claim, in the claim's own scales."""
+        return (middle - self.middle) / self.scale
+
+    def off_path(self, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
+        """How far the joints' way from u = 0 to u = 1, in units, lies from the claim, in the claim's own scales."""
+        return (way - self.path) / self.scale
 
     def off_height(self, height_m: Float[Tensor, ""]) -> Float[Tensor, ""]:
         """How far a height [m] lies from the claim, in the claim's own scale."""
         return (height_m.log() - self.log_height) / self.height_scale
 
-    def backwards_logit(self, opening: Float[Tensor, "T 24 3"], closing: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
+    def backwards_logit(self, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
         """The network's log odds, from each frame alone, that a way from u = 0 to u = 1 runs against the true one.
 
         As far as the way agrees with the network's own up to its sign: the cosine of the two times its log odds.
         """
-        way = self._units(closing) - self._units(opening)
         return -self.log_odds * torch.cosine_similarity(way.flatten(1), self.path.flatten(1))
 
     def lifted(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
@@ -70,7 +74,7 @@ class JointEvidence:
         Args:
             joints: of the fit at mid-exposure, camera coordinates [m].
         """
-        depth = torch.lerp(self.middle[..., 2], lift(self._units(joints), self.start).to(self.middle), share)
+        depth = torch.lerp(self.middle[..., 2], lift(self.units(joints), self.start).to(self.middle), share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
     def of(self, observation: Observation) -> "JointEvidence":
@@ -85,9 +89,6 @@ class JointEvidence:
         """The claim's own expected distance from the truth at these joints' distance [m]."""
         unit_m = joints[:, :1, 2] * joints.new_tensor([window.units_to_tangents() for window in self.windows])[:, None]
         return (2 * self.scale.square()).sum(-1).sqrt() * unit_m
-
-    def _units(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-        return torch.stack([window.to_units(one) for window, one in zip(self.windows, joints, strict=True)])
 
 
 def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody], body: Body) -> JointEvidence:

@@ -95,13 +95,15 @@ class Window:
         """One unit of the window as a tangent of the line of sight: times a distance, metres."""
         return self.side / 2 / self.camera.fx
 
+    def lens(self) -> tuple[float, float, float, float, float]:
+        """What `in_units` needs: factors and shifts of x and y from tangents to units, and `units_to_tangents`."""
+        camera, per_px = self.camera, 2 / self.side
+        shifts = (camera.cx - self.left) * per_px - 1, (camera.cy - self.top) * per_px - 1
+        return camera.fx * per_px, camera.fy * per_px, *shifts, self.units_to_tangents()
+
     def to_units(self, joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24 3"]:
         """Joints in camera coordinates [m] as the window shows them; differentiable."""
-        corner = joints.new_tensor([self.left, self.top])
-        across = (self.camera.project(joints) - corner) * (2 / self.side) - 1
-        pelvis = joints[..., :1, 2:]
-        depth = (joints[..., 2:] - pelvis) / (pelvis * self.units_to_tangents())
-        return torch.cat([across, depth], -1)
+        return in_units(joints, joints.new_tensor(self.lens()))
 
     def cut(self, picture: Float[Array, "H W *c"], outside: int) -> Float[Array, "h w *c"]:
         """The window's part of a picture at `PICTURE_PX`, every new pixel the mean of what it covers."""
@@ -113,6 +115,14 @@ class Window:
         square = cv2.copyMakeBorder(np.ascontiguousarray(inside), *pads, outside, value=0)
         how = cv2.INTER_AREA if side > PICTURE_PX else cv2.INTER_LINEAR
         return cv2.resize(square, (PICTURE_PX, PICTURE_PX), interpolation=how)
+
+
+def in_units(joints: Float[Tensor, "*n 24 3"], lens: Float[Tensor, "*m 5"]) -> Float[Tensor, "*n 24 3"]:
+    """Joints in camera coordinates [m] as windows show them, each before its own `Window.lens`; differentiable."""
+    depth = joints[..., 2:]
+    across = joints[..., :2] / depth * lens[..., :2] + lens[..., 2:4]
+    pelvis = depth[..., :1, :]
+    return torch.cat([across, (depth - pelvis) / (pelvis * lens[..., 4:])], -1)
 
 
 def picture_channels(
