@@ -19,6 +19,7 @@ from hfb.shapes import Float, Int, Shaped, Tensor
 BetasSpace = Literal["smpl", "hfb"]
 
 _PARENTS = torch.tensor(PARENTS, dtype=torch.int32)
+_BONE_ENDS = torch.tensor(BONES).T.flatten()  # the parents of all bones, then the children
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +76,15 @@ class Body:
         return skinning.sparse_weights(self.skinning_weights)
 
     @cached_property
-    def rounded_pose_directions(self) -> tuple[Shaped[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
-        """The pose blend shapes, see `hfb.body.skinning.rounded`; of no vertices where the model has none."""
+    def pose_rows(self) -> tuple[Float[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
+        """The pose blend shapes, see `hfb.body.skinning.padded`; of no vertices where the model has none."""
         none = self.template.new_empty(0, 3, 207)
-        return skinning.rounded(none if self.pose_directions is None else self.pose_directions)
+        return skinning.padded(none if self.pose_directions is None else self.pose_directions)
+
+    @cached_property
+    def rounded_pose_rows(self) -> tuple[Shaped[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
+        """The same in half as many bytes, see `hfb.body.skinning.rounded`."""
+        return skinning.rounded(self.pose_rows[0])
 
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
@@ -109,8 +115,8 @@ class Body:
 
 def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
     """Total length of the 23 bones [m]: a person's size, whatever the pose."""
-    parents, children = ([bone[end] for bone in BONES] for end in (0, 1))
-    return (joints[children] - joints[parents]).norm(dim=-1).sum()
+    ends = joints.index_select(0, _BONE_ENDS.to(joints.device)).view(2, -1, 3)
+    return (ends[1] - ends[0]).norm(dim=-1).sum()
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +165,10 @@ class ShapedBody:
             held = body.sparse_skinning
             if directions is None:
                 return operators.skin(T_world_rest, self.vertices, *held)
-            given = T_world_rest, rotations, self.vertices, *body.rounded_pose_directions
-            return operators.blend_and_skin(*given, *held)[0]
+            # Reading them is what costs in a fit, which calls this with gradients; what leaves it is exact.
+            searched = torch.is_grad_enabled() and (T_world_rest.requires_grad or self.vertices.requires_grad)
+            rows = body.rounded_pose_rows if searched else body.pose_rows
+            return operators.blend_and_skin(T_world_rest, rotations, self.vertices, *rows, *held)[0]
         offsets = None
         if directions is not None:
             identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)

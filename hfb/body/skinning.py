@@ -41,16 +41,22 @@ def blend(feature: Float[Tensor, "S n"], directions: Float[Tensor, "V 3 n"]) -> 
     return (feature @ directions.flatten(0, 1).T).unflatten(1, (-1, 3))
 
 
+def padded(directions: Float[Tensor, "V 3 n"]) -> tuple[Float[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
+    """(numbers, steps) of pose blend shapes as they are: steps of one, and zeros up to the number of features that the
+    kernels know."""
+    rows = torch.nn.functional.pad(directions, (0, FEATURES - directions.shape[-1]))
+    return rows, rows.new_ones(rows.shape[:-1])
+
+
 def rounded(directions: Float[Tensor, "V 3 n"]) -> tuple[Shaped[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
-    """(numbers, steps): directions as whole numbers of 16 bits, 32,767 of its row's steps where a row is largest, and
-    zeros up to the number of features that the kernels know.
+    """As `padded`, in whole numbers of 16 bits: 32,767 of its row's steps where a row is largest.
 
     Half a step, the most that a number is off, is 1.5e-5 of its row's largest: below a micrometre for displacements of
     5 cm. float64, for who wants to know exactly, stays as it is.
     """
-    rows = torch.nn.functional.pad(directions, (0, FEATURES - directions.shape[-1]))
+    rows, ones = padded(directions)
     if directions.dtype == torch.float64:
-        return rows, rows.new_ones(rows.shape[:-1])
+        return rows, ones
     most = torch.iinfo(torch.int16).max
     steps = (rows.abs().amax(-1) / most).clamp_min(torch.finfo(rows.dtype).tiny)
     return (rows / steps[..., None]).round().clamp(-most, most).to(torch.int16), steps
