@@ -5,9 +5,9 @@ The readable formulas they are tested against are in `hfb.body.skinning`.
 
 import torch
 
-from hfb.body import kernels_blend as blending
-from hfb.body import kernels_skinning as skinning
+from hfb.body import kernels_blend, kernels_skinning
 from hfb.shapes import Array, Tensor
+from hfb.vector_code import LANES
 
 
 def _arrays(*tensors: Tensor) -> list[Array]:
@@ -26,7 +26,7 @@ def place_joints(
     """
     transforms = rotations.new_empty(*rotations.shape[:2], 3, 4)
     joints = rotations.new_empty(*rotations.shape[:2], 3)
-    skinning.place(*_arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
+    kernels_skinning.place(*_arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
     return transforms, joints
 
 
@@ -45,7 +45,7 @@ def place_joints_gradient(
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
     given = _arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
-    skinning.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
+    kernels_skinning.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
     return of_rotations, of_translations, of_rest
 
 
@@ -79,7 +79,7 @@ def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weigh
             turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
-    skinning.skin(*_arrays(transforms, rest, starts, joints, weights), vertices.numpy())
+    kernels_skinning.skin(*_arrays(transforms, rest, starts, joints, weights), vertices.numpy())
     return vertices
 
 
@@ -96,7 +96,7 @@ def skin_gradient(
     of_transforms = transforms.new_empty(transforms.shape)
     of_rest = rest.new_zeros(rest.shape if wants_rest else (0, 3))
     arrays = _arrays(transforms, rest, starts, joints, weights, given)
-    skinning.skin_gradient(*arrays, of_transforms.numpy(), of_rest.numpy())
+    kernels_skinning.skin_gradient(*arrays, of_transforms.numpy(), of_rest.numpy())
     return of_transforms, of_rest
 
 
@@ -122,7 +122,7 @@ skin.register_autograd(_skin_backward, setup_context=_keep_skin)
 
 def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
     """Shape of what `blend_and_skin` keeps for its way back."""
-    return -(-transforms.shape[0] // blending.LANES), rest.shape[0], 3 * blending.LANES
+    return -(-transforms.shape[0] // LANES), rest.shape[0], 3 * LANES
 
 
 @torch.library.custom_op("hfb::blend_and_skin", mutates_args=())
@@ -139,7 +139,7 @@ def blend_and_skin(
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     points = rest.new_empty(_kept(transforms, rest))
     given = _arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
-    blending.blend_and_skin(*given, points.numpy(), vertices.numpy())
+    kernels_blend.blend_and_skin(*given, points.numpy(), vertices.numpy())
     return vertices, points
 
 
@@ -161,7 +161,7 @@ def blend_and_skin_gradient(
     of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
     of_rest = transforms.new_zeros(given.shape[1:])
     arrays = _arrays(transforms, directions, steps, starts, joints, weights, points, given)
-    blending.blend_and_skin_gradient(*arrays, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
+    kernels_blend.blend_and_skin_gradient(*arrays, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
     return of_transforms, of_rotations, of_rest
 
 
