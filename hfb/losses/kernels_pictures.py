@@ -152,7 +152,7 @@ def _shared_and_covered(level, count, alpha, matte):
     return shared, covered
 
 
-@njit(**LOOP)
+@njit(**INLINE)
 def _overlap(level, count, scales, alpha, matte, gradient):
     """One level's L_alpha, eq. (4), and its gradient, both divided by the number of scales."""
     shared, covered = _shared_and_covered(level, count, alpha, matte)
