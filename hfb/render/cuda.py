@@ -1,5 +1,7 @@
 """The rasteriser for CUDA devices: Warp kernels, all bodies of a batch at once."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -52,28 +54,42 @@ class WarpRasterizer:
     def arguments(
         self,
         vertices: Float[Tensor, "B V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
+        textures: Float[Tensor, "G A A 3"] | None,
+        cameras: Sequence[PinholeCamera],
         mesh: Mesh,
-        subframes: int,
-    ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], int]:
-        """What `cuda_operators.draw_by_warp` takes."""
-        uv, topology = self._of_mesh(mesh, vertices.shape[1])
-        lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.height, camera.width]
-        texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
-        bodies, texels = vertices.to(self.device).contiguous(), texels.to(self.device).contiguous()
-        return bodies, texels, uv, topology, [float(value) for value in lens], subframes
+    ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], Tensor, list[int], float]:
+        """What `cuda_operators.draw_by_warp` takes.
 
-    def _pictures(
+        Raises:
+            ValueError: cameras of several picture sizes, or bodies or textures that do not share out evenly.
+        """
+        sizes = {(camera.height, camera.width) for camera in cameras}
+        groups = 1 if textures is None else len(textures)
+        if len(sizes) != 1 or len(vertices) % len(cameras) or len(cameras) % groups:
+            raise ValueError(f"{len(vertices)} bodies, {groups} textures, {len(cameras)} pictures of sizes {sizes}")
+        uv, topology = self._of_mesh(mesh, vertices.shape[1])
+        lens = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in cameras]
+        texels = vertices.new_empty(1, 0, 0, 3) if textures is None else textures.to(vertices.dtype)
+        bodies, texels = vertices.to(self.device).contiguous(), texels.to(self.device).contiguous()
+        lenses = torch.tensor(lens, dtype=torch.float64).to(self.device)
+        return bodies, texels, uv, topology, lenses, [int(side) for side in sizes.pop()], NEAR_M
+
+    def render_pictures(
         self,
-        vertices: Float[Tensor, "B V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
+        vertices: Float[Tensor, "P S V 3"],
+        textures: Float[Tensor, "G A A 3"] | None,
+        cameras: Sequence[PinholeCamera],
         mesh: Mesh,
-        subframes: int,
     ) -> Float[Tensor, "P H W 4"]:
-        pictures = draw_by_warp(*self.arguments(vertices, texture, camera, mesh, subframes))[0].to(vertices.device)
-        return pictures if texture is not None else torch.nn.functional.pad(pictures, (3, 0))
+        """`render_mean` of several pictures (frames, windows, whole fits) at once: what keeps a device busy.
+
+        Args:
+            textures: picture p has number p G / P; colours are zero without any. cameras: one per picture, all of one
+                size.
+        """
+        pictures = draw_by_warp(*self.arguments(vertices.flatten(0, 1), textures, cameras, mesh))[0]
+        pictures = pictures.to(vertices.device)
+        return pictures if textures is not None else torch.nn.functional.pad(pictures, (3, 0))
 
     def render(
         self,
@@ -83,7 +99,8 @@ class WarpRasterizer:
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
         """One picture per sub-frame: R_S R_F and R_S."""
-        return self._pictures(vertices, texture, camera, mesh, 1)
+        textures = None if texture is None else texture[None]
+        return self.render_pictures(vertices[:, None], textures, [camera] * len(vertices), mesh)
 
     def render_mean(
         self,
@@ -93,21 +110,10 @@ class WarpRasterizer:
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames."""
-        return self._pictures(vertices, texture, camera, mesh, len(vertices))[0]
-
-    def render_frames(
-        self,
-        vertices: Float[Tensor, "T S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
-    ) -> Float[Tensor, "T H W 4"]:
-        """`render_mean` of several frames (or windows) at once: what keeps a device busy."""
-        return self._pictures(vertices.flatten(0, 1), texture, camera, mesh, vertices.shape[1])
+        return self.render_pictures(vertices[None], None if texture is None else texture[None], [camera], mesh)[0]
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames."""
-        arguments = self.arguments(vertices, None, camera, mesh, len(vertices))
-        return draw_by_warp(*arguments)[0][0, ..., 0].to(vertices.device)
+        return self.render_pictures(vertices[None], None, [camera], mesh)[0, ..., 3]

@@ -136,7 +136,8 @@ def pull_edges(
 
 @wp.kernel
 def gather(
-    vertices: wp.array3d(dtype=Any), projected: wp.array2d(dtype=wp.vec3d), focal: wp.vec2d,
+    vertices: wp.array3d(dtype=Any), projected: wp.array2d(dtype=wp.vec3d),
+    lenses: wp.array2d(dtype=wp.float64), subframes: wp.int32,
     corner_begins: wp.array(dtype=wp.int32), corners: wp.array(dtype=wp.int32),
     end_begins: wp.array(dtype=wp.int32), ends: wp.array(dtype=wp.int32),
     on_corners: wp.array3d(dtype=wp.vec3d), on_ends: wp.array3d(dtype=wp.vec3d), gradient: wp.array3d(dtype=Any),
@@ -155,7 +156,8 @@ def gather(
         total = total + on_ends[b, ends[m] / 2, ends[m] % 2]
     found = wp.vec3d()
     if point[2] > ZERO:
-        gx, gy = total[0] * focal[0], total[1] * focal[1]
+        n = b / subframes
+        gx, gy = total[0] * lenses[n, 0], total[1] * lenses[n, 1]
         by_inverse = total[2] + gx * wp.float64(vertices[b, i, 0]) + gy * wp.float64(vertices[b, i, 1])
         found = wp.vec3d(gx * point[2], gy * point[2], -point[2] * point[2] * by_inverse)
     for k in range(3):

@@ -23,19 +23,23 @@ FAR_PX = wp.constant(wp.float64(1e9))  # a corner projected farther out than thi
 @wp.kernel
 def project(
     vertices: wp.array3d(dtype=Any),
-    focal: wp.vec2d,
-    centre: wp.vec2d,
+    lenses: wp.array2d(dtype=wp.float64),
+    subframes: wp.int32,
     near: wp.float64,
     projected: wp.array2d(dtype=wp.vec3d),
 ):
-    """Fill `projected` with x, y [px] and 1/z; zeros where the vertex cannot be used. Threads: bodies, vertices."""
+    """Fill `projected` with x, y [px] and 1/z; zeros where the vertex cannot be used. Threads: bodies, vertices.
+
+    lenses: fx, fy, cx, cy of every picture, each of `subframes` bodies.
+    """
     b, i = wp.tid()
+    n = b / subframes
     point = wp.vec3d()
     z = wp.float64(vertices[b, i, 2])
     if z > near:  # false for NaN too
         inverse = ONE / z
-        x = focal[0] * wp.float64(vertices[b, i, 0]) * inverse + centre[0]
-        y = focal[1] * wp.float64(vertices[b, i, 1]) * inverse + centre[1]
+        x = lenses[n, 0] * wp.float64(vertices[b, i, 0]) * inverse + lenses[n, 2]
+        y = lenses[n, 1] * wp.float64(vertices[b, i, 1]) * inverse + lenses[n, 3]
         if wp.abs(x) < FAR_PX and wp.abs(y) < FAR_PX and inverse > ZERO:
             point = wp.vec3d(x, y, inverse)
     projected[b, i] = point

@@ -82,9 +82,17 @@ def first_texel(position: wp.float64, size: wp.int32) -> wp.int32:
 
 
 @wp.func
-def colour_at(texture: wp.array3d(dtype=Any), row: wp.int32, column: wp.int32) -> wp.vec3d:
+def texture_of(n: wp.int32, pictures: wp.int32, textures: wp.int32) -> wp.int32:
+    """Which texture picture n has: each belongs to a run of pictures, all runs of one length."""
+    return n / (pictures / textures)
+
+
+@wp.func
+def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, column: wp.int32) -> wp.vec3d:
     return wp.vec3d(
-        wp.float64(texture[row, column, 0]), wp.float64(texture[row, column, 1]), wp.float64(texture[row, column, 2])
+        wp.float64(textures[g, row, column, 0]),
+        wp.float64(textures[g, row, column, 1]),
+        wp.float64(textures[g, row, column, 2]),
     )
 
 
@@ -92,13 +100,14 @@ def colour_at(texture: wp.array3d(dtype=Any), row: wp.int32, column: wp.int32) -
 def shade(
     alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
     front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
-    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), texture: wp.array3d(dtype=Any),
+    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
     subframes: wp.int32, pictures: wp.array4d(dtype=Any),
 ):  # fmt: skip
     """Mean of each run of `subframes` bodies: coverage times the texture (bilinear, clamped at its border), and the
-    coverage; of an empty texture the coverage alone. Threads: pictures, rows, columns."""
+    coverage; of empty textures the coverage alone. Threads: pictures, rows, columns."""
     n, row, column = wp.tid()
-    size, step = texture.shape[0], wp.min(texture.shape[0] - 1, 1)
+    size, step = textures.shape[1], wp.min(textures.shape[1] - 1, 1)
+    g = texture_of(n, pictures.shape[0], textures.shape[0])
     colour, opacity = wp.vec3d(), wp.float64(0.0)
     for s in range(subframes):
         b = n * subframes + s
@@ -112,9 +121,9 @@ def shade(
                     x, y = texel_position(at[0], size), texel_position(at[1], size)
                     c, r = first_texel(x, size), first_texel(y, size)
                     right, below = x - wp.float64(c), y - wp.float64(r)
-                    upper = (ONE - right) * colour_at(texture, r, c) + right * colour_at(texture, r, c + step)
-                    lower = (ONE - right) * colour_at(texture, r + step, c)
-                    lower = lower + right * colour_at(texture, r + step, c + step)
+                    upper = (ONE - right) * colour_at(textures, g, r, c) + right * colour_at(textures, g, r, c + step)
+                    lower = (ONE - right) * colour_at(textures, g, r + step, c)
+                    lower = lower + right * colour_at(textures, g, r + step, c + step)
                     colour = colour + share * ((ONE - below) * upper + below * lower)
     scale, last = ONE / wp.float64(subframes), pictures.shape[3] - 1
     if size > 0:
@@ -125,35 +134,37 @@ def shade(
 
 @wp.func
 def add_in_steps(
-    value: wp.vec3d, steps: wp.float64, row: wp.int32, column: wp.int32, total: wp.array3d(dtype=wp.int64)
-):
+    value: wp.vec3d, steps: wp.float64, g: wp.int32, row: wp.int32, column: wp.int32,
+    total: wp.array4d(dtype=wp.int64),
+):  # fmt: skip
     """Add a colour to a texel as whole numbers of steps: a sum whose order does not matter."""
     for q in range(3):
-        wp.atomic_add(total, row, column, q, wp.int64(wp.floor(value[q] * steps + HALF)))
+        wp.atomic_add(total, g, row, column, q, wp.int64(wp.floor(value[q] * steps + HALF)))
 
 
 @wp.kernel
 def pull_pixels(
     alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
     front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
-    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), texture: wp.array3d(dtype=Any),
+    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
     subframes: wp.int32, of_pictures: wp.array4d(dtype=Any), steps: wp.array(dtype=wp.float64),
-    pulls: wp.array3d(dtype=wp.vec3d), of_texture: wp.array3d(dtype=wp.int64),
+    pulls: wp.array3d(dtype=wp.vec3d), of_textures: wp.array4d(dtype=wp.int64),
 ):  # fmt: skip
     """Way back of `shade` to what each pixel shows. Threads: bodies, rows, columns.
 
-    pulls: gradients of its coverage, u and v. of_texture (zeros before): in steps, of which there are `steps` to one;
+    pulls: gradients of its coverage, u and v. of_textures (zeros before): in steps, of which there are `steps` to one;
     an empty one is left out.
     """
     b, row, column = wp.tid()
-    pull, share, size = wp.vec3d(), alpha[b, row, column], texture.shape[0]
+    pull, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]
     if share > ZERO:
         n, scale = b / subframes, ONE / wp.float64(subframes)
+        g = texture_of(n, of_pictures.shape[0], textures.shape[0])
         pull = wp.vec3d(wp.float64(of_pictures[n, row, column, of_pictures.shape[3] - 1]) * scale, ZERO, ZERO)
         if size > 0:
             code = codes[b, row, column]
             if code != NONE:
-                g = scale * wp.vec3d(
+                given = scale * wp.vec3d(
                     wp.float64(of_pictures[n, row, column, 0]),
                     wp.float64(of_pictures[n, row, column, 1]),
                     wp.float64(of_pictures[n, row, column, 2]),
@@ -162,9 +173,9 @@ def pull_pixels(
                 x, y, step = texel_position(at[0], size), texel_position(at[1], size), wp.min(size - 1, 1)
                 c, r = first_texel(x, size), first_texel(y, size)
                 right, below = x - wp.float64(c), y - wp.float64(r)
-                t00, t01 = wp.dot(g, colour_at(texture, r, c)), wp.dot(g, colour_at(texture, r, c + step))
-                t10 = wp.dot(g, colour_at(texture, r + step, c))
-                t11 = wp.dot(g, colour_at(texture, r + step, c + step))
+                t00, t01 = wp.dot(given, colour_at(textures, g, r, c)), wp.dot(given, colour_at(textures, g, r, c + step))
+                t10 = wp.dot(given, colour_at(textures, g, r + step, c))
+                t11 = wp.dot(given, colour_at(textures, g, r + step, c + step))
                 upper, lower = t00 + right * (t01 - t00), t10 + right * (t11 - t10)
                 slope_u, slope_v, last = ZERO, ZERO, wp.float64(size - 1)
                 if x > ZERO and x < last:
@@ -172,16 +183,16 @@ def pull_pixels(
                 if y > ZERO and y < last:
                     slope_v = share * wp.float64(size) * (lower - upper)
                 pull = wp.vec3d(pull[0] + upper + below * (lower - upper), slope_u, slope_v)
-                if of_texture.shape[0] > 0:
-                    g = share * g
-                    add_in_steps((ONE - below) * (ONE - right) * g, steps[0], r, c, of_texture)
-                    add_in_steps((ONE - below) * right * g, steps[0], r, c + step, of_texture)
-                    add_in_steps(below * (ONE - right) * g, steps[0], r + step, c, of_texture)
-                    add_in_steps(below * right * g, steps[0], r + step, c + step, of_texture)
+                if of_textures.shape[1] > 0:
+                    given = share * given
+                    add_in_steps((ONE - below) * (ONE - right) * given, steps[0], g, r, c, of_textures)
+                    add_in_steps((ONE - below) * right * given, steps[0], g, r, c + step, of_textures)
+                    add_in_steps(below * (ONE - right) * given, steps[0], g, r + step, c, of_textures)
+                    add_in_steps(below * right * given, steps[0], g, r + step, c + step, of_textures)
     pulls[b, row, column] = pull
 
 
 for _real in (wp.float32, wp.float64):
-    _some = {"texture": wp.array3d(dtype=_real)}
+    _some = {"textures": wp.array4d(dtype=_real)}
     wp.overload(shade, {**_some, "pictures": wp.array4d(dtype=_real)})
     wp.overload(pull_pixels, {**_some, "of_pictures": wp.array4d(dtype=_real)})

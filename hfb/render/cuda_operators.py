@@ -56,29 +56,28 @@ def _launch(kernel: object, size: Sequence[int], tensor: Tensor, *arguments: obj
         wp.launch(kernel, tuple(size), list(arguments), device=wp.device_from_torch(tensor.device))
 
 
-def _lens(lens: Sequence[float]) -> tuple[object, object, object, int, int]:
-    fx, fy, cx, cy, near, height, width = lens
-    return wp.vec2d(fx, fy), wp.vec2d(cx, cy), wp.float64(near), int(height), int(width)
-
-
 @torch.library.custom_op("hfb::draw_by_warp", mutates_args=())
 def draw_by_warp(
-    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float], subframes: int
-) -> tuple[Tensor, list[Tensor]]:
+    vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor], lenses: Tensor, size: Sequence[int],
+    near: float,
+) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
     """Mean pictures of runs of bodies, and what the way back needs.
 
     Args:
-        vertices: (B, V, 3) [m]. texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
+        vertices: (B, V, 3) [m]. textures: (G, A, A, 3), linear RGB, each of a run of pictures; with A = 0 only
+            silhouettes are drawn.
         uv: (F, 3, 2) float64, of the faces' corners. topology: int32 tables faces, edge_vertices, edge_faces, and
             where each vertex's corners begin, the corners, where its edges' ends begin, the ends (see `gather`).
-        lens: fx, fy, cx, cy, nearest depth used, height, width. subframes: bodies per picture; B is a multiple.
+        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every picture; B is a multiple of P. size: height, width.
+        near: nearest depth used [m].
 
     Returns:
-        pictures (B / subframes, H, W, 4), or (B / subframes, H, W, 1) of silhouettes; projected vertices, front faces,
+        pictures (P, H, W, 4), or (P, H, W, 1) of silhouettes; projected vertices, front faces,
         first piece of each edge, places and shares of the pieces, coverage and codes of the pixels.
     """
-    focal, centre, near, height, width = _lens(lens)
-    bodies, edges, coloured, mask = len(vertices), len(topology[1]), len(texture) > 0, _mask(topology)
+    height, width = size
+    bodies, edges, coloured, mask = len(vertices), len(topology[1]), textures.shape[1] > 0, _mask(topology)
+    subframes = bodies // len(lenses)
     shape, seen_shape = (bodies, height, width), (bodies if coloured else 0, height, width)
 
     def real(*size: int) -> Tensor:
@@ -91,7 +90,8 @@ def draw_by_warp(
         faces, edge_vertices, edge_faces = (_array(table) for table in topology[:3])
         projected, front = real(bodies, vertices.shape[1], 3), whole(bodies, len(topology[0]), kind=torch.uint8)
         seen = whole(*seen_shape, kind=torch.int64)
-        _launch(screen.project, vertices.shape[:2], vertices, _array(vertices), focal, centre, near, _points(projected))
+        eye = _array(vertices), _array(lenses), subframes, wp.float64(near)
+        _launch(screen.project, vertices.shape[:2], vertices, *eye, _points(projected))
         _launch(screen.see_faces, front.shape, vertices, _points(projected), faces, mask, _array(front), _array(seen))
         counts = whole(bodies, edges)
         outline = _points(projected), _array(front), edge_vertices, edge_faces
@@ -108,24 +108,25 @@ def draw_by_warp(
         pixels = _array(alpha), _array(codes), _array(shares, wp.vec2d)
         ends = _points(projected), edge_vertices, _array(seen), mask
         _launch(outlines.cover, shape, vertices, _array(running), _array(newest), *chains, *ends, *pixels)
-        pictures = vertices.new_empty(bodies // subframes, height, width, 4 if coloured else 1)
-        surfaces = *pixels[:2], *outline[:2], faces, edge_vertices, edge_faces, _array(uv, wp.vec2d), _array(texture)
+        pictures = vertices.new_empty(len(lenses), height, width, 4 if coloured else 1)
+        surfaces = *pixels[:2], *outline[:2], faces, edge_vertices, edge_faces, _array(uv, wp.vec2d), _array(textures)
         _launch(surface.shade, pictures.shape[:3], vertices, *surfaces, subframes, _array(pictures))
     return pictures, [projected, front, begins, place, shares, alpha, codes]
 
 
 @draw_by_warp.register_fake
 def _(
-    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float], subframes: int
-) -> tuple[Tensor, list[Tensor]]:
-    pieces, coloured = torch.library.get_ctx().new_dynamic_size(), texture.shape[0] > 0
-    bodies, height, width = vertices.shape[0], int(lens[5]), int(lens[6])
+    vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor], lenses: Tensor, size: Sequence[int],
+    near: float,
+) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+    pieces, coloured = torch.library.get_ctx().new_dynamic_size(), textures.shape[1] > 0
+    bodies, (height, width) = vertices.shape[0], size
 
     def empty(kind: torch.dtype, *size: int | torch.SymInt) -> Tensor:
         return vertices.new_empty(size, dtype=kind)
 
     whole, real = torch.int32, torch.float64
-    return vertices.new_empty(bodies // subframes, height, width, 4 if coloured else 1), [
+    return vertices.new_empty(lenses.shape[0], height, width, 4 if coloured else 1), [
         empty(real, *vertices.shape),
         empty(torch.uint8, bodies, topology[0].shape[0]),
         empty(whole, bodies * topology[1].shape[0] + 1),
@@ -138,20 +139,21 @@ def _(
 
 @torch.library.custom_op("hfb::draw_by_warp_gradient", mutates_args=())
 def draw_by_warp_gradient(
-    of_pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lens: Sequence[float], subframes: int, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool,
+    of_pictures: Tensor, vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor],
+    lenses: Tensor, kept: Sequence[Tensor], of_vertices: bool, of_textures: bool,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
-    """Gradients of the vertices (B, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    """Gradients of the vertices (B, V, 3) and of the textures (G, A, A, 3), empty where not asked for."""
     projected, front, begins, place, shares, alpha, codes = kept
-    bodies, coloured, given = len(vertices), len(texture) > 0, of_pictures.contiguous()
+    bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
+    subframes = bodies // len(lenses)
     steps = 2.0**_EXACT / max(alpha.numel(), 1) / given.abs().amax().double().clamp_min(1e-300).reshape(1)
-    total = vertices.new_zeros(texture.shape if of_texture else (0, 0, 3), dtype=torch.int64)
+    total = vertices.new_zeros(textures.shape if of_textures else (1, 0, 0, 3), dtype=torch.int64)
     pulls = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
     with _prepare(vertices):
         faces, edge_vertices, edge_faces = (_array(table) for table in topology[:3])
         seen = _points(projected), _array(front), faces
         of_uv, shown = _array(uv, wp.vec2d), _array(codes)
-        surfaces = _array(alpha), shown, *seen, edge_vertices, edge_faces, of_uv, _array(texture)
+        surfaces = _array(alpha), shown, *seen, edge_vertices, edge_faces, of_uv, _array(textures)
         into = _array(steps), _points(pulls), _array(total)
         _launch(surface.pull_pixels, alpha.shape, vertices, *surfaces, subframes, _array(given), *into)
         gradient = vertices.new_empty(vertices.shape if of_vertices else (bodies, 0, 3))
@@ -166,37 +168,35 @@ def draw_by_warp_gradient(
             _launch(gradients.pull_edges, on_ends.shape[:2], vertices, *ends)
             sums = _points(on_corners), _points(on_ends), _array(gradient)
             members = *(_array(table) for table in topology[3:7]), *sums
-            where = _array(vertices), _points(projected), _lens(lens)[0]
+            where = _array(vertices), _points(projected), _array(lenses), subframes
             _launch(gradients.gather, vertices.shape[:2], vertices, *where, *members)
-    return gradient, (total / steps).to(texture.dtype)
+    return gradient, (total / steps).to(textures.dtype)
 
 
 @draw_by_warp_gradient.register_fake
 def _(
-    of_pictures: Tensor, vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lens: Sequence[float], subframes: int, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool,
+    of_pictures: Tensor, vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor],
+    lenses: Tensor, kept: Sequence[Tensor], of_vertices: bool, of_textures: bool,
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
-    return gradient, torch.empty_like(texture) if of_texture else texture.new_empty(0, 0, 3)
+    return gradient, torch.empty_like(textures) if of_textures else textures.new_empty(1, 0, 0, 3)
 
 
 def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    vertices, texture, uv, topology, lens, subframes = inputs
-    ctx.save_for_backward(vertices, texture, uv, *topology, *output[1])
-    ctx.lens, ctx.subframes, ctx.tables = lens, subframes, len(topology)
+    vertices, textures, uv, topology, lenses, _, _ = inputs
+    ctx.save_for_backward(vertices, textures, uv, lenses, *topology, *output[1])
+    ctx.tables = len(topology)
     ctx.set_materialize_grads(False)
 
 
 def _backward(ctx, of_pictures, *_):  # type: ignore[no-untyped-def]
-    no_gradient = None, [None] * ctx.tables, None, None
+    no_gradient = None, [None] * ctx.tables, None, None, None
     if of_pictures is None:
         return None, None, *no_gradient
-    vertices, texture, uv, *tables = ctx.saved_tensors
-    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
+    vertices, textures, uv, lenses, *tables = ctx.saved_tensors
+    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and textures.shape[1] > 0
     topology, kept = tables[: ctx.tables], tables[ctx.tables :]
-    found = draw_by_warp_gradient(
-        of_pictures, vertices, texture, uv, topology, ctx.lens, ctx.subframes, kept, *wanted
-    )  # fmt: skip
+    found = draw_by_warp_gradient(of_pictures, vertices, textures, uv, topology, lenses, kept, *wanted)
     return *(gradient if want else None for gradient, want in zip(found, wanted, strict=True)), *no_gradient
 
 

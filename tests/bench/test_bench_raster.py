@@ -138,10 +138,10 @@ def test_eight_bodies_by_warp(scale: Scale, figures: Figures) -> None:
     rasterizer, camera, frames = WarpRasterizer(device), view(256), 16 if device == "cuda" else 1
     vertices = people(SUBFRAMES, dtype=torch.float32, spread_rad=0.15).expand(frames, -1, -1, -1).to(device)
     vertices = vertices.contiguous().requires_grad_()
-    texture = smooth_texture(128, dtype=torch.float32).to(device).requires_grad_()
+    textures = smooth_texture(128, dtype=torch.float32)[None].to(device).requires_grad_()
 
     def once() -> None:
-        rasterizer.render_frames(vertices, texture, camera, MESH).sum().backward()
+        rasterizer.render_pictures(vertices, textures, [camera] * frames, MESH).sum().backward()
         if device == "cuda":
             torch.cuda.synchronize()
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -107,20 +108,32 @@ def test_silhouettes_are_those_of_the_compiled_kernels(device: str) -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_frames_at_once_are_the_frames_one_by_one(device: str) -> None:
-    vertices, mesh = people(6, seed=2).unflatten(0, (2, 3)), person_mesh()
+def test_pictures_at_once_are_the_pictures_one_by_one(device: str) -> None:
+    """Two people of two frames each, every frame with a camera of its own."""
+    vertices, mesh = people(8, seed=2).unflatten(0, (4, 2)), person_mesh()
     rasterizer = WarpRasterizer("cuda" if device == "cuda" else "cpu")
+    cameras = [replace(CAMERA, fx=70.0 + 5 * number, cy=CAMERA.cy - number) for number in range(4)]
+    textures = torch.stack([smooth_texture(), smooth_texture().flip(0)])
 
-    def together(bodies: torch.Tensor, texture: torch.Tensor) -> torch.Tensor:
-        return rasterizer.render_frames(bodies, texture, CAMERA, mesh)
+    def together(bodies: torch.Tensor, textures: torch.Tensor) -> torch.Tensor:
+        return rasterizer.render_pictures(bodies, textures, cameras, mesh)
 
-    def apart(bodies: torch.Tensor, texture: torch.Tensor) -> torch.Tensor:
-        return torch.stack([rasterizer.render_mean(frame, texture, CAMERA, mesh) for frame in bodies])
+    def apart(bodies: torch.Tensor, textures: torch.Tensor) -> torch.Tensor:
+        frames = zip(bodies, textures.repeat_interleave(2, 0), cameras, strict=True)
+        return torch.stack([rasterizer.render_mean(*frame, mesh) for frame in frames])
 
-    pictures, alone = drawn(together, vertices, smooth_texture()), drawn(apart, vertices, smooth_texture())
+    pictures, alone = drawn(together, vertices, textures), drawn(apart, vertices, textures)
     assert torch.equal(pictures[0], alone[0])
     assert torch.equal(pictures[1], alone[1])
     assert_close(pictures, alone, 1e-12)
+
+
+def test_what_does_not_share_out_evenly_is_said() -> None:
+    vertices, mesh = people(3, seed=2), person_mesh()
+    with pytest.raises(ValueError, match=r"3 bodies, 2 textures, 3 pictures"):
+        WarpRasterizer("cpu").render_pictures(
+            vertices[:, None], torch.zeros(2, 8, 8, 3, dtype=torch.float64), [CAMERA] * 3, mesh
+        )
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -142,9 +155,9 @@ def test_every_run_has_the_same_bits(device: str) -> None:
 def test_operators_are_well_formed(textured: bool, device: str) -> None:
     vertices, mesh = ball(subdivisions=1)
     body = torch.cat([at(vertices, 0.1, 0, 2.0), at(vertices, 0.2, 0, 2.0)]).requires_grad_()
-    texture = smooth_texture(8).requires_grad_() if textured else None
+    textures = smooth_texture(8)[None].requires_grad_() if textured else None
     rasterizer = WarpRasterizer("cuda" if device == "cuda" else "cpu")
-    arguments = rasterizer.arguments(body, texture, PinholeCamera.from_focal(40.0, 24, 20), mesh, 2)
+    arguments = rasterizer.arguments(body, textures, [PinholeCamera.from_focal(40.0, 24, 20)], mesh)
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
     torch.library.opcheck(cuda_operators.draw_by_warp, arguments, test_utils=checks)
 
