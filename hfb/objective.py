@@ -3,6 +3,7 @@
 A term with weight zero is not computed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +12,7 @@ from hfb.body.height import height_m
 from hfb.body.model import Body, ShapedBody
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.config import Weights
+from hfb.formulas import compiled, constant
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.evidence import evidence_loss
 from hfb.losses.operators import compare_mattes, compare_pictures
@@ -65,21 +67,38 @@ class Objective:
     ) -> dict[str, Float[Tensor, ""]]:
         """The unweighted terms with a positive weight, named as in `Weights`."""
         shaped = self.body.shape(betas)
-        rotations, translations = course = trajectory.at(self._instants(betas.dtype))
-        frames = rotations.shape[0]
-        posed = shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1))
-        vertices = posed.vertices.unflatten(0, (frames, self.subframes))
-        terms: dict[str, Tensor] = {}
-        per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices.unbind())]
-        for name in per_frame[0]:
-            terms[name] = torch.stack([one[name] for one in per_frame]).mean()
-        if self.weights.texture > 0 and self.texels is not None:
-            terms["texture"] = texture_smoothness(texture, self.texels, self.visible)
+        course = trajectory.at(self._instants(betas.dtype))
+        vertices = self._posed(shaped, course).unbind()
+        per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
+        terms = mean_of_frames(per_frame) | self.surface_terms(texture)
         return terms | self.body_terms(trajectory, betas, shaped, course)
+
+    def vertices_and_terms(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"]
+    ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
+        """What is to be drawn, camera coordinates [m], and the terms of body and motion."""
+        shaped = self.body.shape(betas)
+        course = trajectory.at(self._instants(betas.dtype))
+        return self._posed(shaped, course), self.body_terms(trajectory, betas, shaped, course)
+
+    def _posed(
+        self, shaped: ShapedBody, course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"]]
+    ) -> Float[Tensor, "T S V 3"]:
+        """The body at every sub-frame."""
+        rotations, translations = course
+        posed = shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1))
+        return posed.vertices.unflatten(0, (rotations.shape[0], self.subframes))
+
+    def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
+        """The term of the texture alone."""
+        if self.weights.texture > 0 and self.texels is not None:
+            return {"texture": texture_smoothness(texture, self.texels, self.visible)}
+        return {}
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
         """The sub-frames' times, and last the middle of the exposure."""
-        return torch.cat([subframe_clock(self.subframes, dtype), torch.tensor([0.5], dtype=dtype)])
+        clock = *subframe_clock(self.subframes, dtype).tolist(), 0.5
+        return constant(clock, dtype, self.first.device)
 
     def body_terms(
         self,
@@ -99,16 +118,17 @@ class Objective:
         terms: dict[str, Tensor] = {}
         whole = weights.path > 0 and (frames == 1 or self.settling)
         if self.evidence is not None and (weights.joints > 0 or whole):
-            some = [0, -2, -1] if whole else [-1]  # opening, closing and middle of the exposure
-            places = rotations[:, some].flatten(0, 1), translations[:, some].flatten(0, 1)
+            some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)  # opening, closing, middle
+            index = constant(some, torch.long, betas.device)
+            places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
             joints = self.evidence.units(shaped.joints_of(*places).unflatten(0, (frames, len(some))))
-            share = joints.new_tensor([self.across, self.across, 1.0])
+            share = constant((self.across, self.across, 1.0), joints.dtype, joints.device)
             terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]), share)
             if whole:
                 terms["path"] = self._path_term(self.evidence, joints[:, 1] - joints[:, 0])
         if weights.pose > 0:
             turns = rotations[:, :-1, 1:].flatten(0, 2)
-            vectors = rotation_vectors(turns) if turns.device.type == "cpu" else matrix_to_axis_angle(turns)
+            vectors = rotation_vectors(turns) if compiled(turns) else matrix_to_axis_angle(turns)
             terms["pose"] = pose_loss(self.pose_prior, vectors.unflatten(0, (-1, JOINT_COUNT - 1)))
         if weights.start > 0:
             terms["start"] = start_loss(rotations[:, -1], self.first)
@@ -132,26 +152,33 @@ class Objective:
 
     def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
         """What one frame's picture and matte say: the image, matting and background terms."""
-        weights, seen = self.weights, self.observation
-        mesh, camera, matte = self.body.mesh, seen.camera, seen.mattes[frame]
-        terms = {}
+        weights, seen, mesh = self.weights, self.observation, self.body.mesh
         if weights.background > 0:  # the only term that needs every sub-frame's own picture
-            pictures = self.rasterizer.render(vertices, texture, camera, mesh)
-            terms["background"] = background_loss(seen.plate_linear, pictures)
-            mean = pictures.mean(0)
-        elif weights.image > 0:
-            mean = self.rasterizer.render_mean(vertices, texture, camera, mesh)
-        else:
-            alpha = self.rasterizer.silhouette_mean(vertices, camera, mesh)
-            return {"matte": compare_mattes(alpha, matte, self.matte_scales)}
+            pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
+            background = background_loss(seen.plate_linear, pictures)
+            return {"background": background} | self.compared(frame, pictures.mean(0))
+        if weights.image > 0:
+            return self.compared(frame, self.rasterizer.render_mean(vertices, texture, seen.camera, mesh))
+        alpha = self.rasterizer.silhouette_mean(vertices, seen.camera, mesh)
+        return {"matte": compare_mattes(alpha, seen.mattes[frame], self.matte_scales)}
+
+    def compared(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
+        """The image and matting terms of a frame whose drawing is known: mean colour, premultiplied, and silhouette."""
+        weights, seen, terms = self.weights, self.observation, {}
         scales = self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
-        image, overlap = compare_pictures(mean, seen.plate_linear, seen.frames_linear[frame], matte, *scales)
+        pictures = seen.plate_linear, seen.frames_linear[frame], seen.mattes[frame]
+        image, overlap = compare_pictures(mean, *pictures, *scales)
         if weights.image > 0:
             terms["image"] = image
         if weights.matte > 0:
             terms["matte"] = overlap
         return terms
 
-    def total(self, terms: dict[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
+    def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
         """The weighted sum of the terms."""
-        return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum()
+        return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum(0)
+
+
+def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
+    """Every term's mean over the frames."""
+    return {name: torch.stack([one[name] for one in per_frame]).mean() for name in per_frame[0]}

@@ -38,10 +38,13 @@ class Observation:
         """A picture in this observation's light, as it would be stored in a file."""
         return linear_to_srgb(picture.clamp(0, 1)) if self.light == "linear" else picture.clamp(0, 1)
 
-    def region(self, margin: float = 0.15, threshold: float = 0.05) -> tuple[int, int, int, int]:
+    def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
         """left, top, width, height [px] of the box around all mattes, widened by a share of its size.
 
         The box may reach outside the picture: the body may too.
+
+        Args:
+            square: make the shorter sides as long as the others, about the same middle.
 
         Raises:
             InputError: no pixel of any matte reaches the threshold.
@@ -51,7 +54,10 @@ class Observation:
             raise InputError("the matte is empty: no person differs from the background; check the plate")
         left, right, top, bottom = columns.min(), columns.max() + 1, rows.min(), rows.max() + 1
         pad = max(2, round(margin * max(right - left, bottom - top)))
-        return int(left - pad), int(top - pad), int(right - left + 2 * pad), int(bottom - top + 2 * pad)
+        width, height = int(right - left + 2 * pad), int(bottom - top + 2 * pad)
+        across, down = ((max(width, height) - one) // 2 if square else 0 for one in (width, height))
+        wide, high = (max(width, height),) * 2 if square else (width, height)
+        return int(left - pad) - across, int(top - pad) - down, wide, high
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Observation":
         """The same scene through a window; what lies outside the picture repeats its border, without a person."""

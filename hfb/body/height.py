@@ -12,11 +12,11 @@ def height_m(body: Body, betas: Float[Tensor, "*n K"]) -> Float[Tensor, "*n"]:
     return mean + betas @ per_beta.to(betas)
 
 
-def as_tall(betas: Float[Tensor, "K"], body: Body, height: float) -> Float[Tensor, "K"]:
+def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Tensor, "*n K"]:
     """The likeliest shape of that height [m] as seen from these betas: the nearest, since they have unit variance."""
     _, per_beta = _height(body)
     per_beta = per_beta.to(betas)
-    return betas + (height - height_m(body, betas)) / per_beta.square().sum() * per_beta
+    return betas + ((height - height_m(body, betas)) / per_beta.square().sum())[..., None] * per_beta
 
 
 @lru_cache(maxsize=4)

@@ -5,7 +5,7 @@ shape blend shapes (eq. 8), pose blend shapes (eq. 9), joints from the rest shap
 skinning (eq. 2-4). Everything is differentiable in betas, rotations and translations.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -14,12 +14,15 @@ import torch
 from hfb.body import operators, skinning
 from hfb.body.mesh import Mesh
 from hfb.body.skeleton import BONES, PARENTS
+from hfb.formulas import compiled, constant
 from hfb.shapes import Float, Int, Shaped, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
 
 _PARENTS = torch.tensor(PARENTS, dtype=torch.int32)
-_BONE_ENDS = torch.tensor(BONES).T.flatten()  # the parents of all bones, then the children
+_BONE_ENDS = tuple(
+    end for ends in zip(*BONES, strict=True) for end in ends
+)  # the parents of all bones, then the children
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,20 +91,15 @@ class Body:
 
     def to(self, dtype: torch.dtype) -> "Body":
         """The same body in another precision."""
-        return Body(
-            self.name,
-            self.betas_space,
-            self.licence,
-            self.source,
-            self.template.to(dtype),
-            self.shape_directions.to(dtype),
-            None if self.pose_directions is None else self.pose_directions.to(dtype),
-            self.joint_regressor.to(dtype),
-            self.joint_template.to(dtype),
-            self.joint_shape_directions.to(dtype),
-            self.skinning_weights.to(dtype),
-            self.mesh.to(dtype),
-        )
+        return replace(self._with_tensors_to(dtype), mesh=self.mesh.to(dtype))
+
+    def on(self, device: torch.device) -> "Body":
+        """The same body in a device's memory; its mesh, which a rasteriser copies for itself, stays where it is."""
+        return self._with_tensors_to(device)
+
+    def _with_tensors_to(self, there: torch.dtype | torch.device) -> "Body":
+        tensors = {one.name: getattr(self, one.name) for one in fields(self)}
+        return replace(self, **{name: one.to(there) for name, one in tensors.items() if isinstance(one, Tensor)})
 
     def rest_joints(self, betas: Float[Tensor, "K"]) -> Float[Tensor, "24 3"]:
         """Joints of the person with these betas in the rest pose [m]."""
@@ -115,7 +113,10 @@ class Body:
 
 def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
     """Total length of the 23 bones [m]: a person's size, whatever the pose."""
-    ends = joints.index_select(0, _BONE_ENDS.to(joints.device)).view(2, -1, 3)
+    if compiled(joints):
+        ends = joints.index_select(0, constant(_BONE_ENDS, torch.long, joints.device)).view(2, -1, 3)
+    else:
+        ends = (constant(skinning.chosen(_BONE_ENDS, 24), joints.dtype, joints.device) @ joints).view(2, -1, 3)
     return (ends[1] - ends[0]).norm(dim=-1).sum()
 
 
@@ -152,7 +153,7 @@ class ShapedBody:
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
         """Transforms of the rest body to the world, and the joints."""
-        if rotations.device.type == "cpu":
+        if compiled(rotations):
             return operators.place_joints(rotations, translations, self.joints, _PARENTS)
         return skinning.place_joints(rotations, translations, self.joints)
 
@@ -161,7 +162,7 @@ class ShapedBody:
     ) -> Float[Tensor, "S V 3"]:
         """Vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
         body, directions = self.body, self.body.pose_directions
-        if rotations.device.type == "cpu":
+        if compiled(rotations):
             held = body.sparse_skinning
             if directions is None:
                 return operators.skin(T_world_rest, self.vertices, *held)

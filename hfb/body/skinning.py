@@ -1,11 +1,22 @@
 """Joints along their chains and linear blend skinning in readable torch: what the compiled operators are tested
 against, and what runs where tensors are not in the processor's memory."""
 
+from functools import lru_cache
+
 import torch
 
 from hfb.body.kernels_vector import FEATURES
 from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENTS
+from hfb.formulas import constant
 from hfb.shapes import Float, Int, Shaped, Tensor
+
+_PARENTS = tuple(max(parent, 0) for parent in PARENTS)
+
+
+@lru_cache
+def chosen(rows: tuple[int, ...], count: int) -> tuple[tuple[float, ...], ...]:
+    """The matrix that takes these rows of `count`: on a GPU the gradient of an index adds up in no fixed order."""
+    return tuple(tuple(float(row == column) for column in range(count)) for row in rows)
 
 
 def place_joints(
@@ -18,17 +29,17 @@ def place_joints(
         translations: added to everything [m]; the root turns about its own joint, as in SMPL.
     """
     count = rotations.shape[0]
-    parents = rest_joints.new_tensor([max(parent, 0) for parent in PARENTS], dtype=torch.long)
-    bones = torch.cat([rest_joints[:1], (rest_joints - rest_joints[parents])[1:]])
+    parents = constant(chosen(_PARENTS, JOINT_COUNT), rest_joints.dtype, rest_joints.device)
+    bones = torch.cat([rest_joints[:1], (rest_joints - parents @ rest_joints)[1:]])
     offsets = bones.expand(count, -1, -1)
     offsets = torch.cat([offsets[:, :1] + translations[:, None], offsets[:, 1:]], 1)
     upper = torch.cat([rotations, offsets[..., None]], -1)
-    bottom = upper.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(count, JOINT_COUNT, 1, 4)
+    bottom = constant((0.0, 0.0, 0.0, 1.0), upper.dtype, upper.device).expand(count, JOINT_COUNT, 1, 4)
     above_root = torch.eye(4, dtype=upper.dtype, device=upper.device).expand(count, 1, 4, 4)
     transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
     for ancestors in ANCESTORS_BY_DOUBLING:
-        index = torch.tensor(ancestors, device=upper.device)
-        transforms = transforms.index_select(1, index) @ transforms
+        above = constant(chosen(ancestors, JOINT_COUNT + 1), upper.dtype, upper.device)
+        transforms = torch.einsum("ij,sjrc->sirc", above, transforms) @ transforms
     T_world_joint = transforms[:, :JOINT_COUNT]
     joints = T_world_joint[:, :, :3, 3]
     # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.

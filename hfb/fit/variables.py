@@ -68,11 +68,8 @@ class Variables:
 
     def groups(self, config: FitConfig, rate: float) -> list[dict]:
         """Adam's parameter groups with their learning rates, where motion has this one."""
-        return [
-            {"params": [self.trajectory.rotation, self.trajectory.translation], "lr": rate},
-            {"params": [self.betas], "lr": rate * config.shape_rate},
-            {"params": [self.texture], "lr": rate * config.texture_rate},
-        ]
+        moving = [self.trajectory.rotation, self.trajectory.translation]
+        return parameter_groups(moving, self.betas, self.texture, config, rate)
 
     def copy(self) -> "Variables":
         """A snapshot that later steps leave alone."""
@@ -80,6 +77,17 @@ class Variables:
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
         return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone(), self.reference)
+
+
+def parameter_groups(
+    moving: Sequence[Tensor], betas: Tensor, texture: Tensor, config: FitConfig, rate: float
+) -> list[dict]:
+    """Adam's parameter groups with their learning rates, where motion has this one; of one fit or of many."""
+    return [
+        {"params": list(moving), "lr": rate},
+        {"params": [betas], "lr": rate * config.shape_rate},
+        {"params": [texture], "lr": rate * config.texture_rate},
+    ]
 
 
 def start_variables(

@@ -31,6 +31,7 @@ class JointEvidence:
         start: the first body's joints, from which the network began.
         log_height, height_scale: logarithm of how tall the person stands [m], by proportions, and the standard
             deviation of its error; one person is seen in all frames.
+        lenses: what `in_units` needs of the windows; found from them where not given.
         height_compared: the height is a fit's, corrected (`hfb.fit.comparison`), and no longer the network's own.
     """
 
@@ -43,10 +44,16 @@ class JointEvidence:
     log_height: Float[Tensor, ""]
     height_scale: Float[Tensor, ""]
     height_compared: bool = False
+    lenses: Float[Tensor, "T 5"] = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.lenses is None:
+            lenses = torch.tensor([window.lens() for window in self.windows], dtype=torch.float64)
+            object.__setattr__(self, "lenses", lenses)
 
     def units(self, joints: Float[Tensor, "T *n 24 3"]) -> Float[Tensor, "T *n 24 3"]:
         """Joints [m, camera] of every frame as its window shows them."""
-        lenses = joints.new_tensor([window.lens() for window in self.windows])
+        lenses = self.lenses.to(joints.dtype)
         return in_units(joints, lenses.view(-1, *(1,) * (joints.ndim - 2), lenses.shape[1]))
 
     def off(self, middle: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:

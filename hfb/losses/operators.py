@@ -5,6 +5,7 @@ The readable formulas that it is tested against are in `hfb.losses.scales`.
 
 import torch
 
+from hfb.formulas import compiled
 from hfb.losses import kernels_pictures as kernels
 from hfb.losses.scales import image_over_scales, matte_over_scales
 from hfb.shapes import Array, Float, Tensor
@@ -113,7 +114,7 @@ def compare_pictures(
         plate: the clean background B. frame: I, in the same light. matte: alpha_in.
         image_scales, matte_scales: how many scales, each half the last.
     """
-    if mean.device.type == "cpu":
+    if compiled(mean):
         return _compare(mean, plate, frame, matte, image_scales, matte_scales)[:2]
     nothing = mean.new_zeros(())
     return (
@@ -124,7 +125,7 @@ def compare_pictures(
 
 def compare_mattes(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"], scales: int) -> Float[Tensor, ""]:
     """L_alpha alone, for a silhouette without a picture; differentiable in `alpha`."""
-    if alpha.device.type != "cpu":
+    if not compiled(alpha):
         return matte_over_scales(alpha, matte, scales)
     nothing = alpha.new_empty(0)
     return _compare(alpha[..., None], nothing, nothing, matte, 0, scales)[1]

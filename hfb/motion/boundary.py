@@ -3,6 +3,7 @@
 import torch
 
 from hfb.body.model import ShapedBody
+from hfb.formulas import constant
 from hfb.motion.trajectory import Trajectory
 from hfb.shapes import Float, Tensor
 
@@ -23,7 +24,7 @@ def boundary_loss(trajectory: Trajectory, shaped: ShapedBody, next_opening: floa
     frames = trajectory.rotation.shape[0]
     if frames < 2:
         return trajectory.rotation.new_zeros(())
-    steps = trajectory.rotation.new_tensor([-_STEP, 0.0, _STEP])
+    steps = constant((-_STEP, 0.0, _STEP), trajectory.rotation.dtype, trajectory.rotation.device)
     end = _values_and_rates(trajectory, shaped, steps + next_opening)
     start = _values_and_rates(trajectory, shaped, steps)
     terms = [(after[1:] - before[:-1]).abs().mean() for before, after in zip(end, start, strict=True)]

@@ -5,6 +5,7 @@ from typing import Literal
 
 import torch
 
+from hfb.formulas import compiled
 from hfb.motion.operators import turn
 from hfb.rotations import (
     axis_angle_to_matrix,
@@ -52,7 +53,7 @@ class Trajectory:
         """Rotations (root: body to camera; joints: relative to their parents) and translations [m] at u."""
         powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype, device=u.device)
         path = powers @ self.translation
-        if self.kind == "quaternion" and u.device.type == "cpu":
+        if self.kind == "quaternion" and compiled(u):
             return turn(self.rotation, powers), path[..., :3]
         curve = torch.einsum("sd,tdjc->tsjc", powers, self.rotation)
         if self.kind == "quaternion":

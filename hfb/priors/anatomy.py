@@ -20,6 +20,7 @@ from typing import NamedTuple
 import torch
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
+from hfb.formulas import compiled
 from hfb.priors.operators import anatomy
 from hfb.rotations import axis_angle_to_quaternion
 from hfb.shapes import Float, Int, Tensor
@@ -74,7 +75,7 @@ class _Tables:
 
 
 @lru_cache
-def _tables(dtype: torch.dtype) -> _Tables:
+def _tables(dtype: torch.dtype, device: torch.device) -> _Tables:
     orders, rows = [], []
     for index in range(1, len(JOINT_NAMES)):
         right = JOINT_NAMES[index].startswith("right_")
@@ -87,7 +88,8 @@ def _tables(dtype: torch.dtype) -> _Tables:
         columns = [(*limits[k], mean[k], joint.spread[k]) for k in order]
         orders.append(order)
         rows.append([[radians(angle) for angle in column] for column in zip(*columns, strict=True)])
-    return _Tables(torch.tensor(orders), torch.tensor(rows, dtype=torch.float64).to(dtype).transpose(0, 1).contiguous())
+    angles = torch.tensor(rows, dtype=torch.float64).to(dtype).transpose(0, 1).contiguous()
+    return _Tables(torch.tensor(orders, device=device), angles.to(device))
 
 
 def twist_swing(
@@ -130,14 +132,14 @@ class AnatomicalPrior:
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """Both parts; see `PosePrior`."""
-        if axis_angle.device.type == "cpu":
-            tables = _tables(torch.float64)
+        if compiled(axis_angle):
+            tables = _tables(torch.float64, axis_angle.device)
             return anatomy(axis_angle, tables.order, tables.angles, radians(_LIMIT_SCALE_DEG))[0]
         return self.readable(axis_angle)
 
     def readable(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """The same in plain torch: what the compiled operator is tested against, and what other devices run."""
-        tables = _tables(axis_angle.dtype)
+        tables = _tables(axis_angle.dtype, axis_angle.device)
         angles = twist_swing(axis_angle, tables.order)
         _, _, mean, spread = tables.angles
         distance = (angles - mean) / spread
@@ -146,7 +148,7 @@ class AnatomicalPrior:
 
     def limit_penalty(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """The limits' part alone: zero for every pose within the ranges of motion."""
-        tables = _tables(axis_angle.dtype)
+        tables = _tables(axis_angle.dtype, axis_angle.device)
         return (_excess(twist_swing(axis_angle, tables.order), tables) ** 2).sum((1, 2)) / 2
 
 

@@ -51,6 +51,8 @@ class GmmPrior:
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """See `PosePrior`; the gradient is that of the nearest component."""
         poses = axis_angle.flatten(1)
-        means, whitening, offsets = (part.to(poses.dtype) for part in (self.means, self._whitening, self._offsets))
+        means, whitening, offsets = (
+            part.to(poses.device, poses.dtype) for part in (self.means, self._whitening, self._offsets)
+        )
         whitened = torch.einsum("kij,skj->ski", whitening, poses[:, None] - means)
         return ((whitened * whitened).sum(-1) / 2 + offsets).amin(-1)

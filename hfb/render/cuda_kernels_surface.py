@@ -173,7 +173,10 @@ def pull_pixels(
                 x, y, step = texel_position(at[0], size), texel_position(at[1], size), wp.min(size - 1, 1)
                 c, r = first_texel(x, size), first_texel(y, size)
                 right, below = x - wp.float64(c), y - wp.float64(r)
-                t00, t01 = wp.dot(given, colour_at(textures, g, r, c)), wp.dot(given, colour_at(textures, g, r, c + step))
+                t00, t01 = (
+                    wp.dot(given, colour_at(textures, g, r, c)),
+                    wp.dot(given, colour_at(textures, g, r, c + step)),
+                )
                 t10 = wp.dot(given, colour_at(textures, g, r + step, c))
                 t11 = wp.dot(given, colour_at(textures, g, r + step, c + step))
                 upper, lower = t00 + right * (t01 - t00), t10 + right * (t11 - t10)

@@ -1,0 +1,116 @@
+"""The stages of a schedule: Adam, keeping the best iterate."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import torch
+
+from hfb.body.model import Body
+from hfb.config import FitConfig, Stage
+from hfb.fit.comparison import beside_the_fit
+from hfb.fit.variables import Variables
+from hfb.initialize.joint_evidence import JointEvidence
+from hfb.objective import Objective
+from hfb.observation import Observation
+from hfb.render.texture import visible_texels
+from hfb.shapes import Bool, Tensor
+
+GAIN = 1e-3
+"""Share by which the loss of a stage must fall to count as a gain."""
+
+Progress = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Where the stages led: the best iterate of the last one, and what it was measured by."""
+
+    best: Variables
+    best_iteration: int
+    history: dict[str, list[float]]
+    objective: Objective
+
+
+def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_progress: Progress | None) -> Descent:
+    """Every stage in turn, each from the best iterate of the one before; changes the variables in place."""
+    stages = [stage for stage in config.stages if stage.iterations > 0]
+    total = sum(stage.iterations for stage in stages)
+    history: dict[str, list[float]] = {}
+    best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
+    # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
+    optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
+    claimed = everywhere.evidence
+    for number, stage in enumerate(stages):
+        if number > 0 and claimed is not None:
+            full = stage.size_px == stages[-1].size_px
+            everywhere = replace(everywhere, evidence=told_after(claimed, variables, everywhere, config, full))
+        seen = everywhere.observation.resized(stage.size_px)
+        visible = visible_at(variables, seen, everywhere.body, config) if everywhere.texels else None
+        objective = replace(everywhere, observation=seen, visible=visible)
+        best_loss = told_loss = math.inf  # losses of different picture sizes do not compare
+        waited, ends = 0, done + stage.iterations
+        for loss, terms, iterate in _iterations(objective, variables, optimizer, config, stage):
+            for name, value in {"total": loss, **terms}.items():
+                history.setdefault(name, []).append(value)
+            if loss < best_loss:
+                best, best_loss, best_iteration = iterate(), loss, done
+            done += 1
+            if on_progress:
+                on_progress(done + skipped, total, loss)
+            told_loss, waited = (loss, 0) if loss < (1 - GAIN) * told_loss else (told_loss, waited + 1)
+            if 0 < config.patience <= waited:
+                skipped += ends - done
+                break
+        _restore(variables, best)
+    return Descent(best, best_iteration, history, objective)
+
+
+def told_after(
+    claimed: JointEvidence, variables: Variables, everywhere: Objective, config: FitConfig, full: bool
+) -> JointEvidence:
+    """What the networks say of the joints after a stage: the lifting network sees more of them then, and before
+    every stage of full size the fit's own picture is worth a look."""
+    evidence = claimed
+    if config.lifting > 0:
+        evidence = evidence.lifted(variables.joints_at_middle(everywhere.body), config.lifting)
+    if full and config.compare > 0:
+        evidence = beside_the_fit(evidence, claimed, variables, everywhere, config.compare)
+    return evidence
+
+
+def _iterations(
+    objective: Objective, variables: Variables, optimizer: torch.optim.Adam, config: FitConfig, stage: Stage
+) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
+    """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
+    for iteration in range(stage.iterations):
+        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2 if stage.cosine else 1.0
+        for group, now in zip(
+            optimizer.param_groups, variables.groups(config, stage.learning_rate * share), strict=True
+        ):
+            group["lr"] = now["lr"]
+        optimizer.zero_grad()
+        terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)
+        loss = objective.total(terms)
+        values = {name: value.item() for name, value in terms.items()}
+        if not math.isfinite(loss.item()):
+            broken = [name for name, value in values.items() if not math.isfinite(value)]
+            raise FloatingPointError(f"the loss is not a number any more at iteration {iteration}: {broken}")
+        yield loss.item(), values, variables.copy
+        loss.backward()
+        optimizer.step()
+        variables.keep_within(config, objective.body)
+
+
+def _restore(variables: Variables, best: Variables) -> None:
+    with torch.no_grad():
+        variables.trajectory.rotation.copy_(best.trajectory.rotation)
+        variables.trajectory.translation.copy_(best.trajectory.translation)
+        variables.betas.copy_(best.betas)
+        variables.texture.copy_(best.texture)
+
+
+def visible_at(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
+    """Texels the camera sees when a stage begins: visibility changes too slowly to be worth every iteration."""
+    vertices = variables.vertices(body, config.subframes).flatten(0, 1)
+    return visible_texels(vertices, seen.camera, body.mesh, config.texture_px)
