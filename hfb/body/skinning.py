@@ -39,12 +39,17 @@ def place_joints(
     transforms = torch.cat([torch.cat([upper, bottom], -2), above_root], 1)
     for ancestors in ANCESTORS_BY_DOUBLING:
         above = constant(chosen(ancestors, JOINT_COUNT + 1), upper.dtype, upper.device)
-        transforms = torch.einsum("ij,sjrc->sirc", above, transforms) @ transforms
+        transforms = _product(torch.einsum("ij,sjrc->sirc", above, transforms), transforms)
     T_world_joint = transforms[:, :JOINT_COUNT]
     joints = T_world_joint[:, :, :3, 3]
     # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
-    offset = joints - (T_world_joint[:, :, :3, :3] @ rest_joints[:, :, None]).squeeze(-1)
+    offset = joints - (T_world_joint[:, :, :3, :3] * rest_joints[:, None]).sum(-1)
     return torch.cat([T_world_joint[:, :, :3, :3], offset[..., None]], -1), joints
+
+
+def _product(left: Float[Tensor, "*n r k"], right: Float[Tensor, "*n k c"]) -> Float[Tensor, "*n r c"]:
+    """left @ right, of small matrices: a device's matrix products are made for large ones."""
+    return (left[..., :, :, None] * right[..., None, :, :]).sum(-2)
 
 
 def blend(feature: Float[Tensor, "S n"], directions: Float[Tensor, "V 3 n"]) -> Float[Tensor, "S V 3"]:
@@ -82,7 +87,7 @@ def skin(
     """Linear blend skinning (SMPL's eq. 2) of the rest vertices and their pose offsets [m]."""
     blended = torch.einsum("vj,sjrc->svrc", weights, T_world_rest)
     points = rest.expand(T_world_rest.shape[0], -1, -1) if offsets is None else rest + offsets
-    return (blended[..., :3] @ points[..., None]).squeeze(-1) + blended[..., 3]
+    return (blended[..., :3] * points[..., None, :]).sum(-1) + blended[..., 3]
 
 
 def sparse_weights(

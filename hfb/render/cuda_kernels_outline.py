@@ -10,7 +10,7 @@ thread, in the order of their numbers.
 
 import warp as wp
 
-from hfb.render.cuda_kernels_overlap import resolve
+from hfb.render.cuda_kernels_overlap import area_from_border, area_from_piece, base_of
 from hfb.render.cuda_kernels_screen import HALF, NONE, ONE, ZERO, outline_edge, pack, squared_distance
 
 wp.set_module_options({"enable_backward": False})
@@ -61,7 +61,8 @@ def lay_down(
     winding: wp.array3d(dtype=wp.int64), newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32),
     place: wp.array(dtype=wp.vec3i), span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d),
 ):  # fmt: skip
-    """Add piece number n to its pixel's winding and chain; with a column of -1 it lies left of the picture."""
+    """Add piece number n, of edge e of all bodies', to its pixel's winding and chain; with a column of -1 it lies left
+    of the picture."""
     cover = in_steps((t_to - t_from) * along[1])
     if column < 0:
         wp.atomic_add(winding, b, row, 0, cover)
@@ -155,7 +156,7 @@ def wind(
 
     begins: number of each edge's first piece (bodies x edges + 1). winding (zeros before): in UNITs, one column more
     than the picture. newest (-1 before), older: each pixel's chain of pieces. place (zeros before): a piece's row,
-    column, and the edge's number plus 1. span: where it begins and ends on the edge. line: the same in the pixel.
+    column, and the edge's number among all bodies' plus 1. span: where it begins and ends on the edge. line: the same in the pixel.
     """
     b, e = wp.tid()
     first = begins[b * edge_vertices.shape[0] + e]
@@ -163,7 +164,7 @@ def wind(
         return
     edge = outline_edge(front, edge_vertices, edge_faces, b, e)
     start, end = projected[b, edge[0]], projected[b, edge[1]]
-    along = wp.vec2d(end[0] - start[0], end[1] - start[1])
+    along, of_all = wp.vec2d(end[0] - start[0], end[1] - start[1]), b * edge_vertices.shape[0] + e
     right, bottom = wp.float64(newest.shape[2]), wp.float64(newest.shape[1])
     ta, tb = wp.float64(0.0), wp.float64(1.0)
     if wp.min(start[1], end[1]) < ZERO or wp.max(start[1], end[1]) > bottom:
@@ -179,14 +180,14 @@ def wind(
     if ta >= tb:
         return
     if wp.min(start[0], end[0]) >= ZERO:
-        walk(start, along, ta, tb, False, b, e, first, winding, newest, older, place, span, line)
+        walk(start, along, ta, tb, False, b, of_all, first, winding, newest, older, place, span, line)
     elif wp.max(start[0], end[0]) <= ZERO:
-        walk(start, along, ta, tb, True, b, e, first, winding, newest, older, place, span, line)
+        walk(start, along, ta, tb, True, b, of_all, first, winding, newest, older, place, span, line)
     else:
         middle = wp.clamp((ZERO - start[0]) / along[0], ta, tb)
         enters = along[0] > ZERO
-        n = walk(start, along, ta, middle, enters, b, e, first, winding, newest, older, place, span, line)
-        walk(start, along, middle, tb, not enters, b, e, n, winding, newest, older, place, span, line)
+        n = walk(start, along, ta, middle, enters, b, of_all, first, winding, newest, older, place, span, line)
+        walk(start, along, middle, tb, not enters, b, of_all, n, winding, newest, older, place, span, line)
 
 
 @wp.func
@@ -241,14 +242,17 @@ def cover(
     projected: wp.array2d(dtype=wp.vec3d), edge_vertices: wp.array2d(dtype=wp.int32),
     seen: wp.array3d(dtype=wp.int64), mask: wp.int64,
     alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), shares: wp.array(dtype=wp.vec2d),
+    base: wp.array3d(dtype=wp.int32),
 ):  # fmt: skip
-    """Each pixel's covered share. Threads: bodies, rows, columns.
+    """Each pixel's covered share, where layers do not overlap in it. Threads: bodies, rows, columns.
 
     running: sums of `winding` along the rows. codes: what the pixel shows, a face f as f, the outline edge e closest to
     its centre as -1 - e; an empty `seen` leaves that out. shares (zeros before): of each piece that can change its
-    pixel's coverage, how much the edge's two ends move it (integrals of 1 - t and t along the piece).
+    pixel's coverage, how much the edge's two ends move it (integrals of 1 - t and t along the piece). base: NONE, or
+    where layers may overlap the winding number of the top left corner; `newest` is then the chain's first in order.
     """
     b, row, column = wp.tid()
+    base[b, row, column] = NONE
     covered, code = wp.float64(running[b, row, column]) * UNIT, wp.int32(NONE)
     if covered <= TINY:
         alpha[b, row, column] = ZERO
@@ -259,12 +263,8 @@ def cover(
     if first >= 0:
         first = sort_chain(first, older)
         if may_overlap(first, older, span, line):
-            covered = resolve(covered, first, older, span, line, shares)
-            if covered >= FULL:
-                piece = wp.int32(first)
-                while piece >= 0:
-                    shares[piece] = wp.vec2d()
-                    piece = older[piece]
+            base[b, row, column] = base_of(covered, first, older, line)
+            newest[b, row, column] = first
         elif covered < FULL:
             piece = wp.int32(first)
             while piece >= 0:
@@ -282,7 +282,7 @@ def cover(
         best = wp.int64(0)
         piece = wp.int32(first)
         while piece >= 0:
-            e = place[piece][2] - 1
+            e = place[piece][2] - 1 - b * edge_vertices.shape[0]
             start, end = projected[b, edge_vertices[e, 0]], projected[b, edge_vertices[e, 1]]
             squared = squared_distance(centre, start, end)
             rank = pack(FOUR - squared, mask - wp.int64(e), mask)
@@ -291,3 +291,49 @@ def cover(
                 code = -1 - e
             piece = older[piece]
     codes[b, row, column] = code
+
+
+@wp.kernel
+def part(
+    newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d), base: wp.array3d(dtype=wp.int32),
+    edges: wp.int32, shares: wp.array(dtype=wp.vec2d), areas: wp.array(dtype=wp.float64),
+):  # fmt: skip
+    """What each piece adds to the covered share of a pixel in which layers may overlap. Threads: pieces.
+
+    edges: of one body. shares: as of `cover`.
+    """
+    piece = wp.tid()
+    at = place[piece]
+    if at[2] == 0:
+        return
+    b = (at[2] - 1) / edges
+    winding = base[b, at[0], at[1]]
+    if winding != NONE:
+        first = newest[b, at[0], at[1]]
+        areas[piece] = area_from_piece(piece, winding, first, older, span, line, shares)
+
+
+@wp.kernel
+def join(
+    newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
+    base: wp.array3d(dtype=wp.int32), areas: wp.array(dtype=wp.float64), shares: wp.array(dtype=wp.vec2d),
+    alpha: wp.array3d(dtype=wp.float64),
+):  # fmt: skip
+    """The covered share of the pixels in which layers may overlap, from `part`. Threads: bodies, rows, columns."""
+    b, row, column = wp.tid()
+    winding = base[b, row, column]
+    if winding == NONE:
+        return
+    first = newest[b, row, column]
+    covered = area_from_border(winding, first, older, line)
+    piece = wp.int32(first)
+    while piece >= 0:
+        covered = covered + areas[piece]
+        piece = older[piece]
+    if covered >= FULL:
+        piece = wp.int32(first)
+        while piece >= 0:
+            shares[piece] = wp.vec2d()
+            piece = older[piece]
+    alpha[b, row, column] = wp.min(covered, ONE)

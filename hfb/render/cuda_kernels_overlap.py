@@ -2,7 +2,8 @@
 
 As in `kernels_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
 another; within a slab the order of the pieces from left to right does not change, so the length covered at its
-middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting.
+middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting. Every
+piece has a thread of its own: a fingertip's pixel may have dozens, and one thread for all would be what a device waits for.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)
@@ -61,24 +62,24 @@ def crossing_of(p: wp.vec4d, q: wp.vec4d) -> wp.float64:
 
 @wp.func
 def next_height(
-    above: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
-) -> wp.float64:
-    """The first height below `above` (y runs down) at which a piece begins, ends or crosses another, or the bottom."""
+    above: wp.float64, piece: wp.int32,
+    newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
+) -> wp.float64:  # fmt: skip
+    """The first height below `above` (y runs down) at which any piece begins or ends, or crosses this one, or the
+    bottom; for piece -1, the pixel's left border, nothing crosses."""
     lowest, best = above + THIN, wp.float64(ONE)
-    p = wp.int32(newest)
-    while p >= 0:
-        at = line[p]
+    q = wp.int32(newest)
+    while q >= 0:
+        at = line[q]
         if at[1] > lowest:
             best = wp.min(best, at[1])
         if at[3] > lowest:
             best = wp.min(best, at[3])
-        q = wp.int32(older[p])
-        while q >= 0:
-            crossing = crossing_of(at, line[q])
+        if piece >= 0 and q != piece:
+            crossing = crossing_of(line[piece], at)
             if crossing > lowest:
                 best = wp.min(best, crossing)
-            q = older[q]
-        p = older[p]
+        q = older[q]
     return best
 
 
@@ -135,33 +136,47 @@ def stretch_shares(t: wp.vec2d, at: wp.vec4d, low: wp.float64, high: wp.float64)
 
 
 @wp.func
-def resolve(
-    mean: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), span: wp.array(dtype=wp.vec2d),
-    line: wp.array(dtype=wp.vec4d), shares: wp.array(dtype=wp.vec2d),
-) -> wp.float64:  # fmt: skip
-    """Covered share of a pixel from its mean winding number and its pieces; adds the shares of those pieces that
-    separate body from background."""
-    base = wp.int32(wp.floor(mean - mean_without_corner(newest, older, line) + HALF))
-    covered, low = wp.float64(0.0), wp.float64(0.0)
+def base_of(
+    mean: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
+) -> wp.int32:
+    """Winding number of a pixel's top left corner from the pixel's mean winding number and its pieces."""
+    return wp.int32(wp.floor(mean - mean_without_corner(newest, older, line) + HALF))
+
+
+@wp.func
+def area_from_border(
+    base: wp.int32, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
+) -> wp.float64:
+    """The area that would be covered if nothing changed from the pixel's left border on."""
+    area, low = wp.float64(0.0), wp.float64(0.0)
     while low < INNER:
-        high = next_height(low, newest, older, line)
-        middle = HALF * (low + high)
-        length = wp.float64(0.0)
-        if winding_to_left(base, -1, middle, newest, older, line) >= 1:
-            length = wp.float64(1.0)
-        p = wp.int32(newest)
-        while p >= 0:
-            at = line[p]
-            step = step_of(at, middle)
-            if step != 0:
-                left, outside = winding_to_left(base, p, middle, newest, older, line), wp.int32(0)
-                if step < 0:
-                    outside = 1
-                if left == outside:
-                    where = at[0] + (middle - at[1]) * slope_of(at)
-                    length = length + wp.float64(step) * (ONE - where)
-                    shares[p] = shares[p] + stretch_shares(span[p], at, low, high)
-            p = older[p]
-        covered = covered + length * (high - low)
+        high = next_height(low, -1, newest, older, line)
+        if winding_to_left(base, -1, HALF * (low + high), newest, older, line) >= 1:
+            area = area + high - low
         low = high
-    return covered
+    return area
+
+
+@wp.func
+def area_from_piece(
+    piece: wp.int32, base: wp.int32, newest: wp.int32, older: wp.array(dtype=wp.int32),
+    span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d), shares: wp.array(dtype=wp.vec2d),
+) -> wp.float64:  # fmt: skip
+    """What the stretches of a piece that separate body from background change of it; adds their shares.
+
+    Which stretches these are changes only where the piece meets another, or another begins or ends.
+    """
+    at, area = line[piece], wp.float64(0.0)
+    low, end = wp.min(at[1], at[3]), wp.max(at[1], at[3])
+    while low + THIN < end:
+        high = wp.min(next_height(low, piece, newest, older, line), end)
+        middle = HALF * (low + high)
+        step, outside = step_of(at, middle), wp.int32(0)
+        if step < 0:
+            outside = 1
+        if step != 0 and winding_to_left(base, piece, middle, newest, older, line) == outside:
+            where = at[0] + (middle - at[1]) * slope_of(at)
+            area = area + wp.float64(step) * (ONE - where) * (high - low)
+            shares[piece] = shares[piece] + stretch_shares(span[piece], at, low, high)
+        low = high
+    return area

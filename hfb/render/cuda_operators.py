@@ -107,7 +107,12 @@ def draw_by_warp(
         alpha, codes, shares = real(*shape), whole(*seen_shape), real(pieces, 2).zero_()
         pixels = _array(alpha), _array(codes), _array(shares, wp.vec2d)
         ends = _points(projected), edge_vertices, _array(seen), mask
-        _launch(outlines.cover, shape, vertices, _array(running), _array(newest), *chains, *ends, *pixels)
+        base, areas = whole(*shape), real(pieces)
+        newest_of, base_of, areas_of = _array(newest), _array(base), _array(areas)
+        _launch(outlines.cover, shape, vertices, _array(running), newest_of, *chains, *ends, *pixels, base_of)
+        _launch(outlines.part, (pieces,), vertices, newest_of, *chains, base_of, edges, pixels[2], areas_of)
+        older_of, line_of = chains[0], chains[3]
+        _launch(outlines.join, shape, vertices, newest_of, older_of, line_of, base_of, areas_of, pixels[2], pixels[0])
         pictures = vertices.new_empty(len(lenses), height, width, 4 if coloured else 1)
         surfaces = *pixels[:2], *outline[:2], faces, edge_vertices, edge_faces, _array(uv, wp.vec2d), _array(textures)
         _launch(surface.shade, pictures.shape[:3], vertices, *surfaces, subframes, _array(pictures))
