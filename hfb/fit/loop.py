@@ -1,7 +1,7 @@
 """A fit from its start to its result: what is free, the descent, the search for directions."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -107,9 +107,9 @@ def fit_all(
 ) -> list[FitResult]:
     """Several fits, each as `fit` makes it: one after another, or on a device as one problem.
 
-    With ``config.rasterizer`` "cuda" or "warp" all fits are optimised together, each in a square window of its pictures;
-    what the networks say and the search for directions are the processor's. All must have the same number of frames and
-    the same timing, and the person known in all or none.
+    With ``config.rasterizer`` "cuda" or "warp" all fits are optimised together, each in a square window of its
+    pictures; what the networks say and the search for directions are the processor's. All must have the same number of
+    frames and the same timing, and the person known in all or none.
 
     Args, Raises:
         as `fit`; `on_progress` is called of every fit in turn, or of all at once with the mean of their losses.
@@ -117,12 +117,15 @@ def fit_all(
     started = time.perf_counter()
     together = config.rasterizer in ("cuda", "warp")
     prior = motion_prior or load_motion_prior(None)
-    begun = [_begun(one, body, config, seed, pose_prior, prior, square=together) for one in problems]
+
+    def begun(problem: Problem) -> _Begun:
+        return _begun(problem, body, config, seed, pose_prior, prior, square=together)
+
     with one_torch_thread():
         if together:
-            results = _fit_together(begun, body, config, on_progress)
+            results = _fit_together(problems, begun, body, config, on_progress)
         else:
-            results = [_fit_alone(one, body, config, on_progress) for one in begun]
+            results = [_fit_alone(begun(one), body, config, on_progress) for one in problems]
     return [replace(one, seconds=(time.perf_counter() - started) / len(problems)) for one in results]
 
 
@@ -164,16 +167,21 @@ def _fit_alone(begun: _Begun, body: Body, config: FitConfig, on_progress: Progre
 
 
 def _fit_together(
-    begun: Sequence[_Begun], body: Body, config: FitConfig, on_progress: Progress | None
+    problems: Sequence[Problem],
+    begin: Callable[[Problem], _Begun],
+    body: Body,
+    config: FitConfig,
+    on_progress: Progress | None,
 ) -> list[FitResult]:
-    from hfb.fit.together import descend_together, settle_together  # needs Warp, which only some have
-
     rasterizer = make_rasterizer(config.silhouette, config.rasterizer)
+    from hfb.fit.together import descend_together, each_by_itself, settle_together  # needs Warp, which only some have
+
+    begun = each_by_itself(begin, problems)
     variables, objectives = [one.variables for one in begun], [one.everywhere for one in begun]
     if config.settle > 0:
         settle_together(variables, objectives, config, rasterizer)
     descents = descend_together(variables, objectives, config, rasterizer, on_progress)
-    return [_finished(one, descent, body, config) for one, descent in zip(begun, descents, strict=True)]
+    return each_by_itself(lambda one, descent: _finished(one, descent, body, config), begun, descents)
 
 
 def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) -> FitResult:

@@ -6,9 +6,11 @@ the order of sums in matrix products.
 """
 
 import math
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch.func import vmap
@@ -19,27 +21,28 @@ from hfb.fit.descent import GAIN, Descent, Progress, told_after, visible_at
 from hfb.fit.settle import settle_by, settling
 from hfb.fit.variables import Variables, parameter_groups
 from hfb.formulas import readable_formulas
+from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.regularizers import background_loss
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective, mean_of_frames
 from hfb.render.cuda import WarpRasterizer
 from hfb.shapes import Bool, Float, Int, Tensor
 
+R = TypeVar("R")
 _EVIDENCE = ("lenses", "middle", "scale", "path", "log_height", "height_scale")
+_PICTURES = ("plate_linear", "frames_linear", "mattes")
 _PROGRESS_EVERY = 5
 """Iterations between two looks at the loss: each makes the processor wait for the device."""
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """The free parameters of N fits on a device, as in `Variables`, and what their trajectories hold fixed."""
+    """The free parameters of N fits on a device, as in `Variables`."""
 
     rotation: Float[Tensor, "N T D1 24 4"]
     translation: Float[Tensor, "N T D1 4"]
     betas: Float[Tensor, "N 10"]
     texture: Float[Tensor, "N A A 3"]
-    anchor: Float[Tensor, "N T 3"]
-    reference: Float[Tensor, "N 10"] | None
 
     @staticmethod
     def of(variables: Sequence[Variables], device: torch.device) -> "Leaves":
@@ -49,14 +52,11 @@ class Leaves:
             stacked = torch.stack([one.detach() for one in tensors]).to(device)
             return stacked.requires_grad_(tensors[0].requires_grad)
 
-        references = [one.reference for one in variables if one.reference is not None]
         return Leaves(
             leaf([one.trajectory.rotation for one in variables]),
             leaf([one.trajectory.translation for one in variables]),
             leaf([one.betas for one in variables]),
             leaf([one.texture for one in variables]),
-            leaf([one.trajectory.anchor for one in variables]),
-            leaf(references) if references else None,
         )
 
     def into(self, variables: Sequence[Variables]) -> None:
@@ -75,109 +75,147 @@ class Leaves:
     def copy_where(self, better: Bool[Tensor, "N"], into: "Leaves") -> None:
         """Copy the fits that are marked."""
         with torch.no_grad():
-            for part in ("rotation", "translation", "betas", "texture"):
-                now, kept = getattr(self, part), getattr(into, part)
+            for part in fields(self):
+                now, kept = getattr(self, part.name), getattr(into, part.name)
                 kept.copy_(torch.where(better.view(-1, *(1,) * (now.ndim - 1)), now, kept))
 
     def copy(self) -> "Leaves":
         """A snapshot without gradients."""
-        held = {one.name: getattr(self, one.name) for one in fields(self)}
-        return Leaves(**{name: None if one is None else one.detach().clone() for name, one in held.items()})
+        return Leaves(*(getattr(self, one.name).detach().clone() for one in fields(self)))
+
+
+class _Graphed:
+    """A function of tensors to a tuple of tensors; on a GPU its launches, there and back, are recorded and replayed.
+
+    Hundreds of small launches take the processor longer than the device. Results are overwritten by the next call.
+    """
+
+    def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
+        self._function, self._recorded = function, False
+
+    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        if inputs[0].is_cuda and not self._recorded:
+            samples = tuple(one.detach().clone().requires_grad_(one.requires_grad) for one in inputs)
+            self._function = torch.cuda.make_graphed_callables(self._function, samples, allow_unused_input=True)
+            self._recorded = True
+        return self._function(*inputs)
 
 
 class Together:
     """Objectives of one kind as one: same options, number of frames, timing and picture size.
 
     Args:
-        objectives: of all fits, in the processor's memory. like: a fit's variables, for the kind of its trajectory.
+        objectives: of all fits, in the processor's memory. variables: theirs, for what a fit does not change of them.
         draws: whether pictures will be asked for.
     """
 
     def __init__(
-        self, objectives: Sequence[Objective], like: Trajectory, rasterizer: WarpRasterizer, draws: bool = True
+        self,
+        objectives: Sequence[Objective],
+        variables: Sequence[Variables],
+        rasterizer: WarpRasterizer,
+        draws: bool = True,
     ) -> None:
-        self._rasterizer, self._kind, self._origin = rasterizer, like.kind, like.origin
-        first, device = objectives[0], rasterizer.device
+        first, device, self._rasterizer = objectives[0], rasterizer.device, rasterizer
 
-        def stacked(part: Callable[[Objective], Tensor]) -> Tensor:
-            return torch.stack([part(one) for one in objectives]).to(device)
+        def stacked(parts: Sequence[Tensor]) -> Tensor:
+            return torch.stack([one.detach() for one in parts]).to(device)
 
         self.template = replace(
             first, body=first.body.on(device), first=first.first.to(device), texels=None, visible=None
         )
-        self._known: dict[str, Tensor] = {"first": stacked(lambda one: one.first)}
-        if first.evidence is not None:
-            for name in _EVIDENCE:
-                self._known[name] = stacked(lambda one, name=name: getattr(one.evidence, name))  # type: ignore[misc]
+        self._like = variables[0].trajectory
+        self._known = {
+            "first": stacked([one.first for one in objectives]),
+            "anchor": stacked([one.trajectory.anchor for one in variables]),
+        }
+        references = [one.reference for one in variables if one.reference is not None]
+        if references:
+            self._known["reference"] = stacked(references)
+        claims = [one.evidence for one in objectives if one.evidence is not None]
+        self._known |= {name: stacked([getattr(one, name) for one in claims]) for name in _EVIDENCE if claims}
         if draws:
-            self._pictures = tuple(
-                stacked(lambda one, name=name: getattr(one.observation, name))  # type: ignore[misc]
-                for name in ("plate_linear", "frames_linear", "mattes")
-            )
+            self._seen = {name: stacked([getattr(one.observation, name) for one in objectives]) for name in _PICTURES}
             self._cameras = [one.observation.camera for one in objectives for _ in one.first]
         self._surfaces = [(one.texels, one.visible) for one in objectives]
+        self._names: dict[str, list[str]] = {}
+        self._bodies, self._skeletons = _Graphed(self._all_bodies), _Graphed(self._all_skeletons)
+        self._comparison = _Graphed(self._all_compared)
 
     def terms(self, leaves: Leaves) -> dict[str, Float[Tensor, "N"]]:
         """The unweighted terms of every fit, as `Objective.terms`."""
         with readable_formulas():
-            vertices, of_body = vmap(self._vertices_and_terms)(*self._inputs(leaves))
-            return self._picture_terms(vertices, leaves.texture) | self._surface_terms(leaves.texture) | of_body
+            vertices, *of_bodies = self._bodies(leaves.rotation, leaves.translation, leaves.betas)
+            of_pictures = self._comparison(self._drawn(vertices, leaves.texture))
+            told = dict(zip(self._names["pictures"], of_pictures, strict=True)) | self._surface_terms(leaves.texture)
+            return told | dict(zip(self._names["bodies"], of_bodies, strict=True))
 
     def body_terms(self, leaves: Leaves) -> dict[str, Float[Tensor, "N"]]:
         """Those that no picture is drawn for, as `Objective.body_terms`."""
         with readable_formulas():
-            return vmap(self._body_terms)(*self._inputs(leaves))
+            values = self._skeletons(leaves.rotation, leaves.translation, leaves.betas)
+            return dict(zip(self._names["bodies"], values, strict=True))
 
-    def _inputs(self, leaves: Leaves) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        names = ("rotation", "translation", "betas", "anchor") + ("reference",) * (leaves.reference is not None)
-        return {name: getattr(leaves, name) for name in names}, self._known
+    def _all_bodies(self, *moving: Tensor) -> tuple[Tensor, ...]:
+        """Vertices (N, T, S, V, 3) of all fits, and the terms of body and motion."""
 
-    def _one(self, moving: dict[str, Tensor], known: dict[str, Tensor]) -> tuple[Objective, Trajectory, Tensor]:
-        """One fit's objective, its motion in metres and its betas; inside `vmap`."""
-        objective, betas = replace(self.template, first=known["first"]), moving["betas"]
+        def one(known: dict[str, Tensor], *moving: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+            objective, motion = self._one(known, *moving)
+            return objective.vertices_and_terms(motion, moving[2])
+
+        vertices, terms = vmap(one)(self._known, *moving)
+        self._names["bodies"] = list(terms)
+        return vertices, *terms.values()
+
+    def _all_skeletons(self, *moving: Tensor) -> tuple[Tensor, ...]:
+        def one(known: dict[str, Tensor], *moving: Tensor) -> dict[str, Tensor]:
+            objective, motion = self._one(known, *moving)
+            return objective.body_terms(motion, moving[2], objective.body.shape(moving[2]))
+
+        terms = vmap(one)(self._known, *moving)
+        self._names["bodies"] = list(terms)
+        return tuple(terms.values())
+
+    def _one(
+        self, known: dict[str, Tensor], rotation: Tensor, translation: Tensor, betas: Tensor
+    ) -> tuple[Objective, Trajectory]:
+        """One fit's objective and its motion in metres; inside `vmap`."""
+        objective = replace(self.template, first=known["first"])
         if objective.evidence is not None:
             told: dict[str, Any] = {name: known[name] for name in _EVIDENCE}
             objective = replace(objective, evidence=replace(objective.evidence, **told))
-        trajectory = Trajectory(moving["rotation"], moving["translation"], moving["anchor"], self._kind, self._origin)
-        nothing = betas.new_empty(0, 0, 3)
-        return objective, Variables(trajectory, betas, nothing, moving.get("reference")).motion(objective.body), betas
+        trajectory = replace(self._like, rotation=rotation, translation=translation, anchor=known["anchor"])
+        variables = Variables(trajectory, betas, betas.new_empty(0, 0, 3), known.get("reference"))
+        return objective, variables.motion(objective.body)
 
-    def _vertices_and_terms(self, moving: dict[str, Tensor], known: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        objective, motion, betas = self._one(moving, known)
-        return objective.vertices_and_terms(motion, betas)
-
-    def _body_terms(self, moving: dict[str, Tensor], known: dict[str, Tensor]) -> dict[str, Tensor]:
-        objective, motion, betas = self._one(moving, known)
-        return objective.body_terms(motion, betas, objective.body.shape(betas))
-
-    def _picture_terms(
+    def _drawn(
         self, vertices: Float[Tensor, "N T S V 3"], texture: Float[Tensor, "N A A 3"]
-    ) -> dict[str, Float[Tensor, "N"]]:
+    ) -> Float[Tensor, "N T n H W 4"]:
+        """Every frame's mean picture, or all of its sub-frames' where the background term needs them."""
         weights, (fits, frames, subframes) = self.template.weights, vertices.shape[:3]
+        cameras, bodies = self._cameras, vertices.flatten(0, 1)
         if weights.background > 0:
-            cameras = [camera for camera in self._cameras for _ in range(subframes)]
-            bodies = vertices.flatten(0, 2)[:, None]
-        else:
-            cameras, bodies = self._cameras, vertices.flatten(0, 1)
-        coloured = weights.image + weights.background > 0
-        drawn = self._rasterizer.render_pictures(
-            bodies, texture if coloured else None, cameras, self.template.body.mesh
-        )
-        pictures = drawn.unflatten(0, (fits, frames, -1))  # in the last place every sub-frame, or their mean
+            cameras, bodies = [one for one in cameras for _ in range(subframes)], vertices.flatten(0, 2)[:, None]
+        coloured = texture if weights.image + weights.background > 0 else None
+        drawn = self._rasterizer.render_pictures(bodies, coloured, cameras, self.template.body.mesh)
+        return drawn.unflatten(0, (fits, frames, -1))
 
-        def compared(
-            drawn: Float[Tensor, "T S H W 4"], plate: Float[Tensor, "H W 3"], *seen: Float[Tensor, "T ..."]
-        ) -> dict[str, Tensor]:
-            here = replace(self.template.observation, plate_linear=plate, frames_linear=seen[0], mattes=seen[1])
-            objective, per_frame = replace(self.template, observation=here), []
-            for frame, singles in enumerate(drawn.unbind()):
-                background = {"background": background_loss(plate, singles)} if weights.background > 0 else {}
-                per_frame.append(background | objective.compared(frame, singles.mean(0)))
+    def _all_compared(self, drawn: Float[Tensor, "N T n H W 4"]) -> tuple[Tensor, ...]:
+        def one(drawn: Float[Tensor, "T n H W 4"], seen: dict[str, Tensor]) -> dict[str, Tensor]:
+            here, per_frame = replace(self.template, observation=replace(self.template.observation, **seen)), []
+            for frame, pictures in enumerate(drawn.unbind()):
+                terms = {}
+                if self.template.weights.background > 0:
+                    terms["background"] = background_loss(seen["plate_linear"], pictures)
+                per_frame.append(terms | here.compared(frame, pictures.mean(0)))
             return mean_of_frames(per_frame)
 
-        return vmap(compared)(pictures, *self._pictures)
+        terms = vmap(one)(drawn, self._seen)
+        self._names["pictures"] = list(terms)
+        return tuple(terms.values())
 
     def _surface_terms(self, texture: Float[Tensor, "N A A 3"]) -> dict[str, Float[Tensor, "N"]]:
+        """Those of the texture: a fit at a time, on the processor; `best` has none."""
         if self.template.weights.texture <= 0 or self._surfaces[0][0] is None:
             return {}
         each = [
@@ -205,12 +243,18 @@ class _Kept:
     length: list[int]
 
 
+def each_by_itself(function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
+    """What only the processor does, of every fit: on all of its cores, since nobody else needs them meanwhile."""
+    with ThreadPoolExecutor(min(len(arguments[0]), os.cpu_count() or 1)) as pool:
+        return list(pool.map(function, *arguments))
+
+
 def settle_together(
     variables: Sequence[Variables], objectives: Sequence[Objective], config: FitConfig, rasterizer: WarpRasterizer
 ) -> None:
     """As `hfb.fit.settle.settle`, of all fits at once."""
     leaves = Leaves.of(variables, rasterizer.device)
-    group = Together([settling(one, config) for one in objectives], variables[0].trajectory, rasterizer, draws=False)
+    group = Together([settling(one, config) for one in objectives], variables, rasterizer, draws=False)
 
     def loss() -> Float[Tensor, ""]:
         return group.template.total(group.body_terms(leaves)).sum()
@@ -244,10 +288,11 @@ def descend_together(
     for number, stage in enumerate(stages):
         if number > 0:
             full = stage.size_px == stages[-1].size_px
-            everywhere = [
-                one if claim is None else replace(one, evidence=told_after(claim, mine, one, config, full))
-                for one, claim, mine in zip(everywhere, claims, variables, strict=True)
-            ]
+
+            def told(claim: JointEvidence | None, mine: Variables, one: Objective, full: bool = full) -> Objective:
+                return one if claim is None else replace(one, evidence=told_after(claim, mine, one, config, full))
+
+            everywhere = each_by_itself(told, claims, variables, everywhere)
         seen = [one.observation.resized(stage.size_px) for one in everywhere]
         visible = [
             visible_at(mine, there, one.body, config) if one.texels else None
@@ -257,7 +302,7 @@ def descend_together(
             replace(one, observation=there, visible=texels)
             for one, there, texels in zip(everywhere, seen, visible, strict=True)
         ]
-        group = Together(everywhere_seen, variables[0].trajectory, rasterizer)
+        group = Together(everywhere_seen, variables, rasterizer)
 
         def tell(iterations: int, loss: float, before: int = done) -> None:
             if on_progress:

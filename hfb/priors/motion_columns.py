@@ -14,6 +14,7 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_COUNT, PARENTS
+from hfb.formulas import constant
 from hfb.motion.trajectory import Trajectory
 from hfb.rotations import in_hemisphere_of, matrix_to_quaternion, normalize_quaternion, quaternion_to_matrix
 from hfb.shapes import Bool, Float, Tensor
@@ -37,7 +38,7 @@ LIMBS: dict[str, tuple[int, ...]] = {
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
     """C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin."""
-    return columns_of(*trajectory.at(trajectory.rotation.new_tensor(CLOCK)))
+    return columns_of(*trajectory.at(constant(CLOCK, trajectory.rotation.dtype, trajectory.rotation.device)))
 
 
 def columns_of(
@@ -52,14 +53,14 @@ def columns_of(
     quaternions = in_hemisphere_of(quaternions, quaternions[:, middle, None].expand_as(quaternions))
     still = path.new_zeros(*path.shape[:2], 1)
     curves = torch.cat([quaternions, torch.cat([path, still], -1)[:, :, None]], 2)
-    return torch.einsum("ds,tsjc->tdjc", _least_squares(rotations.dtype), curves)
+    return torch.einsum("ds,tsjc->tdjc", _least_squares(rotations.dtype, rotations.device), curves)
 
 
 def at_instants(
     columns: Float[Tensor, "T 3 25 4"], u: Float[Tensor, "S"]
 ) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
     """The motion that C describes, in the body's own frame at mid-exposure: rotations and translations [m] at u."""
-    powers = (u - 0.5)[:, None] ** torch.arange(DEGREE + 1, dtype=u.dtype)
+    powers = (u - 0.5)[:, None] ** torch.arange(DEGREE + 1, dtype=u.dtype, device=u.device)
     curves = torch.einsum("sd,tdjc->tsjc", powers, columns)
     return quaternion_to_matrix(normalize_quaternion(curves[:, :, :JOINT_COUNT])), curves[:, :, JOINT_COUNT, :3]
 
@@ -93,6 +94,6 @@ def mean_rest_joints() -> Float[Tensor, "24 3"]:
 
 
 @lru_cache
-def _least_squares(dtype: torch.dtype) -> Float[Tensor, "3 5"]:
+def _least_squares(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 5"]:
     powers = (torch.tensor(CLOCK, dtype=torch.float64) - 0.5)[:, None] ** torch.arange(DEGREE + 1)
-    return torch.linalg.pinv(powers).to(dtype)
+    return torch.linalg.pinv(powers).to(device, dtype)

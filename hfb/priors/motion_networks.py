@@ -4,6 +4,7 @@ import torch
 from torch import nn
 
 from hfb.body.skeleton import JOINT_COUNT
+from hfb.formulas import constant
 from hfb.priors.motion_columns import COLUMN_COUNT, at_instants, joint_places
 from hfb.shapes import Float, Tensor
 
@@ -23,7 +24,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
     Args:
         rest: joints of the person's rest pose [m].
     """
-    u = columns.new_tensor([0.0, 0.5, 1.0])
+    u = constant((0.0, 0.5, 1.0), columns.dtype, columns.device)
     rotations, translations = at_instants(columns, u)
     places = joint_places(rest, rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (-1, 3))
     places = places - places[:, 1:2, :1]

@@ -17,6 +17,7 @@ from hfb.priors.motion_weights import read_networks
 from hfb.shapes import Float, Tensor
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
+_SHIPPED = torch.float32, torch.device("cpu")
 
 
 class MotionPrior:
@@ -27,7 +28,8 @@ class MotionPrior:
     """
 
     def __init__(self, discriminator: Discriminator, corrector: Corrector) -> None:
-        self._networks = {torch.float32: (_frozen(discriminator, torch.float32), _frozen(corrector, torch.float32))}
+        like = torch.empty(0)
+        self._networks = {_SHIPPED: (_frozen(discriminator, like), _frozen(corrector, like))}
 
     def __call__(self, trajectory: Trajectory, shaped: ShapedBody) -> Float[Tensor, ""]:
         """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
@@ -36,7 +38,7 @@ class MotionPrior:
             shaped: the person, whose bones the joints' places follow from. L_A is differentiable in the trajectory and
                 treats the shape as given.
         """
-        discriminator, corrector = self._in(trajectory.rotation.dtype)
+        discriminator, corrector = self._in(trajectory.rotation)
         columns = motion_columns(trajectory)
         backwards, unrealistic, _ = discriminator(columns, shaped.joints.detach())
         return (corrector(columns, backwards, unrealistic) - columns).abs().mean()
@@ -56,16 +58,16 @@ class MotionPrior:
         return self._judged(trajectory, shaped)[1]
 
     def _judged(self, trajectory: Trajectory, shaped: ShapedBody | None) -> tuple[Tensor, Tensor]:
-        dtype = trajectory.rotation.dtype
-        rest = mean_rest_joints().to(dtype) if shaped is None else shaped.joints.detach()
-        return self._in(dtype)[0].odds(motion_columns(trajectory), rest)
+        rest = mean_rest_joints().to(trajectory.rotation) if shaped is None else shaped.joints.detach()
+        return self._in(trajectory.rotation)[0].odds(motion_columns(trajectory), rest)
 
-    def _in(self, dtype: torch.dtype) -> tuple[Discriminator, Corrector]:
-        """The networks in the precision of what they look at."""
-        if dtype not in self._networks:
-            discriminator, corrector = self._networks[torch.float32]
-            self._networks[dtype] = _frozen(discriminator, dtype), _frozen(corrector, dtype)
-        return self._networks[dtype]
+    def _in(self, like: Tensor) -> tuple[Discriminator, Corrector]:
+        """The networks in the precision and the place of what they look at."""
+        key = like.dtype, like.device
+        if key not in self._networks:
+            discriminator, corrector = self._networks[_SHIPPED]
+            self._networks[key] = _frozen(discriminator, like), _frozen(corrector, like)
+        return self._networks[key]
 
 
 def load_motion_prior(path: Path | None) -> MotionPrior:
@@ -84,5 +86,5 @@ def _shipped() -> MotionPrior:
         return MotionPrior(*read_networks(path))
 
 
-def _frozen(network: NetworkT, dtype: torch.dtype) -> NetworkT:
-    return copy.deepcopy(network).to(dtype).requires_grad_(False).eval()
+def _frozen(network: NetworkT, like: Tensor) -> NetworkT:
+    return copy.deepcopy(network).to(like.device, like.dtype).requires_grad_(False).eval()

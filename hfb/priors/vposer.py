@@ -60,7 +60,7 @@ class _Dense:
     slope: float
 
     def __call__(self, x: Float[Tensor, "S in"]) -> Float[Tensor, "S out"]:
-        y = torch.nn.functional.linear(x, self.weight.to(x.dtype), self.bias.to(x.dtype))
+        y = torch.nn.functional.linear(x, self.weight.to(x.device, x.dtype), self.bias.to(x.device, x.dtype))
         return y if self.slope == 1 else torch.nn.functional.leaky_relu(y, self.slope)
 
 

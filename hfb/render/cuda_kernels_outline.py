@@ -156,7 +156,8 @@ def wind(
 
     begins: number of each edge's first piece (bodies x edges + 1). winding (zeros before): in UNITs, one column more
     than the picture. newest (-1 before), older: each pixel's chain of pieces. place (zeros before): a piece's row,
-    column, and the edge's number among all bodies' plus 1. span: where it begins and ends on the edge. line: the same in the pixel.
+    column, and the edge's number among all bodies' plus 1. span: where it begins and ends on the edge. line: the same
+    in the pixel.
     """
     b, e = wp.tid()
     first = begins[b * edge_vertices.shape[0] + e]

@@ -2,8 +2,9 @@
 
 As in `kernels_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
 another; within a slab the order of the pieces from left to right does not change, so the length covered at its
-middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting. Every
-piece has a thread of its own: a fingertip's pixel may have dozens, and one thread for all would be what a device waits for.
+middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting.
+Every piece has a thread of its own: a fingertip's pixel may have dozens of pieces, and a device would wait for the one
+thread that had them all.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)

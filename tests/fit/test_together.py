@@ -1,7 +1,6 @@
 """Many fits as one problem: the terms and gradients of each, and the fits themselves, are those of one fit alone."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
 import torch
@@ -47,8 +46,8 @@ def objective_of(scene: Scene, weights: Weights, pose_prior: PosePrior, body_ble
     first = axis_angle_to_matrix(torch.stack([one.pose for one in scene.middle]))
     texels = texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, 8))
     return Objective(
-        scene.observation, body, make_rasterizer(), pose_prior, weights, 4, first, texels, matte_scales=3, image_scales=2,
-        evidence=true_evidence(scene), across=0.2, motion_prior=load_motion_prior(None),
+        scene.observation, body, make_rasterizer(), pose_prior, weights, 4, first, texels, matte_scales=3,
+        image_scales=2, evidence=true_evidence(scene), across=0.2, motion_prior=load_motion_prior(None),
     )  # fmt: skip
 
 
@@ -91,7 +90,7 @@ def test_terms_and_gradients_are_those_of_each_fit(
     variables = [somewhere(scene, seed) for seed, scene in enumerate(seen)]
     rasterizer = rasterizer_on(device)
     leaves = Leaves.of(variables, rasterizer.device)
-    group = Together(objectives, variables[0].trajectory, rasterizer)
+    group = Together(objectives, variables, rasterizer)
     terms = group.terms(leaves)
     group.template.total(terms).sum().backward()
     for number, (objective, mine) in enumerate(zip(objectives, variables, strict=True)):

@@ -46,7 +46,7 @@ def test_half_a_turn_of_swing_stays_finite() -> None:
 def test_single_precision_and_the_operator_is_well_formed() -> None:
     pose = poses("ordinary")[:3]
     torch.testing.assert_close(PRIOR(pose.float()), PRIOR(pose).float())
-    tables = _tables(torch.float64)
+    tables = _tables(torch.float64, torch.device("cpu"))
     arguments = (pose.requires_grad_(), tables.order, tables.angles, 0.07)
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
     torch.library.opcheck(operators.anatomy, arguments, test_utils=checks)
