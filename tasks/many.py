@@ -54,7 +54,7 @@ def run_all(
     outcomes: list[Outcome[R]] = []
     waiting: deque[Parcel[R]] = deque()
     crew = worker_count() + _SPARE
-    remaining = parcels(label, calls, crew)
+    remaining = parcels(label, calls, crew, step.count_at_once(calls[0]) if calls else 1)
     with progress.step(label) as shown, shared_out():
         began, reused = time.monotonic(), 0
         progress.advance(0, len(calls))

@@ -68,14 +68,15 @@ class Parcel(Generic[R]):
                 outcome.set_exception(reason)
 
 
-def parcels(label: str, calls: Sequence[tuple[Any, ...]], crew: int) -> Iterator[Parcel[Any]]:
+def parcels(label: str, calls: Sequence[tuple[Any, ...]], crew: int, at_once: int = 1) -> Iterator[Parcel[Any]]:
     """All calls, in order; the fewer are left the fewer go together, so that nobody waits for the last of them.
 
     Args:
         crew: how many parcels are worked on at a time.
+        at_once: how many calls are one computation; where these are several, every parcel is one.
     """
     at = 0
     while at < len(calls):
-        count = max(1, min(_MOST, (len(calls) - at) // (_ROUNDS * crew)))
+        count = at_once if at_once > 1 else max(1, min(_MOST, (len(calls) - at) // (_ROUNDS * crew)))
         yield Parcel(label, at, calls[at : at + count])
         at += count

@@ -18,7 +18,8 @@ import functools
 import hashlib
 import inspect
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, cast
@@ -42,25 +43,40 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
+@dataclass(frozen=True)
+class AtOnce:
+    """Several calls of a task as one computation, where that is better than one after another.
+
+    Attributes:
+        count: for how many calls like this one; 1 where each is as well by itself.
+        make: the results of several calls, in their order.
+    """
+
+    count: Callable[[tuple[Any, ...]], int]
+    make: Callable[[Sequence[tuple[Any, ...]]], list[Any]]
+
+
 class Step(Protocol[P, R]):
     """A task of this project.
 
     ``fn`` is the bare function, which needs no server. ``submit`` starts a run of several calls beside others (see
-    tasks/many.py).
+    tasks/many.py), of which `count_at_once` are one computation.
     """
 
     fn: Callable[P, R]
+    count_at_once: Callable[[tuple[Any, ...]], int]
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R: ...
 
     def submit(self, parcel: Parcel[R]) -> PrefectFuture[Any]: ...
 
 
-def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, R]]:
+def task(label: str, cached: bool = True, at_once: AtOnce | None = None) -> Callable[[Callable[P, R]], Step[P, R]]:
     """Make a function of handles and options a task.
 
     Args:
         label: what a person reads while it runs.
+        at_once: how several calls are made as one; each result is the one that its call makes by itself.
         cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
     """
 
@@ -74,7 +90,14 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
         step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(of_what_was_given)
 
         def several(parcel: Parcel[R]) -> State[Any] | None:
-            all_reused = parcel.work(lambda call: _kept(function.__name__, of_what_was_given, call))
+            ahead = _made_ahead(function, at_once, parcel.calls) if at_once else {}
+
+            def make(call: tuple[Any, ...]) -> Kept[R]:
+                if id(call) in ahead:
+                    return _kept(function.__name__, function, call, ahead[id(call)])
+                return _kept(function.__name__, of_what_was_given, call)
+
+            all_reused = parcel.work(make)
             return Completed(name="Cached") if all_reused else None
 
         together: Any = prefect.task(
@@ -96,7 +119,8 @@ def task(label: str, cached: bool = True) -> Callable[[Callable[P, R]], Step[P, 
                     verify(result)
                 return cast(R, result)
 
-        offered = {"fn": function, "submit": together.submit}
+        count_at_once = at_once.count if at_once else lambda _: 1
+        offered = {"fn": function, "submit": together.submit, "count_at_once": count_at_once}
         for name, member in offered.items():
             setattr(call, name, member)
         return cast(Step[P, R], call)
@@ -128,18 +152,44 @@ def _cache_key(context: TaskRunContext, parameters: dict[str, Any]) -> str:
     return cache_key(context.task.name, parameters)
 
 
-def _kept(name: str, function: Callable[..., R], call: tuple[Any, ...]) -> Kept[R]:
-    """One of several calls: its earlier result, or a new one, which is kept as Prefect keeps a run's."""
+def _given(function: Callable[..., R], call: tuple[Any, ...]) -> dict[str, Any]:
     given = inspect.signature(function).bind(*call)
     given.apply_defaults()
-    key, records = cache_key(name, given.arguments), get_result_store()
+    return given.arguments
+
+
+def _made_ahead(function: Callable[..., R], at_once: AtOnce, calls: Sequence[tuple[Any, ...]]) -> dict[int, R]:
+    """The results, by the call's id, of those calls that no earlier run has made; none where there are not several.
+
+    One call that cannot be made takes none with it: each is then made by itself, and its error is its own.
+    """
+    records = get_result_store()
+    fresh = [call for call in calls if not records.exists(cache_key(function.__name__, _given(function, call)))]
+    if len(fresh) < 2 or at_once.count(fresh[0]) < 2:
+        return {}
+    try:
+        with unchanged(fresh):
+            return {id(call): result for call, result in zip(fresh, at_once.make(fresh), strict=True)}
+    except Exception as error:
+        _log.warning("%s: one by one, since together: %s", function.__name__, error)
+        return {}
+
+
+def _kept(name: str, function: Callable[..., R], call: tuple[Any, ...], ahead: R | None = None) -> Kept[R]:
+    """One of several calls: its earlier result, or a new one, which is kept as Prefect keeps a run's.
+
+    Args:
+        ahead: the call's result, where it has been made already.
+    """
+    arguments = _given(function, call)
+    key, records = cache_key(name, arguments), get_result_store()
 
     def made() -> R:
-        result = function(*call)
+        result = function(*call) if ahead is None else ahead
         records.write(result, key=key)
         return result
 
-    with about(ids_of(given.arguments)):
+    with about(ids_of(arguments)):
         reused = records.exists(key)
         result = cast(R, records.read(key).result) if reused else made()
         try:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from hfb.config import FitConfig
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from tasks.task import task
+from tasks.task import AtOnce, task
 from tasks.video_handles import (
     ClipBodiesHandle,
     FootageHandle,
     JoinedHandle,
     WindowHandle,
 )
-from tasks.workers import compute, spread
+from tasks.workers import compute, remote, spread
 
 
 @task("fronts and backs")
@@ -39,7 +41,19 @@ def fill_bodies(
     return compute(_fill_bodies, numbers, firsts, present, longest_fill, folder)
 
 
-@task("windows")
+def _count_at_once(call: tuple[Any, ...]) -> int:
+    """Windows that are one problem for a GPU; a cluster's worker is given one at a time."""
+    from hfb.fit.windows import windows_at_once
+
+    (config,) = (one for one in call if isinstance(one, FitConfig))
+    return 1 if remote() else windows_at_once(config)
+
+
+def _fit_at_once(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
+    return compute(_fit_windows, calls)
+
+
+@task("windows", at_once=AtOnce(_count_at_once, _fit_at_once))
 def fit_clip_window(
     clip: ClipHandle,
     frames: tuple[int, ...],
@@ -141,27 +155,44 @@ def _fit_window(
     seed: int,
     folder: Path,
 ) -> WindowHandle:
+    call = clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder
+    return _fit_windows([call])[0]
+
+
+def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
+    """Of one clip, with the same options; see `_fit_window` for what a call is."""
     from hfb.fit.clip_person import load_person
-    from hfb.fit.windows import ClipWindow, fit_window, save_window
+    from hfb.fit.windows import ClipWindow, WindowScene, fit_windows, save_window
     from hfb.initialize.first_body import load_first_body
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
     from tasks.scene import load_chosen_body, load_observation
 
-    found = fit_window(
-        ClipWindow(frames, segment),
-        load_observation(clip, mattes),
-        [load_first_body(first.path) for first in firsts],
+    body, priors, _, config, seed, _ = calls[0][5:]
+    scenes = [
+        WindowScene(
+            ClipWindow(frames, segment),
+            load_observation(clip, mattes),
+            [load_first_body(first.path) for first in firsts],
+            load_person(person.path) if person else None,
+        )
+        for clip, frames, segment, mattes, firsts, _, _, person, *_ in calls
+    ]
+    fits = fit_windows(
+        scenes,
         load_chosen_body(body),
         config,
         seed,
         load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        load_person(person.path) if person else None,
         load_motion_prior(priors.motion.path if priors.motion else None),
     )
-    path = folder / f"{'window' if person else 'person_window'}_{frames[0]:06d}.npz"
-    save_window(path, found)
-    return WindowHandle.of(path, frames=frames, segment=segment, loss=found.loss)
+    handles = []
+    for call, found in zip(calls, fits, strict=True):
+        person, folder = call[7], call[-1]
+        path = folder / f"{'window' if person else 'person_window'}_{found.frames[0]:06d}.npz"
+        save_window(path, found)
+        handles.append(WindowHandle.of(path, frames=found.frames, segment=found.segment, loss=found.loss))
+    return handles
 
 
 def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:

@@ -206,6 +206,11 @@ def busy_share() -> float | None:
     return round(_shared.busy_s / (worker_count() * _shared.seconds), 4) if _shared.seconds else None
 
 
+def remote() -> bool:
+    """Whether what is spread goes to a cluster's workers."""
+    return _cluster is not None
+
+
 def stop_computing() -> None:
     """End what computes right now: a flow that was interrupted must not wait for it. Its tasks fail with Stopped."""
     if _cluster:

@@ -7,7 +7,7 @@ skinning (eq. 2-4). Everything is differentiable in betas, rotations and transla
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 
@@ -98,8 +98,9 @@ class Body:
         return self._with_tensors_to(device)
 
     def _with_tensors_to(self, there: torch.dtype | torch.device) -> "Body":
-        tensors = {one.name: getattr(self, one.name) for one in fields(self)}
-        return replace(self, **{name: one.to(there) for name, one in tensors.items() if isinstance(one, Tensor)})
+        parts = {one.name: getattr(self, one.name) for one in fields(self)}
+        moved: dict[str, Any] = {name: one.to(there) for name, one in parts.items() if isinstance(one, Tensor)}
+        return replace(self, **moved)
 
     def rest_joints(self, betas: Float[Tensor, "K"]) -> Float[Tensor, "24 3"]:
         """Joints of the person with these betas in the rest pose [m]."""

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, cast
 
 import torch
 
@@ -30,6 +31,9 @@ from hfb.render.rasterizer import make_rasterizer
 from hfb.render.texture import fill_texture_gutter, texel_faces
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Array, Float, Tensor
+
+if TYPE_CHECKING:
+    from hfb.render.cuda import WarpRasterizer
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,7 @@ def fit_all(
     pose_prior: PosePrior,
     on_progress: Progress | None = None,
     motion_prior: MotionPrior | None = None,
+    room: int = 1,
 ) -> list[FitResult]:
     """Several fits, each as `fit` makes it: one after another, or on a device as one problem.
 
@@ -111,8 +116,13 @@ def fit_all(
     pictures; what the networks say and the search for directions are the processor's. All must have the same number of
     frames and the same timing, and the person known in all or none.
 
-    Args, Raises:
-        as `fit`; `on_progress` is called of every fit in turn, or of all at once with the mean of their losses.
+    Args:
+        on_progress: called of every fit in turn, or of all at once with the mean of their losses.
+        room: on a device, for how many fits: in a room of one size a fit has the same bits whoever is beside it.
+        others: as of `fit`.
+
+    Raises:
+        as `fit`.
     """
     started = time.perf_counter()
     together = config.rasterizer in ("cuda", "warp")
@@ -123,7 +133,7 @@ def fit_all(
 
     with one_torch_thread():
         if together:
-            results = _fit_together(problems, begun, body, config, on_progress)
+            results = _fit_together(problems, begun, body, config, on_progress, room)
         else:
             results = [_fit_alone(begun(one), body, config, on_progress) for one in problems]
     return [replace(one, seconds=(time.perf_counter() - started) / len(problems)) for one in results]
@@ -172,15 +182,16 @@ def _fit_together(
     body: Body,
     config: FitConfig,
     on_progress: Progress | None,
+    room: int,
 ) -> list[FitResult]:
-    rasterizer = make_rasterizer(config.silhouette, config.rasterizer)
+    rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
     from hfb.fit.together import descend_together, each_by_itself, settle_together  # needs Warp, which only some have
 
     begun = each_by_itself(begin, problems)
     variables, objectives = [one.variables for one in begun], [one.everywhere for one in begun]
     if config.settle > 0:
-        settle_together(variables, objectives, config, rasterizer)
-    descents = descend_together(variables, objectives, config, rasterizer, on_progress)
+        settle_together(variables, objectives, config, rasterizer, room)
+    descents = descend_together(variables, objectives, config, rasterizer, on_progress, room)
     return each_by_itself(lambda one, descent: _finished(one, descent, body, config), begun, descents)
 
 

@@ -1,10 +1,11 @@
 """Many fits as one problem, for a device that a single fit leaves idle.
 
 Everything has one more dimension in front, the fits. `torch.func.vmap` gives the terms, written for one fit, all of
-them at once; what is drawn is drawn together. No fit knows of the others: what it finds is what it finds alone, but for
-the order of sums in matrix products.
+them at once; what is drawn is drawn together. No fit knows of the others: in a room of
+one size (`filled`) it finds the same bits whoever is beside it.
 """
 
+import gc
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -60,10 +61,10 @@ class Leaves:
         )
 
     def into(self, variables: Sequence[Variables]) -> None:
-        """Write every fit's own into its variables."""
+        """Write every fit's own into its variables; what only filled the room is left."""
         with torch.no_grad():
             parts = (one.cpu() for one in (self.rotation, self.translation, self.betas, self.texture))
-            for one, *found in zip(variables, *parts, strict=True):
+            for one, *found in zip(variables, *parts, strict=False):
                 places = one.trajectory.rotation, one.trajectory.translation, one.betas, one.texture
                 for place, value in zip(places, found, strict=True):
                     place.copy_(value)
@@ -90,14 +91,20 @@ class _Graphed:
     Hundreds of small launches take the processor longer than the device. Results are overwritten by the next call.
     """
 
-    def __init__(self, function: Callable[..., tuple[Tensor, ...]]) -> None:
-        self._function, self._recorded = function, False
+    def __init__(self, function: Callable[..., tuple[Tensor, ...]], records: bool = True) -> None:
+        self._function: Callable[..., Any] = function
+        self._records = records
 
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        if inputs[0].is_cuda and not self._recorded:
+        if inputs[0].is_cuda and self._records:
             samples = tuple(one.detach().clone().requires_grad_(one.requires_grad) for one in inputs)
-            self._function = torch.cuda.make_graphed_callables(self._function, samples, allow_unused_input=True)
-            self._recorded = True
+            gc.collect()  # an earlier record that is thrown away while another is made breaks it
+            gc.disable()
+            try:
+                self._function = torch.cuda.make_graphed_callables(self._function, samples, allow_unused_input=True)
+            finally:
+                gc.enable()
+            self._records = False
         return self._function(*inputs)
 
 
@@ -139,7 +146,8 @@ class Together:
             self._cameras = [one.observation.camera for one in objectives for _ in one.first]
         self._surfaces = [(one.texels, one.visible) for one in objectives]
         self._names: dict[str, list[str]] = {}
-        self._bodies, self._skeletons = _Graphed(self._all_bodies), _Graphed(self._all_skeletons)
+        records = first.weights.adversarial == 0  # that prior's networks have not been seen to be recordable
+        self._bodies, self._skeletons = _Graphed(self._all_bodies, records), _Graphed(self._all_skeletons, records)
         self._comparison = _Graphed(self._all_compared)
 
     def terms(self, leaves: Leaves) -> dict[str, Float[Tensor, "N"]]:
@@ -202,7 +210,8 @@ class Together:
 
     def _all_compared(self, drawn: Float[Tensor, "N T n H W 4"]) -> tuple[Tensor, ...]:
         def one(drawn: Float[Tensor, "T n H W 4"], seen: dict[str, Tensor]) -> dict[str, Tensor]:
-            here, per_frame = replace(self.template, observation=replace(self.template.observation, **seen)), []
+            shown: dict[str, Any] = {**seen}
+            here, per_frame = replace(self.template, observation=replace(self.template.observation, **shown)), []
             for frame, pictures in enumerate(drawn.unbind()):
                 terms = {}
                 if self.template.weights.background > 0:
@@ -249,12 +258,26 @@ def each_by_itself(function: Callable[..., R], *arguments: Sequence[Any]) -> lis
         return list(pool.map(function, *arguments))
 
 
+def filled(fits: Sequence[R], room: int) -> list[R]:
+    """The fits, and the first of them again where there is room for more.
+
+    Which kernel makes a matrix product, and so the order of its sums, goes by the size: in a room of one size a fit has
+    the same bits whoever is beside it.
+    """
+    return [*fits, *[fits[0]] * (room - len(fits))]
+
+
 def settle_together(
-    variables: Sequence[Variables], objectives: Sequence[Objective], config: FitConfig, rasterizer: WarpRasterizer
+    variables: Sequence[Variables],
+    objectives: Sequence[Objective],
+    config: FitConfig,
+    rasterizer: WarpRasterizer,
+    room: int = 1,
 ) -> None:
     """As `hfb.fit.settle.settle`, of all fits at once."""
-    leaves = Leaves.of(variables, rasterizer.device)
-    group = Together([settling(one, config) for one in objectives], variables, rasterizer, draws=False)
+    leaves = Leaves.of(filled(variables, room), rasterizer.device)
+    settled = [settling(one, config) for one in objectives]
+    group = Together(filled(settled, room), filled(variables, room), rasterizer, draws=False)
 
     def loss() -> Float[Tensor, ""]:
         return group.template.total(group.body_terms(leaves)).sum()
@@ -271,6 +294,7 @@ def descend_together(
     config: FitConfig,
     rasterizer: WarpRasterizer,
     on_progress: Progress | None,
+    room: int = 1,
 ) -> list[Descent]:
     """As `hfb.fit.descent.descend`, of all fits at once; changes the variables in place.
 
@@ -280,7 +304,7 @@ def descend_together(
     """
     stages = [stage for stage in config.stages if stage.iterations > 0]
     total, done = sum(stage.iterations for stage in stages), 0
-    leaves, everywhere = Leaves.of(variables, rasterizer.device), list(objectives)
+    leaves, everywhere = Leaves.of(filled(variables, room), rasterizer.device), list(objectives)
     optimizer = torch.optim.Adam(leaves.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
     claims = [one.evidence for one in objectives]
     histories: list[dict[str, list[float]]] = [{} for _ in variables]
@@ -302,7 +326,7 @@ def descend_together(
             replace(one, observation=there, visible=texels)
             for one, there, texels in zip(everywhere, seen, visible, strict=True)
         ]
-        group = Together(everywhere_seen, variables, rasterizer)
+        group = Together(filled(everywhere_seen, room), filled(variables, room), rasterizer)
 
         def tell(iterations: int, loss: float, before: int = done) -> None:
             if on_progress:
@@ -310,7 +334,7 @@ def descend_together(
 
         kept = _stage(group, leaves, optimizer, config, stage, tell)
         done += stage.iterations
-        for place, (history, iterations) in enumerate(zip(histories, kept.length, strict=True)):
+        for place, (history, iterations) in enumerate(zip(histories, kept.length, strict=False)):
             for name, row in zip((*kept.names, "total"), kept.values[:iterations, :, place].T.tolist(), strict=True):
                 history.setdefault(name, []).extend(row)
             best_iterations[place] = offsets[place] + int(kept.iteration[place])
@@ -333,7 +357,8 @@ def _stage(
     tell: Callable[[int, float], None],
 ) -> _Kept:
     """Adam on all fits; a fit whose patience is at an end is kept as it was then."""
-    best, names, rows = leaves.copy(), (), []
+    best, rows = leaves.copy(), []
+    names: tuple[str, ...] = ()
     best_loss = told = torch.full_like(leaves.betas[:, 0].detach(), math.inf)
     best_at, waited = best_loss.long().zero_(), best_loss.long().zero_()
     length = waited.clone()

@@ -17,7 +17,8 @@ from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
 from hfb.fit.clip_person import ClipPerson, as_person
-from hfb.fit.loop import Progress, fit
+from hfb.fit.descent import Progress
+from hfb.fit.loop import FitResult, Problem, fit_all
 from hfb.initialize.first_body import FirstBody
 from hfb.media.array_files import read_arrays
 from hfb.motion.trajectory import Trajectory
@@ -25,6 +26,13 @@ from hfb.observation import Observation
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.shapes import Array, Bool, Float, Tensor
+
+_AT_ONCE = {"cuda": 32, "warp": 2}
+
+
+def windows_at_once(config: FitConfig) -> int:
+    """How many windows are one problem (`fit_all`): a device would be idle with one. "warp" is for tests."""
+    return _AT_ONCE.get(config.rasterizer, 1)
 
 
 @dataclass(frozen=True)
@@ -131,19 +139,69 @@ def fit_window(
         observation, first_bodies: of the window's frames alone.
         person: shape and texture to hold fixed; both are found where it is not given.
     """
+    scene = WindowScene(window, observation, first_bodies, person)
+    return fit_windows([scene], body, config, seed, pose_prior, motion_prior, on_progress)[0]
+
+
+@dataclass(frozen=True)
+class WindowScene:
+    """A window and what its fit sees; see `fit_window`."""
+
+    window: ClipWindow
+    observation: Observation
+    first_bodies: Sequence[FirstBody]
+    person: ClipPerson | None = None
+
+
+def fit_windows(
+    scenes: Sequence[WindowScene],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    motion_prior: MotionPrior | None = None,
+    on_progress: Progress | None = None,
+) -> list[WindowFit]:
+    """Fit several windows of one clip: at once on a device (see `fit_all`), in turn otherwise.
+
+    In rooms of one size, so that no window's result depends on which others are fitted beside it.
+    """
+    room = windows_at_once(config)
+    found: dict[int, WindowFit] = {}
+    for frames, known in sorted({_kind(one) for one in scenes}):
+        alike = [place for place, one in enumerate(scenes) if _kind(one) == (frames, known)]
+        for at in range(0, len(alike), room):
+            some = alike[at : at + room]
+            problems = [_problem(scenes[place], body) for place in some]
+            results = fit_all(problems, body, config, seed, pose_prior, on_progress, motion_prior, room)
+            found |= {
+                place: _window_fit(scenes[place], result, config)
+                for place, result in zip(some, results, strict=True)
+            }  # fmt: skip
+    return [found[place] for place in range(len(scenes))]
+
+
+def _kind(scene: WindowScene) -> tuple[int, bool]:
+    """Windows of one kind can be one problem."""
+    return len(scene.window.frames), scene.person is not None
+
+
+def _problem(scene: WindowScene, body: Body) -> Problem:
+    first_bodies, person = scene.first_bodies, scene.person
     if person is not None:
         first_bodies = [as_person(first, person.betas, body) for first in first_bodies]
-    found = fit(
-        observation, first_bodies, body, config, seed, pose_prior, on_progress, motion_prior, person=person
-    )  # fmt: skip
-    radius = found.motion.joint_radius_mm
+    return Problem(scene.observation, first_bodies, person)
+
+
+def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> WindowFit:
+    radius, frames = found.motion.joint_radius_mm, scene.window.frames
     return WindowFit(
-        frames=window.frames,
-        segment=window.segment,
+        frames=frames,
+        segment=scene.window.segment,
         trajectory=found.trajectory,
         betas=torch.from_numpy(found.motion.betas).float(),
-        texture=found.texture if person is None else None,
-        joint_radius_mm=None if radius is None else radius.reshape(len(window.frames), config.subframes, 24),
+        texture=found.texture if scene.person is None else None,
+        joint_radius_mm=None if radius is None else radius.reshape(len(frames), config.subframes, 24),
         loss=found.loss,
         seconds=found.seconds,
         history=found.history,

@@ -1,7 +1,7 @@
 """What the joint network says about an observation, kept in the form that a fit compares itself with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib import resources
 
@@ -44,10 +44,10 @@ class JointEvidence:
     log_height: Float[Tensor, ""]
     height_scale: Float[Tensor, ""]
     height_compared: bool = False
-    lenses: Float[Tensor, "T 5"] = None  # type: ignore[assignment]
+    lenses: Float[Tensor, "T 5"] = field(default_factory=lambda: torch.empty(0, 5))
 
     def __post_init__(self) -> None:
-        if self.lenses is None:
+        if len(self.lenses) == 0:
             lenses = torch.tensor([window.lens() for window in self.windows], dtype=torch.float64)
             object.__setattr__(self, "lenses", lenses)
 

@@ -47,12 +47,18 @@ class GmmPrior:
         self.means = torch.from_numpy(means.astype(np.float64))
         self._whitening = torch.from_numpy(np.linalg.inv(lower))
         self._offsets = torch.from_numpy(offsets)
+        self._copies: dict[tuple[torch.device, torch.dtype], tuple[Tensor, ...]] = {}
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
         """See `PosePrior`; the gradient is that of the nearest component."""
         poses = axis_angle.flatten(1)
-        means, whitening, offsets = (
-            part.to(poses.device, poses.dtype) for part in (self.means, self._whitening, self._offsets)
-        )
+        means, whitening, offsets = self._parts(poses.device, poses.dtype)
         whitened = torch.einsum("kij,skj->ski", whitening, poses[:, None] - means)
         return ((whitened * whitened).sum(-1) / 2 + offsets).amin(-1)
+
+    def _parts(self, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
+        """Means, whitening and offsets where and as they are used; copied to a device once."""
+        key = device, dtype
+        if key not in self._copies:
+            self._copies[key] = tuple(part.to(device, dtype) for part in (self.means, self._whitening, self._offsets))
+        return self._copies[key]

@@ -6,6 +6,7 @@ checkpoints differ in their names and in two details of the encoder, see `_LAYOU
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import torch
@@ -51,7 +52,7 @@ _LAYOUTS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Dense:
     """y = leaky(W x + b); a slope of 1 is no non-linearity."""
 
@@ -60,7 +61,7 @@ class _Dense:
     slope: float
 
     def __call__(self, x: Float[Tensor, "S in"]) -> Float[Tensor, "S out"]:
-        y = torch.nn.functional.linear(x, self.weight.to(x.device, x.dtype), self.bias.to(x.device, x.dtype))
+        y = torch.nn.functional.linear(x, *_placed(self, x.device, x.dtype))
         return y if self.slope == 1 else torch.nn.functional.leaky_relu(y, self.slope)
 
 
@@ -114,6 +115,12 @@ class VPoserPrior:
             x = layer(x)
         # VPoser writes the first two columns of a matrix row by row.
         return six_d_to_matrix(x.unflatten(1, (BODY_JOINTS, 3, 2)).transpose(-1, -2).flatten(-2))
+
+
+@lru_cache(maxsize=64)
+def _placed(layer: _Dense, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """A layer's weight and bias where and as they are used; copied to a device once."""
+    return layer.weight.to(device, dtype), layer.bias.to(device, dtype)
 
 
 def _dense(state: Mapping[str, Tensor], prefix: str, layer: tuple[str, str, float], source: str) -> _Dense:

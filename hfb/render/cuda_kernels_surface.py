@@ -153,7 +153,7 @@ def pull_pixels(
     """Way back of `shade` to what each pixel shows. Threads: bodies, rows, columns.
 
     pulls: gradients of its coverage, u and v. of_textures (zeros before): in steps, of which there are `steps` to one;
-    an empty one is left out.
+    empty ones are left out.
     """
     b, row, column = wp.tid()
     pull, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]
@@ -188,10 +188,10 @@ def pull_pixels(
                 pull = wp.vec3d(pull[0] + upper + below * (lower - upper), slope_u, slope_v)
                 if of_textures.shape[1] > 0:
                     given = share * given
-                    add_in_steps((ONE - below) * (ONE - right) * given, steps[0], g, r, c, of_textures)
-                    add_in_steps((ONE - below) * right * given, steps[0], g, r, c + step, of_textures)
-                    add_in_steps(below * (ONE - right) * given, steps[0], g, r + step, c, of_textures)
-                    add_in_steps(below * right * given, steps[0], g, r + step, c + step, of_textures)
+                    add_in_steps((ONE - below) * (ONE - right) * given, steps[g], g, r, c, of_textures)
+                    add_in_steps((ONE - below) * right * given, steps[g], g, r, c + step, of_textures)
+                    add_in_steps(below * (ONE - right) * given, steps[g], g, r + step, c, of_textures)
+                    add_in_steps(below * right * given, steps[g], g, r + step, c + step, of_textures)
     pulls[b, row, column] = pull
 
 

@@ -151,7 +151,8 @@ def draw_by_warp_gradient(
     projected, front, begins, place, shares, alpha, codes = kept
     bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
     subframes = bodies // len(lenses)
-    steps = 2.0**_EXACT / max(alpha.numel(), 1) / given.abs().amax().double().clamp_min(1e-300).reshape(1)
+    groups = given.unflatten(0, (len(textures), -1)).flatten(1).abs().amax(1).double().clamp_min(1e-300)
+    steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture: it knows of no other
     total = vertices.new_zeros(textures.shape if of_textures else (1, 0, 0, 3), dtype=torch.int64)
     pulls = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
     with _prepare(vertices):
@@ -175,7 +176,7 @@ def draw_by_warp_gradient(
             members = *(_array(table) for table in topology[3:7]), *sums
             where = _array(vertices), _points(projected), _array(lenses), subframes
             _launch(gradients.gather, vertices.shape[:2], vertices, *where, *members)
-    return gradient, (total / steps).to(textures.dtype)
+    return gradient, (total / steps[:, None, None, None]).to(textures.dtype)
 
 
 @draw_by_warp_gradient.register_fake

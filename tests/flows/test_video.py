@@ -147,3 +147,19 @@ def make_other_plate(folder: Path) -> Path:
 
     write_png(folder / "other.png", np.ascontiguousarray(picture[::-1, ::-1]))
     return folder / "other.png"
+
+
+def test_windows_go_together_on_a_device(store: Path, tmp_path: Path) -> None:
+    """By the kernels for GPUs, here on the processor: two windows are one problem, and none is lost or done twice."""
+    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+    out = begun(tmp_path / "out")
+    gentle = "--video.stages", '[{"size_px": 32, "iterations": 3, "learning_rate": 0.002}]'
+    options = "--fit.rasterizer", "warp", *gentle
+    result = run_clip(small_clip().truth.parent, out, *options, truth=small_clip().truth)
+    assert (result["frames"], result["sub_frames"], result["resumed_frames"]) == (12, 36, 0)
+    assert result["worst_jump_mm"] < 2
+    by_warp, by_kernels = load_motion(out / "motion.npz")[0], load_motion(finished()[0] / "motion.npz")[0]
+    off = np.linalg.norm(by_warp.joints - by_kernels.joints, axis=-1).mean()
+    assert 0 < off < 0.03
+    again = run_clip(small_clip().truth.parent, out, *options, truth=small_clip().truth)
+    assert again["resumed_frames"] == FRAMES

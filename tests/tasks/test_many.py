@@ -1,6 +1,7 @@
 """Many calls of one task: every one once and in order, each with a result of its own, in few runs of Prefect's."""
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from tasks.handles import FileHandle
 from tasks.many import Outcome, run_all
 from tasks.parcels import parcels
 from tasks.result_records import records_in
-from tasks.task import task
+from tasks.task import AtOnce, task
 from tests.orchestration import prefect_api
 
 _COUNT = 300
@@ -127,3 +128,41 @@ def task_runs(flow_run: str, last: str) -> set[tuple[str, str]]:
                 return {(one.name, one.state.name) for one in found if one.state is not None}
             assert time.monotonic() < until
             time.sleep(0.5)
+
+
+def _several(calls: Sequence[tuple[Any, ...]]) -> list[FileHandle]:
+    numbers = [number for number, _ in calls]
+    with (calls[0][1] / "at_once").open("a") as told:
+        told.write(" ".join(map(str, numbers)) + "\n")
+    if _WRONG in numbers:
+        raise InputError("one is wrong, so none is made")
+    return [write_number.fn(*call) for call in calls]
+
+
+@task("numbers at once", at_once=AtOnce(lambda _: 10, _several))
+def write_at_once(number: int, folder: Path) -> FileHandle:
+    return write_number.fn(number, folder)
+
+
+def test_calls_at_once_keep_results_of_their_own(store: Path, tmp_path: Path) -> None:
+    def several() -> list[Outcome[FileHandle]]:
+        return run_all(write_at_once, [(number, tmp_path) for number in range(60, 85)], "numbers")
+
+    def again() -> list[Outcome[FileHandle]]:
+        threads: Any = ThreadPoolTaskRunner(max_workers=3)
+        with records_in(tmp_path):
+            return flow(name="several", task_runner=threads, persist_result=False)(several)()
+
+    outcomes, told = again(), tmp_path / "at_once"
+    assert sorted(written(tmp_path)) == [number for number in range(60, 85) if number != _WRONG]
+    batches = sorted(told.read_text().splitlines())
+    assert [len(one.split()) for one in batches] == [10, 10, 5]
+    assert [type(one.error) for one in outcomes].count(InputError) == 1, "one that fails took others with it"
+
+    told.unlink()
+    (tmp_path / "number_61").unlink()
+    (tmp_path / "number_82").write_text("damaged")
+    second = again()
+    assert sorted(written(tmp_path)) == [61, 82]
+    assert [one.reused for one in second].count(False) == 3
+    assert all(one.error is not None or one.result.path.exists() for one in second if one.result or one.error)
