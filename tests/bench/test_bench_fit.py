@@ -11,6 +11,7 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
+from hfb.fit.loop import Problem, fit_all
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rotations import axis_angle_to_matrix
 from tests.bench import jobs
@@ -104,6 +105,50 @@ def test_fits(scale: Scale, figures: Figures) -> None:
     figures.set("fit_seconds_1core", one.best, f"{one.best_cpu:.2f} s of CPU")
     figures.set("two_fits_throughput", 2 * one.best / two.best, "best of each")
     figures.set("fit_peak_mb", peak_mb, "whole process, default settings, 256 px")
+
+
+def test_fits_as_one_problem_on_a_gpu(scale: Scale, figures: Figures) -> None:
+    """With pose blend shapes and everything that a fit does; without a GPU only that it runs."""
+    pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
+    gpu = torch.cuda.is_available()
+    if scale.measures and not gpu:
+        figures.say("no GPU here: fits on one were not measured")
+        return
+    count, iterations, size_px = (128, 200, jobs.SIZE_PX) if scale.measures else (2, 2, 48)
+    body = load_default_body()
+    seen = [moving_scene(body, size_px=size_px, step_m=0.1 + 0.05 * number) for number in range(4)]
+    problems = [Problem(seen[number % 4].observation, seen[number % 4].middle) for number in range(count)]
+    body = jobs.with_pose_blend_shapes(body)
+
+    def fits(iterations: int) -> float:
+        config = jobs.default_config(iterations).model_copy(update={"rasterizer": "cuda" if gpu else "warp"})
+        began = time.perf_counter()
+        results = fit_all(problems, body, config, 0, AnatomicalPrior(), room=count)
+        assert len(results) == count
+        return time.perf_counter() - began
+
+    fits(2)
+    seconds = fits(iterations)
+    if gpu:
+        name = torch.cuda.get_device_name()
+        each_ms = 1e3 * (seconds - fits(iterations // 2)) / (iterations - iterations // 2)
+        ours, products = busy_ms(lambda: fits(iterations // 10), iterations // 10)
+        figures.say(
+            f"{count} fits of {iterations} iterations at {size_px} px together, {name}: {count / seconds:.1f} a s"
+        )
+        figures.say(
+            f"an iteration of them: {each_ms:.1f} ms, our kernels {ours:.1f} ms, matrix products {products:.1f} ms: "
+            f"{(ours + products) / each_ms:.0%}"
+        )
+
+
+def busy_ms(work: Callable[[], object], iterations: int) -> tuple[float, float]:
+    """Milliseconds per iteration that a GPU spends in Warp's kernels and in matrix products."""
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CUDA]) as profile:
+        work()
+    events = [(one.key, one.self_device_time_total / 1e3 / iterations) for one in profile.key_averages()]
+    products = sum(ms for name, ms in events if any(word in name for word in ("gemm", "gemv", "cutlass")))
+    return sum(ms for name, ms in events if "cuda_kernel" in name), products
 
 
 @pytest.mark.benchmark(min_rounds=3)
