@@ -185,14 +185,15 @@ def _fit_together(
     room: int,
 ) -> list[FitResult]:
     rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
-    from hfb.fit.together import descend_together, each_by_itself, settle_together  # needs Warp, which only some have
+    from hfb.fit import together  # needs Warp, which only some have
 
-    begun = each_by_itself(begin, problems)
+    begun = together.each_by_itself(begin, problems)
     variables, objectives = [one.variables for one in begun], [one.everywhere for one in begun]
-    if config.settle > 0:
-        settle_together(variables, objectives, config, rasterizer, room)
-    descents = descend_together(variables, objectives, config, rasterizer, on_progress, room)
-    return each_by_itself(lambda one, descent: _finished(one, descent, body, config), begun, descents)
+    with together.without_the_warning_of_records():
+        if config.settle > 0:
+            together.settle_together(variables, objectives, config, rasterizer, room)
+        descents = together.descend_together(variables, objectives, config, rasterizer, on_progress, room)
+    return together.each_by_itself(lambda one, descent: _finished(one, descent, body, config), begun, descents)
 
 
 def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) -> FitResult:

@@ -8,8 +8,10 @@ one size (`filled`) it finds the same bits whoever is beside it.
 import gc
 import math
 import os
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
@@ -98,14 +100,23 @@ class _Graphed:
     def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         if inputs[0].is_cuda and self._records:
             samples = tuple(one.detach().clone().requires_grad_(one.requires_grad) for one in inputs)
-            gc.collect()  # an earlier record that is thrown away while another is made breaks it
-            gc.disable()
-            try:
+            with _nothing_thrown_away():
                 self._function = torch.cuda.make_graphed_callables(self._function, samples, allow_unused_input=True)
-            finally:
-                gc.enable()
             self._records = False
         return self._function(*inputs)
+
+
+@contextmanager
+def _nothing_thrown_away() -> Iterator[None]:
+    """An earlier record that is thrown away while another is made breaks it."""
+    collects = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 class Together:
@@ -250,6 +261,14 @@ class _Kept:
     names: tuple[str, ...]
     values: Float[Tensor, "i terms N"]
     length: list[int]
+
+
+@contextmanager
+def without_the_warning_of_records() -> Iterator[None]:
+    """torch says of recorded launches that their gradients come from another stream, which is how it makes them."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The AccumulateGrad node's stream does not match")
+        yield
 
 
 def each_by_itself(function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:

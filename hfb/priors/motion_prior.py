@@ -28,8 +28,7 @@ class MotionPrior:
     """
 
     def __init__(self, discriminator: Discriminator, corrector: Corrector) -> None:
-        like = torch.empty(0)
-        self._networks = {_SHIPPED: (_frozen(discriminator, like), _frozen(corrector, like))}
+        self._networks = {_SHIPPED: (_frozen(discriminator), _frozen(corrector))}
 
     def __call__(self, trajectory: Trajectory, shaped: ShapedBody) -> Float[Tensor, ""]:
         """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
@@ -66,7 +65,7 @@ class MotionPrior:
         key = like.dtype, like.device
         if key not in self._networks:
             discriminator, corrector = self._networks[_SHIPPED]
-            self._networks[key] = _frozen(discriminator, like), _frozen(corrector, like)
+            self._networks[key] = _moved(discriminator, like), _moved(corrector, like)
         return self._networks[key]
 
 
@@ -86,5 +85,10 @@ def _shipped() -> MotionPrior:
         return MotionPrior(*read_networks(path))
 
 
-def _frozen(network: NetworkT, like: Tensor) -> NetworkT:
-    return copy.deepcopy(network).to(like.device, like.dtype).requires_grad_(False).eval()
+def _frozen(network: NetworkT) -> NetworkT:
+    return copy.deepcopy(network).to(torch.float32).requires_grad_(False).eval()
+
+
+def _moved(network: NetworkT, like: Tensor) -> NetworkT:
+    """A copy of a frozen network; may be called inside `torch.func.vmap`, which forbids to freeze one."""
+    return copy.deepcopy(network).to(like.device, like.dtype)

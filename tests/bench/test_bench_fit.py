@@ -134,7 +134,7 @@ def test_fits_as_one_problem_on_a_gpu(scale: Scale, figures: Figures) -> None:
         each_ms = 1e3 * (seconds - fits(iterations // 2)) / (iterations - iterations // 2)
         ours, products = busy_ms(lambda: fits(iterations // 10), iterations // 10)
         figures.say(
-            f"{count} fits of {iterations} iterations at {size_px} px together, {name}: {count / seconds:.1f} a s"
+            f"{count} fits of {iterations} iterations, {size_px} px, at once, {name}: {count / seconds:.1f} a s"
         )
         figures.say(
             f"an iteration of them: {each_ms:.1f} ms, our kernels {ours:.1f} ms, matrix products {products:.1f} ms: "

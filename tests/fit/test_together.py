@@ -142,9 +142,10 @@ def test_fits_are_those_of_the_processor(device: str) -> None:
     config = SHORT.model_copy(update={"settle": 0, "stages": (stage,), "adam_epsilon": 1e-2})
     seen = [squared(scene) for scene in scenes(2, count=2)]
     for one, other in zip(fits(device, config, seen), fits("cpu", config, seen), strict=True):
-        assert one.history["total"] == pytest.approx(other.history["total"], rel=1e-3)
+        assert one.history["total"][:3] == pytest.approx(other.history["total"][:3], rel=1e-3)
+        assert one.history["total"] == pytest.approx(other.history["total"], rel=0.02)
         assert one.loss < 0.98 * one.history["total"][0]
-        assert one.motion.joints == pytest.approx(other.motion.joints, abs=1e-3)
+        assert one.motion.joints == pytest.approx(other.motion.joints, abs=5e-3)
 
 
 @pytest.mark.parametrize("device", DEVICES)

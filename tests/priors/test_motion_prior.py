@@ -15,6 +15,7 @@ from hfb.body.model import ShapedBody
 from hfb.datasets.motion_windows import draw_columns
 from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
+from hfb.formulas import readable_formulas
 from hfb.priors.motion_columns import COLUMN_COUNT
 from hfb.priors.motion_measures import measure_motion_prior
 from hfb.priors.motion_prior import MotionPrior, load_motion_prior
@@ -84,6 +85,20 @@ def test_gradients_match_finite_differences(prior: MotionPrior) -> None:
             values[index] = values[index] + step * direction
         numeric = float(value(*moved[0]) - value(*moved[1])) / 2e-6
         assert numeric == pytest.approx(float((gradient * direction).sum()), rel=2e-3)
+
+
+def test_many_motions_at_once_are_the_motions_one_by_one(prior: MotionPrior) -> None:
+    """Also where the networks are first copied, here to another precision, inside the transform."""
+    motions = [moving(seed=seed, dtype=torch.float64) for seed in range(3)]
+    shaped = person(torch.float64)
+
+    def loss(rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+        return prior(motions[0].with_coefficients(rotation, translation), shaped)
+
+    parts = (torch.stack([getattr(one, part) for one in motions]) for part in ("rotation", "translation"))
+    with readable_formulas():
+        found = torch.func.vmap(loss)(*parts)
+    assert found.tolist() == pytest.approx([prior(one, shaped).item() for one in motions])
 
 
 def test_a_fit_does_not_change_the_prior_nor_the_shape(prior: MotionPrior) -> None:
