@@ -154,7 +154,11 @@ class FitConfig(Record):
     rotation: Literal["quaternion", "axis-angle"] = Field("quaternion", description="the 4 dof of a rotation")
     silhouette: Literal["coverage", "dibr"] = Field("coverage", description="exact pixel share, or DIB-R's soft mask")
     rasterizer: Literal["cpu", "reference", "cuda", "warp"] = Field(
-        "cpu", description="cpu: numba; reference: readable torch; cuda: Warp on a GPU; warp: Warp on the processor"
+        "cpu",
+        description="cpu: numba; reference: readable torch; cuda: the fit on a GPU; warp: the same on the processor",
+    )
+    at_once: int = Field(
+        32, ge=1, le=1024, description="cuda: windows of a clip that are one problem; fewer take less of its memory"
     )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()

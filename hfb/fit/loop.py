@@ -11,6 +11,7 @@ from hfb.body.height import as_tall
 from hfb.body.model import Body
 from hfb.config import FitConfig
 from hfb.determinism import one_torch_thread
+from hfb.errors import InputError
 from hfb.fit.alternatives import Alternatives
 from hfb.fit.clip_person import ClipPerson, as_person
 from hfb.fit.confidence import joint_features, shipped_confidence
@@ -122,7 +123,9 @@ def fit_all(
         others: as of `fit`.
 
     Raises:
-        as `fit`.
+        InputError: as `fit`; or the device's memory is too small for so many at once.
+        FloatingPointError: as `fit`.
+        ValueError: the fits of a device are not of one kind.
     """
     started = time.perf_counter()
     together = config.rasterizer in ("cuda", "warp")
@@ -184,15 +187,27 @@ def _fit_together(
     on_progress: Progress | None,
     room: int,
 ) -> list[FitResult]:
+    kinds = {
+        (len(one.first_bodies), one.observation.exposure_s, one.observation.interval_s, one.person is None)
+        for one in problems
+    }
+    if len(kinds) > 1:
+        raise ValueError(f"fits of several kinds (frames, exposure, interval, nobody known): {sorted(kinds)}")
     rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
     from hfb.fit import together  # needs Warp, which only some have
 
     begun = together.each_by_itself(begin, problems)
     variables, objectives = [one.variables for one in begun], [one.everywhere for one in begun]
-    with together.without_the_warning_of_records():
-        if config.settle > 0:
-            together.settle_together(variables, objectives, config, rasterizer, room)
-        descents = together.descend_together(variables, objectives, config, rasterizer, on_progress, room)
+    try:
+        with together.without_the_warning_of_records():
+            if config.settle > 0:
+                together.settle_together(variables, objectives, config, rasterizer, room)
+            descents = together.descend_together(variables, objectives, config, rasterizer, on_progress, room)
+    except torch.OutOfMemoryError as error:
+        raise InputError(
+            f"the GPU's memory is too small for {max(room, len(problems))} fits at once: give a smaller --fit.at-once, "
+            "or take --fit.rasterizer cpu"
+        ) from error
     return together.each_by_itself(lambda one, descent: _finished(one, descent, body, config), begun, descents)
 
 

@@ -1,8 +1,8 @@
 """Many fits as one problem, for a device that a single fit leaves idle.
 
 Everything has one more dimension in front, the fits. `torch.func.vmap` gives the terms, written for one fit, all of
-them at once; what is drawn is drawn together. No fit knows of the others: in a room of
-one size (`filled`) it finds the same bits whoever is beside it.
+them at once; what is drawn is drawn together. No fit knows of the others: in a room of one size (`filled`) it finds the
+same bits whoever is beside it.
 """
 
 import gc
@@ -318,7 +318,6 @@ def descend_together(
     """As `hfb.fit.descent.descend`, of all fits at once; changes the variables in place.
 
     Raises:
-        ValueError: the fits are not of one kind.
         FloatingPointError: the loss of one is no longer a number.
     """
     stages = [stage for stage in config.stages if stage.iterations > 0]
@@ -379,8 +378,7 @@ def _stage(
     best, rows = leaves.copy(), []
     names: tuple[str, ...] = ()
     best_loss = told = torch.full_like(leaves.betas[:, 0].detach(), math.inf)
-    best_at, waited = best_loss.long().zero_(), best_loss.long().zero_()
-    length = waited.clone()
+    best_at, waited, length = (torch.zeros_like(best_loss, dtype=torch.long) for _ in range(3))
     for iteration in range(stage.iterations):
         share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2 if stage.cosine else 1.0
         for one, now in zip(optimizer.param_groups, leaves.groups(config, stage.learning_rate * share), strict=True):

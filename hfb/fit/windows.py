@@ -27,12 +27,10 @@ from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.shapes import Array, Bool, Float, Tensor
 
-_AT_ONCE = {"cuda": 32, "warp": 2}
-
 
 def windows_at_once(config: FitConfig) -> int:
-    """How many windows are one problem (`fit_all`): a device would be idle with one. "warp" is for tests."""
-    return _AT_ONCE.get(config.rasterizer, 1)
+    """How many windows are one problem (`fit_all`): a device would be idle with one."""
+    return config.at_once if config.rasterizer in ("cuda", "warp") else 1
 
 
 @dataclass(frozen=True)

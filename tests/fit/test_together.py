@@ -8,6 +8,7 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, Weights, preset
+from hfb.errors import InputError
 from hfb.fit.clip_person import ClipPerson
 from hfb.fit.loop import FitResult, Problem, fit_all
 from hfb.fit.variables import Variables, start_variables
@@ -186,9 +187,25 @@ def test_a_broken_loss_is_named(device: str) -> None:
         fits(device, SHORT.model_copy(update={"settle": 0}), scenes(1), prior=Broken())
 
 
+def test_what_cannot_be_one_problem_is_said() -> None:
+    with pytest.raises(ValueError, match=r"several kinds .*\(1, .*\(2, "):
+        fits("warp", SHORT, [*scenes(1, count=1), *scenes(2, count=1)])
+
+
+def test_a_device_without_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As torch says it, where the kernels' memory is asked for."""
+
+    def full(*_: object, **__: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
+
+    monkeypatch.setattr(WarpRasterizer, "render_pictures", full)
+    with pytest.raises(InputError, match=r"too small for 3 fits at once: give a smaller --fit\.at-once"):
+        fits("warp", SHORT, scenes(1))
+
+
 def test_windows_together_are_the_windows_alone() -> None:
     body, person = load_default_body(), ClipPerson(torch.zeros(10), torch.full((8, 8, 3), 0.4))
-    config = SHORT.model_copy(update={"rasterizer": "warp", "texture_px": 8})
+    config = SHORT.model_copy(update={"rasterizer": "warp", "texture_px": 8, "at_once": 2})
     several = [
         WindowScene(ClipWindow(tuple(range(at, at + len(scene.middle))), 0), scene.observation, scene.middle, person)
         for at, scene in zip((0, 2, 4, 6), [*scenes(2), *scenes(1, count=1)], strict=True)
