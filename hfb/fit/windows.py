@@ -17,7 +17,6 @@ from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
 from hfb.fit.clip_person import ClipPerson, as_person
-from hfb.fit.descent import Progress
 from hfb.fit.loop import FitResult, Problem, fit_all
 from hfb.initialize.first_body import FirstBody
 from hfb.media.array_files import read_arrays
@@ -119,31 +118,14 @@ def person_config(config: RunConfig) -> FitConfig:
     return config.fit.model_copy(update={"directions": config.fit.directions.model_copy(update={"search": False})})
 
 
-def fit_window(
-    window: ClipWindow,
-    observation: Observation,
-    first_bodies: Sequence[FirstBody],
-    body: Body,
-    config: FitConfig,
-    seed: int,
-    pose_prior: PosePrior,
-    person: ClipPerson | None = None,
-    motion_prior: MotionPrior | None = None,
-    on_progress: Progress | None = None,
-) -> WindowFit:
-    """Fit one window.
+@dataclass(frozen=True)
+class WindowScene:
+    """A window and what its fit sees.
 
-    Args:
+    Attributes:
         observation, first_bodies: of the window's frames alone.
         person: shape and texture to hold fixed; both are found where it is not given.
     """
-    scene = WindowScene(window, observation, first_bodies, person)
-    return fit_windows([scene], body, config, seed, pose_prior, motion_prior, on_progress)[0]
-
-
-@dataclass(frozen=True)
-class WindowScene:
-    """A window and what its fit sees; see `fit_window`."""
 
     window: ClipWindow
     observation: Observation
@@ -158,7 +140,6 @@ def fit_windows(
     seed: int,
     pose_prior: PosePrior,
     motion_prior: MotionPrior | None = None,
-    on_progress: Progress | None = None,
 ) -> list[WindowFit]:
     """Fit several windows of one clip: at once on a device (see `fit_all`), in turn otherwise.
 
@@ -171,7 +152,7 @@ def fit_windows(
         for at in range(0, len(alike), room):
             some = alike[at : at + room]
             problems = [_problem(scenes[place], body) for place in some]
-            results = fit_all(problems, body, config, seed, pose_prior, on_progress, motion_prior, room)
+            results = fit_all(problems, body, config, seed, pose_prior, None, motion_prior, room)
             found |= {
                 place: _window_fit(scenes[place], result, config)
                 for place, result in zip(some, results, strict=True)

@@ -17,7 +17,8 @@ from hfb.fit.person import agree_on_person
 from hfb.fit.windows import (
     ClipWindow,
     WindowFit,
-    fit_window,
+    WindowScene,
+    fit_windows,
     load_window,
     person_config,
     person_windows,
@@ -92,7 +93,8 @@ def known_fit() -> tuple[list[FirstBody], ClipPerson, WindowFit]:
     scene = moving_scene(BODY, size_px=48, frames=2, instants=5)
     person = ClipPerson(torch.full((10,), 0.3), torch.full((16, 16, 3), 0.4))
     aside = [replace(one, translation=one.translation + torch.tensor([0.06, 0.0, 0.0])) for one in scene.middle]
-    found = fit_window(ClipWindow((4, 5), 1), scene.observation, aside, BODY, QUICK, 0, AnatomicalPrior(), person)
+    seen = WindowScene(ClipWindow((4, 5), 1), scene.observation, aside, person)
+    (found,) = fit_windows([seen], BODY, QUICK, 0, AnatomicalPrior())
     return scene.middle, person, found
 
 
