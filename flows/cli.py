@@ -15,6 +15,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 _DONE, _FAILED, _UNUSABLE, _INTERRUPTED, _NOBODY_READS = 0, 1, 2, 130, 141
 
 _told_to_end: list[int] = []  # the exit code of a signal that came
+_ENDS_WITHIN_S = 60.0
+_last_resorts: list[threading.Timer] = []
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -40,6 +43,9 @@ def main(arguments: list[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in words
     signal.signal(signal.SIGTERM, _end_orderly)
+    at_interrupt = signal.getsignal(signal.SIGINT)
+    if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         given = _parsed(words)
         code = given.run(given) or _DONE
@@ -62,6 +68,11 @@ def main(arguments: list[str] | None = None) -> int:
         if _told_to_end:  # a library that was interrupted may turn the end into a failure of its own
             return _told_to_end[0]
         return _complain(_unexpected(error), as_json, _FAILED)
+    finally:
+        if at_interrupt is signal.default_int_handler:
+            signal.signal(signal.SIGINT, at_interrupt)
+        while _last_resorts:
+            _last_resorts.pop().cancel()
 
 
 def _parsed(words: list[str]) -> argparse.Namespace:
@@ -293,7 +304,30 @@ def _unexpected(error: Exception) -> str:
 
 def _end_orderly(signum: int, _frame: object) -> NoReturn:
     _told_to_end.append(128 + signum)
+    _end_at_last(_told_to_end[0])
     raise SystemExit(_told_to_end[0])
+
+
+def _interrupt(_signum: int, _frame: object) -> NoReturn:
+    _end_at_last(_INTERRUPTED)
+    raise KeyboardInterrupt
+
+
+def _end_at_last(code: int) -> None:
+    """End the process by and by, whatever it waits for.
+
+    A signal that comes while a library takes a lock leaves it taken; tidying up, as Prefect does through the same
+    connection, then waits for it for ever.
+    """
+
+    def end() -> None:
+        print("hfb: it was told to end and did not in a minute; the same command goes on from here", file=sys.stderr)
+        os._exit(code)
+
+    last_resort = threading.Timer(_ENDS_WITHIN_S, end)
+    last_resort.daemon = True
+    last_resort.start()
+    _last_resorts.append(last_resort)
 
 
 if __name__ == "__main__":

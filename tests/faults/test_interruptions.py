@@ -77,6 +77,40 @@ def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path
     assert not (tmp_path / "out" / "result.json").exists()
 
 
+STUCK = """
+import argparse, sys, threading
+from flows import cli
+
+def stuck(given):
+    lock = threading.Lock()
+    lock.acquire()
+    while True:
+        try:
+            print("waits", file=sys.stderr, flush=True)
+            lock.acquire()
+        except BaseException:
+            pass
+
+cli._ENDS_WITHIN_S = 0.5
+cli._parsed = lambda words: argparse.Namespace(run=stuck)
+sys.exit(cli.main([]))
+"""
+
+
+@pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "TERM"])
+def test_a_command_that_cannot_end_is_ended(sent: int, code: int) -> None:
+    """A library's lock, taken when the signal came, is waited for by whoever tidies up."""
+    victim = subprocess.Popen(
+        [sys.executable, "-c", STUCK], stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert victim.stderr.readline() == "waits\n"
+    victim.send_signal(sent)
+    _, shown = victim.communicate(timeout=60)
+    assert victim.returncode == code
+    assert "did not in a minute" in shown
+
+
 def test_the_temporary_server_ends_with_a_killed_process(tmp_path: Path) -> None:
     environment = {**os.environ, "PREFECT_HOME": str(tmp_path / "prefect"), "XDG_STATE_HOME": str(tmp_path)}
     environment.pop("PREFECT_API_URL", None)

@@ -6,7 +6,7 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, Weights
-from hfb.fit import loop
+from hfb.fit import descent
 from hfb.fit.loop import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
@@ -58,7 +58,7 @@ def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a
     assert first_change(coarse, stage, stage) == 3
     assert first_change(stage, stage) == 3
     assert first_change(stage) is None
-    looks = Mock(side_effect=loop.beside_the_fit)  # the real one, counted
-    monkeypatch.setattr(loop, "beside_the_fit", looks)
+    looks = Mock(side_effect=descent.beside_the_fit)  # the real one, counted
+    monkeypatch.setattr(descent, "beside_the_fit", looks)
     losses(0.75, coarse, stage, stage, stage)
     assert looks.call_count == 3

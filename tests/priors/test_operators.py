@@ -35,7 +35,7 @@ def test_values_and_gradients_are_the_readable_ones(kind: str) -> None:
 def test_half_a_turn_of_swing_stays_finite() -> None:
     """Where twist is undefined."""
     leaf = torch.zeros(1, 23, 3)
-    for joint, (twist, *_) in enumerate(_tables(torch.float32).order.tolist()):
+    for joint, (twist, *_) in enumerate(_tables(torch.float32, torch.device("cpu")).order.tolist()):
         leaf[0, joint, (twist + 1) % 3] = torch.pi
     leaf.requires_grad_()
     PRIOR(leaf).sum().backward()
