@@ -37,6 +37,7 @@ from tasks import progress, repetition
 from tasks.handles import StaleFile, digest, files_in, unchanged
 from tasks.parcels import Kept, Parcel
 from tasks.structured_log import about, ids_of
+from tasks.workers import Stopped
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -170,6 +171,8 @@ def _made_ahead(function: Callable[..., R], at_once: AtOnce, calls: Sequence[tup
     try:
         with unchanged(fresh):
             return {id(call): result for call, result in zip(fresh, at_once.make(fresh), strict=True)}
+    except Stopped:
+        raise
     except Exception as error:
         _log.warning("%s: one by one, since together: %s", function.__name__, error)
         return {}

@@ -20,9 +20,7 @@ from hfb.shapes import Float, Int, Shaped, Tensor
 BetasSpace = Literal["smpl", "hfb"]
 
 _PARENTS = torch.tensor(PARENTS, dtype=torch.int32)
-_BONE_ENDS = tuple(
-    end for ends in zip(*BONES, strict=True) for end in ends
-)  # the parents of all bones, then the children
+_BONE_ENDS = tuple(parent for parent, _ in BONES) + tuple(child for _, child in BONES)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import torch
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
 from hfb.fit.comparison import beside_the_fit
-from hfb.fit.variables import Variables
+from hfb.fit.variables import Variables, falling
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.objective import Objective
 from hfb.observation import Observation
@@ -84,7 +84,7 @@ def _iterations(
 ) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
     """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
     for iteration in range(stage.iterations):
-        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2 if stage.cosine else 1.0
+        share = falling(iteration, stage.iterations) if stage.cosine else 1.0
         for group, now in zip(
             optimizer.param_groups, variables.groups(config, stage.learning_rate * share), strict=True
         ):

@@ -1,13 +1,12 @@
 """Before any picture is drawn: move the skeleton to where the joint network saw the joints."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
 
 from hfb.config import FitConfig, Weights
-from hfb.fit.variables import Variables
+from hfb.fit.variables import Variables, falling
 from hfb.objective import Objective
 from hfb.shapes import Float, Tensor
 
@@ -55,7 +54,7 @@ def settle_by(
     groups = [{"params": list(moving), "lr": _RATE}, {"params": [betas], "lr": _RATE * _SHAPE_RATE}]
     optimizer = torch.optim.Adam(groups, eps=config.adam_epsilon, fused=True)
     for iteration in range(config.settle):
-        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / config.settle)) / 2
+        share = falling(iteration, config.settle)
         optimizer.param_groups[0]["lr"], optimizer.param_groups[1]["lr"] = _RATE * share, _RATE * _SHAPE_RATE * share
         optimizer.zero_grad()
         loss().backward()

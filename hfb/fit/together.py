@@ -22,7 +22,7 @@ from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
 from hfb.fit.descent import GAIN, Descent, Progress, told_after, visible_at
 from hfb.fit.settle import settle_by, settling
-from hfb.fit.variables import Variables, parameter_groups
+from hfb.fit.variables import Variables, falling, parameter_groups
 from hfb.formulas import readable_formulas
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.regularizers import background_loss
@@ -380,7 +380,7 @@ def _stage(
     best_loss = told = torch.full_like(leaves.betas[:, 0].detach(), math.inf)
     best_at, waited, length = (torch.zeros_like(best_loss, dtype=torch.long) for _ in range(3))
     for iteration in range(stage.iterations):
-        share = 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / stage.iterations)) / 2 if stage.cosine else 1.0
+        share = falling(iteration, stage.iterations) if stage.cosine else 1.0
         for one, now in zip(optimizer.param_groups, leaves.groups(config, stage.learning_rate * share), strict=True):
             one["lr"] = now["lr"]
         optimizer.zero_grad()

@@ -1,5 +1,6 @@
 """What is free in a fit, and where it starts."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -77,6 +78,11 @@ class Variables:
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
         return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone(), self.reference)
+
+
+def falling(iteration: int, iterations: int) -> float:
+    """Share of the learning rate: from 1 along a half cosine to a twentieth."""
+    return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
 
 def parameter_groups(

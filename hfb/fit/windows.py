@@ -147,8 +147,8 @@ def fit_windows(
     """
     room = windows_at_once(config)
     found: dict[int, WindowFit] = {}
-    for frames, known in sorted({_kind(one) for one in scenes}):
-        alike = [place for place, one in enumerate(scenes) if _kind(one) == (frames, known)]
+    for kind in sorted({_kind(one) for one in scenes}):
+        alike = [place for place, one in enumerate(scenes) if _kind(one) == kind]
         for at in range(0, len(alike), room):
             some = alike[at : at + room]
             problems = [_problem(scenes[place], body) for place in some]
@@ -160,9 +160,10 @@ def fit_windows(
     return [found[place] for place in range(len(scenes))]
 
 
-def _kind(scene: WindowScene) -> tuple[int, bool]:
+def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
     """Windows of one kind can be one problem."""
-    return len(scene.window.frames), scene.person is not None
+    seen = scene.observation
+    return len(scene.window.frames), scene.person is not None, seen.exposure_s, seen.interval_s
 
 
 def _problem(scene: WindowScene, body: Body) -> Problem:

@@ -206,12 +206,16 @@ def test_a_device_without_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_windows_together_are_the_windows_alone() -> None:
     body, person = load_default_body(), ClipPerson(torch.zeros(10), torch.full((8, 8, 3), 0.4))
     config = SHORT.model_copy(update={"rasterizer": "warp", "texture_px": 8, "at_once": 2})
+    slower = [
+        dataclasses.replace(one, observation=dataclasses.replace(one.observation, interval_s=0.04))
+        for one in scenes(1, count=1)
+    ]
     several = [
         WindowScene(ClipWindow(tuple(range(at, at + len(scene.middle))), 0), scene.observation, scene.middle, person)
-        for at, scene in zip((0, 2, 4, 6), [*scenes(2), *scenes(1, count=1)], strict=True)
+        for at, scene in zip((0, 2, 4, 6, 7), [*scenes(2), *scenes(1, count=1), *slower], strict=True)
     ]
     together = fit_windows(several, body, config, 0, AnatomicalPrior())
-    assert [one.frames for one in together] == [(0, 1), (2, 3), (4, 5), (6,)]
+    assert [one.frames for one in together] == [(0, 1), (2, 3), (4, 5), (6,), (7,)]
     for scene, found in zip(several, together, strict=True):
         (alone,) = fit_windows([scene], body, config, 0, AnatomicalPrior())
         assert found.history["total"] == pytest.approx(alone.history["total"], rel=1e-4)
