@@ -176,9 +176,13 @@ class Objective:
 
     def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
         """The weighted sum of the terms."""
-        return torch.stack([getattr(self.weights, name) * value for name, value in terms.items()]).sum(0)
+        values = torch.stack(tuple(terms.values()))
+        weights = constant(tuple(getattr(self.weights, name) for name in terms), values.dtype, values.device)
+        return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
 
 
 def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
     """Every term's mean over the frames."""
+    if len(per_frame) == 1:
+        return per_frame[0]
     return {name: torch.stack([one[name] for one in per_frame]).mean() for name in per_frame[0]}

@@ -3,10 +3,9 @@
 The readable formulas they are tested against are in `hfb.body.skinning`.
 """
 
-import torch
-
 from hfb.body import kernels_blend, kernels_skinning
 from hfb.shapes import Array, Tensor
+from hfb.torch_operator import operator
 from hfb.vector_code import LANES
 
 
@@ -14,7 +13,7 @@ def _arrays(*tensors: Tensor) -> list[Array]:
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
-@torch.library.custom_op("hfb::place_joints", mutates_args=())
+@operator("hfb::place_joints")
 def place_joints(
     rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -36,7 +35,7 @@ def _(rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Ten
     return rotations.new_empty(*count, 3, 4), rotations.new_empty(*count, 3)
 
 
-@torch.library.custom_op("hfb::place_joints_gradient", mutates_args=())
+@operator("hfb::place_joints_gradient")
 def place_joints_gradient(
     rotations: Tensor, rest_joints: Tensor, parents: Tensor, transforms: Tensor, of_transforms: Tensor,
     of_joints: Tensor,
@@ -67,10 +66,10 @@ def _chain_backward(ctx, of_transforms, of_joints):  # type: ignore[no-untyped-d
     return *place_joints_gradient(*ctx.saved_tensors, of_transforms, of_joints), None
 
 
-place_joints.register_autograd(_chain_backward, setup_context=_keep_chain)
+place_joints.register_autograd(_chain_backward, _keep_chain)
 
 
-@torch.library.custom_op("hfb::skin", mutates_args=())
+@operator("hfb::skin")
 def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
     """Vertices (S, V, 3) [m] of the rest body turned by the transforms of the joints that hold them.
 
@@ -88,7 +87,7 @@ def _(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights:
     return rest.new_empty(transforms.shape[0], *rest.shape)
 
 
-@torch.library.custom_op("hfb::skin_gradient", mutates_args=())
+@operator("hfb::skin_gradient")
 def skin_gradient(
     transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
 ) -> tuple[Tensor, Tensor]:
@@ -117,7 +116,7 @@ def _skin_backward(ctx, given):  # type: ignore[no-untyped-def]
     return of_transforms, of_rest if wants_rest else None, None, None, None
 
 
-skin.register_autograd(_skin_backward, setup_context=_keep_skin)
+skin.register_autograd(_skin_backward, _keep_skin)
 
 
 def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
@@ -125,7 +124,7 @@ def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
     return -(-transforms.shape[0] // LANES), rest.shape[0], 3 * LANES
 
 
-@torch.library.custom_op("hfb::blend_and_skin", mutates_args=())
+@operator("hfb::blend_and_skin")
 def blend_and_skin(
     transforms: Tensor, rotations: Tensor, rest: Tensor, directions: Tensor, steps: Tensor, starts: Tensor,
     joints: Tensor, weights: Tensor,
@@ -151,7 +150,7 @@ def _(
     return rest.new_empty(transforms.shape[0], *rest.shape), rest.new_empty(_kept(transforms, rest))
 
 
-@torch.library.custom_op("hfb::blend_and_skin_gradient", mutates_args=())
+@operator("hfb::blend_and_skin_gradient")
 def blend_and_skin_gradient(
     transforms: Tensor, directions: Tensor, steps: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
     points: Tensor, given: Tensor,
@@ -184,4 +183,4 @@ def _blend_backward(ctx, given, _):  # type: ignore[no-untyped-def]
     return *blend_and_skin_gradient(*ctx.saved_tensors, given), None, None, None, None, None
 
 
-blend_and_skin.register_autograd(_blend_backward, setup_context=_keep_blend)
+blend_and_skin.register_autograd(_blend_backward, _keep_blend)

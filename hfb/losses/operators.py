@@ -9,6 +9,7 @@ from hfb.formulas import compiled
 from hfb.losses import kernels_pictures as kernels
 from hfb.losses.scales import image_over_scales, matte_over_scales
 from hfb.shapes import Array, Float, Tensor
+from hfb.torch_operator import operator
 
 
 def _pixels(picture: Tensor) -> Array:
@@ -17,7 +18,7 @@ def _pixels(picture: Tensor) -> Array:
     return (flat if flat.ndim == 2 else flat[:, None]).numpy()
 
 
-@torch.library.custom_op("hfb::compare_pictures", mutates_args=())
+@operator("hfb::compare_pictures")
 def _compare(
     mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor, image_scales: int, matte_scales: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
@@ -60,7 +61,7 @@ def _(
     return mean.new_empty(()), mean.new_empty(()), of_image, of_matte, mean.new_empty(3, dtype=torch.float64)
 
 
-@torch.library.custom_op("hfb::compare_pictures_gradient", mutates_args=())
+@operator("hfb::compare_pictures_gradient")
 def _gradient(
     by_image: Tensor, by_matte: Tensor, mean: Tensor, plate: Tensor, frame: Tensor, matte: Tensor,
     of_image: Tensor, of_matte: Tensor, slopes: Tensor, image_scales: int,
@@ -93,7 +94,7 @@ def _backward(ctx, by_image, by_matte, *_):  # type: ignore[no-untyped-def]
     return gradient, None, None, None, None, None
 
 
-_compare.register_autograd(_backward, setup_context=_keep)
+_compare.register_autograd(_backward, _keep)
 
 
 def compare_pictures(

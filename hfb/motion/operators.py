@@ -1,13 +1,12 @@
 """Quaternion polynomials and logarithms as torch operators, so that autograd, torch.compile and export see them."""
 
-import torch
-
 from hfb.motion import kernels_curve as kernels
 from hfb.motion import kernels_rotation
 from hfb.shapes import Tensor
+from hfb.torch_operator import operator
 
 
-@torch.library.custom_op("hfb::turn", mutates_args=())
+@operator("hfb::turn")
 def turn(coefficients: Tensor, powers: Tensor) -> Tensor:
     """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials.
 
@@ -24,7 +23,7 @@ def _(coefficients: Tensor, powers: Tensor) -> Tensor:
     return coefficients.new_empty(coefficients.shape[0], powers.shape[0], coefficients.shape[2], 3, 3)
 
 
-@torch.library.custom_op("hfb::turn_gradient", mutates_args=())
+@operator("hfb::turn_gradient")
 def turn_gradient(coefficients: Tensor, powers: Tensor, given: Tensor) -> Tensor:
     """Gradient of the coefficients."""
     gradient = coefficients.new_zeros(coefficients.shape)
@@ -46,10 +45,10 @@ def _backward(ctx, given):  # type: ignore[no-untyped-def]
     return turn_gradient(*ctx.saved_tensors, given), None
 
 
-turn.register_autograd(_backward, setup_context=_keep)
+turn.register_autograd(_backward, _keep)
 
 
-@torch.library.custom_op("hfb::rotation_vectors", mutates_args=())
+@operator("hfb::rotation_vectors")
 def rotation_vectors(matrices: Tensor) -> Tensor:
     """Axis times angle (n, 3), the angle in [0, pi], of rotation matrices (n, 3, 3).
 
@@ -65,7 +64,7 @@ def _(matrices: Tensor) -> Tensor:
     return matrices.new_empty(matrices.shape[0], 3)
 
 
-@torch.library.custom_op("hfb::rotation_vectors_gradient", mutates_args=())
+@operator("hfb::rotation_vectors_gradient")
 def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
     """Gradient of the matrices."""
     gradient = matrices.new_empty(matrices.shape)
@@ -87,4 +86,4 @@ def _logarithm_backward(ctx, given):  # type: ignore[no-untyped-def]
     return rotation_vectors_gradient(*ctx.saved_tensors, given)
 
 
-rotation_vectors.register_autograd(_logarithm_backward, setup_context=_keep_logarithm)
+rotation_vectors.register_autograd(_logarithm_backward, _keep_logarithm)

@@ -1,12 +1,11 @@
 """The anatomical prior as a torch operator, so that autograd, torch.compile and export see it."""
 
-import torch
-
 from hfb.priors import kernels_anatomy as kernels
 from hfb.shapes import Tensor
+from hfb.torch_operator import operator
 
 
-@torch.library.custom_op("hfb::anatomy", mutates_args=())
+@operator("hfb::anatomy")
 def anatomy(poses: Tensor, order: Tensor, tables: Tensor, softness: float) -> tuple[Tensor, Tensor]:
     """`hfb.priors.anatomy.AnatomicalPrior` of poses (S, 23, 3) [rad]: values (S), and their gradient for the way back.
 
@@ -34,4 +33,4 @@ def _backward(ctx, given, _):  # type: ignore[no-untyped-def]
     return given[:, None, None] * gradient, None, None, None
 
 
-anatomy.register_autograd(_backward, setup_context=_keep)
+anatomy.register_autograd(_backward, _keep)

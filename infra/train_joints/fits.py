@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from bank import Rows, parser_of, split
 from people import draw_amplitude
-from pictures import LEAST_PX, Sample, Shot, Studio, as_file, until_found
+from pictures import LEAST_PX, Sample, Shot, Studio, as_file, matte_of, until_found
 
 from hfb.body.height import height_m
 from hfb.config import FitConfig, Stage, preset
@@ -19,7 +19,6 @@ from hfb.fit.loop import fit
 from hfb.fit.variables import Variables
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import Window, picture_channels
-from hfb.matting.matting import clean
 from hfb.observation import Observation
 from hfb.priors.load import load_pose_prior
 from hfb.rotations import axis_angle_to_matrix
@@ -54,8 +53,9 @@ class Gym(Studio):
         plate = as_file(shot.plate, noise / 2, rng)
         frames, mattes = [], []
         for first, last in exposures:
-            frames.append(as_file(self._exposed(shot, slice(first, last + 1)), noise, rng))
-            mattes.append(clean(self.matting.look(frames[-1], plate * gain)))
+            picture, alpha = self._exposed(shot, slice(first, last + 1))
+            frames.append(as_file(picture, noise, rng))
+            mattes.append(matte_of(frames[-1], plate * gain, alpha, rng))
             if mattes[-1].sum() < LEAST_PX:
                 return None
         (first, last), opens = exposures[0], exposures[-1][0]

@@ -49,7 +49,8 @@ class Skeletons(People):
         people = [self._person(rng) for rng in rngs]
         poses, turns = (np.concatenate([getattr(person, name) for person in people]) for name in ("poses", "turns"))
         amplitudes = np.repeat([person.amplitude for person in people], 2)
-        stills = self.stills(poses, turns, amplitudes).unflatten(0, (-1, 2))  # at once: far faster than one by one
+        erring = self.erring(poses, turns, amplitudes)  # at once: far faster than one by one
+        stills = self.stills(erring).unflatten(0, (-1, 2))
         drawn = [
             self._exposed(person.joints[list(exposure)], still, person.camera, person.rng)
             for person, guesses in zip(people, stills, strict=True)

@@ -11,7 +11,7 @@ from hfb.body.skeleton import MIRROR
 from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.datasets.motions.sources import open_motions
-from hfb.datasets.network_errors import draw_turns, pose_errors
+from hfb.datasets.network_errors import pose_errors
 from hfb.datasets.viewpoints import View, draw_view
 from hfb.initialize.joint_network import Window
 from hfb.priors.anatomy import AnatomicalPrior
@@ -68,22 +68,25 @@ class People:
         return view
 
     def _starts(
-        self, poses: np.ndarray, truth: np.ndarray, window: Window, joints: torch.Tensor, rng: np.random.Generator
+        self,
+        erring: torch.Tensor,
+        at: np.ndarray,
+        truth: np.ndarray,
+        window: Window,
+        joints: torch.Tensor,
+        rng: np.random.Generator,
     ) -> np.ndarray:
-        """What static estimators would say of some moments of one exposure."""
-        at = np.clip(np.round(rng.normal(0.5, 0.2, STARTS) * (INSTANTS - 1)), 0, INSTANTS - 1).astype(int)
-        stills = self.stills(poses[at], draw_turns(STARTS, rng), np.full(STARTS, draw_amplitude(rng)))
+        """Joints in the window of what static estimators would say of some moments of one exposure."""
         return np.stack(
             [
                 self._placed(still, float(joints[row, 0, 2]), truth[1], window, rng)
-                for row, still in zip(at, stills, strict=True)
+                for row, still in zip(at, self.stills(erring), strict=True)
             ]
         )
 
-    def stills(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
-        """Joints (S, 24, 3) from the pelvis, as networks say them: bones turned, the mean body."""
-        erring = self.erring(poses, turns, amplitudes)
-        stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(len(poses), 3))
+    def stills(self, erring: torch.Tensor) -> torch.Tensor:
+        """Joints (S, 24, 3) from the pelvis, of the mean body."""
+        stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(len(erring), 3))
         return stills - stills[:, :1]
 
     def erring(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
@@ -101,6 +104,11 @@ class People:
         wander = rng.uniform(0, 1) ** 2 * 0.3
         start[:, :2] += (truth - start)[:, :2].mean(0) + rng.normal(0, wander, 2) * (1, 0.5)
         return start.astype(np.float32)
+
+
+def draw_moments(rng: np.random.Generator) -> np.ndarray:
+    """Which instants of an exposure static estimators believe to see."""
+    return np.clip(np.round(rng.normal(0.5, 0.2, STARTS) * (INSTANTS - 1)), 0, INSTANTS - 1).astype(int)
 
 
 def draw_amplitude(rng: np.random.Generator) -> float:

@@ -1,10 +1,15 @@
 """Train the joint network: `python train.py --bank b1 b2 --dev dev --out run --iterations 6000`."""
 
+from __future__ import annotations
+
 import argparse
 import copy
+import itertools
 import json
 import math
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import cv2
@@ -13,6 +18,7 @@ import torch
 from measure import as_large, measure
 from muon import Muon
 from safetensors.torch import load_file
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.body.skeleton import MIRROR
 from hfb.initialize.joint_network import PICTURE_PX, SMALL, WIDE, JointClaim, JointNetwork
@@ -25,7 +31,7 @@ _APART = 2.0
 """What the difference of two views weighs beside each of them."""
 _LAST = ("name", "move", "say", "turn", "stature")
 """What Muon leaves to AdamW."""
-_CHECKPOINT_S = 240
+_CHECKPOINT_S, _READ_AGAIN = 240, 200
 _AVERAGE = 0.998
 _MOVED, _ROLL_DEG, _ZOOM, _SHIFT = 0.8, 9.0, 0.08, 0.04
 _LEANING, _LEAN_DEG = 0.3, 14.0
@@ -167,6 +173,51 @@ def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.nd
     return starts.astype(np.float32)
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Pictures (N, V, C, H, W) with starts (N, 24, 3), truths (N, V, 3, 24, 3), heights (N, V) [m]; of V views each."""
+
+    pictures: torch.Tensor
+    starts: torch.Tensor
+    truth: torch.Tensor
+    height_m: torch.Tensor
+
+    def on(self, device: str) -> Batch:
+        """The same in a device's memory."""
+        return Batch(*(getattr(self, one.name).to(device) for one in fields(self)))
+
+
+class Batches(IterableDataset):
+    """Lists of one or two batches for an iteration each, of plain pictures and of pictures beside others, for ever."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+
+    def __iter__(self) -> Iterator[list[Batch]]:
+        """A function of the options and of what is drawn by then."""
+        options, worker = self.options, get_worker_info()
+        if worker is not None:
+            cv2.setNumThreads(1)
+            torch.set_num_threads(1)
+        rng = np.random.default_rng(options.seed if worker is None else [options.seed, worker.id])
+        banks = [Bank(folders) if folders else None for folders in (options.bank, options.fits)]
+        share = options.fits_share if banks[0] else 1.0
+        beside = round(share * options.batch / 2) if banks[1] else 0
+        for number in itertools.count(1):
+            batches = []
+            for bank, count, last in zip(banks, (options.batch - 2 * beside, beside), (options.last, 0.0), strict=True):
+                if bank is None or count == 0:
+                    continue
+                chosen = bank.draw(rng, count, last)
+                heights = torch.from_numpy(bank.height_m[chosen]).view(count, -1)
+                batches.append(Batch(*augmented(bank, chosen, rng), heights))
+            yield batches
+            if number % _READ_AGAIN == 0:
+                for bank in banks:
+                    if bank is not None:
+                        bank.read()
+
+
 def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor, views: int) -> torch.Tensor:
     """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign, the height.
 
@@ -216,7 +267,7 @@ def _weights(path: Path) -> dict[str, torch.Tensor]:
 def main() -> None:
     """A cosine over the iterations, averaged weights; at times a checkpoint, figures and newer pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bank", type=Path, nargs="+", required=True)
+    parser.add_argument("--bank", type=Path, nargs="*", default=[], help="of bank.py")
     parser.add_argument("--dev", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--iterations", type=int, default=6000)
@@ -225,9 +276,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1.5e-3)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--last", type=float, default=0.0, help="share of every batch that the last bank gets at least")
-    parser.add_argument("--fits", type=Path, nargs="*", default=[], help="of fits.py: learn to compare")
+    parser.add_argument("--fits", type=Path, nargs="*", default=[], help="of fits.py or doubles.py: to compare")
     parser.add_argument("--fits-share", type=float, default=0.6, help="of the pictures of every batch")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--loaders", type=int, default=0, help="processes that change pictures; a GPU needs several")
     parser.add_argument(
         "--bfloat16", action="store_true", help="on processors that compute in it; on others far slower"
     )
@@ -236,35 +289,31 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
-    rng = np.random.default_rng(options.seed)
     network = JointNetwork(SMALL if options.small else WIDE)
     if options.go_on is not None:
         network.load_state_dict(_weights(options.go_on), strict=False)  # layers that are new add nothing at first
-    network = network.to(memory_format=torch.channels_last)
+    network = network.to(options.device, memory_format=torch.channels_last)
     average = copy.deepcopy(network)
     optimizer = Muon(network, options.rate, 0.05, _LAST)
-    bank, dev = Bank(options.bank), Bank([options.dev])
-    fits = Bank(options.fits) if options.fits else None
+    dev = Bank([options.dev])
     options.out.mkdir(parents=True, exist_ok=True)
+    ahead = 4 if options.loaders else None
+    loader = iter(DataLoader(Batches(options), batch_size=None, num_workers=options.loaders, prefetch_factor=ahead))
     began, last, iteration, running = time.monotonic(), 0.0, 0, 0.0
     while iteration < options.iterations and (time.monotonic() - began) / 60 < options.minutes:
         spent = time.monotonic() - began
         progress = min(1.0, max(iteration / options.iterations, spent / 60 / options.minutes))
         rate = options.rate * min(1, (iteration + 1) / 300) * (0.01 + 0.99 * (1 + math.cos(math.pi * progress)) / 2)
         network.train()
-        ours = round(options.fits_share * options.batch / 2) if fits else 0
-        loss = torch.zeros(())
-        for source, count in ((bank, options.batch - 2 * ours), (fits, ours)):
-            if source is None or count == 0:
-                continue
-            chosen = source.draw(rng, count, options.last if source is bank else 0.0)
-            pictures, starts, truth = augmented(source, chosen, rng)
-            views = pictures.shape[1]
-            pictures = pictures.flatten(0, 1).contiguous(memory_format=torch.channels_last)
-            with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
-                claim = network(pictures, starts.repeat_interleave(views, 0))
-            heights = torch.from_numpy(source.height_m[chosen]).flatten()
-            loss = loss + count * views / options.batch * loss_of(claim, truth.flatten(0, 1), heights, views)
+        loss = torch.zeros((), device=options.device)
+        for batch in next(loader):
+            seen = batch.on(options.device)
+            views = seen.pictures.shape[1]
+            pictures = seen.pictures.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+            with torch.autocast(options.device, dtype=torch.bfloat16, enabled=options.bfloat16):
+                claim = network(pictures, seen.starts.repeat_interleave(views, 0))
+            part = loss_of(claim, seen.truth.flatten(0, 1), seen.height_m.flatten(), views)
+            loss = loss + len(pictures) / options.batch * part
         network.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -278,14 +327,12 @@ def main() -> None:
         iteration += 1
         if spent - last > _CHECKPOINT_S or iteration == 100:
             last = spent
-            figures = measure(average, dev)
-            facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "bank": len(bank), "loss": running}
+            figures = measure(copy.deepcopy(average).cpu(), dev)
+            facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "loss": running}
             print(json.dumps(facts | figures), flush=True)
-            bank.read()
-            if fits:
-                fits.read()
             torch.save(average.state_dict(), options.out / "average.part")
             (options.out / "average.part").rename(options.out / "average.pt")
+    average = average.cpu()
     torch.save(average.state_dict(), options.out / "average.pt")
     facts = {
         "iterations": iteration,
@@ -294,8 +341,8 @@ def main() -> None:
         "rate": options.rate,
         "seed": options.seed,
         "after": options.go_on and options.go_on.parent.name,
-        "pictures": len(bank),
-        "fits": len(fits) if fits else 0,
+        "pictures": len(Bank(options.bank)) if options.bank else 0,
+        "beside": len(Bank(options.fits)) if options.fits else 0,
         "dev": measure(average, dev),
     }
     (options.out / "training.json").write_text(json.dumps(facts, indent=1) + "\n")

@@ -5,6 +5,7 @@ colour channels: drawing costs more than learning. The same options and seed see
 """
 
 import argparse
+import copy
 import json
 import math
 import time
@@ -22,7 +23,7 @@ from scenes import Difficulty, Scene, draw_scene
 from torch import nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
-from torch.utils.data import DataLoader, IterableDataset
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.network import shipped_network
@@ -49,15 +50,17 @@ class Scenes(IterableDataset):
         self.banks, self.photos, self.size_px, self.seed, self.second = banks, photos, size_px, seed, second
 
     def __iter__(self):
-        """(features and alpha) as (channels + 1, size, size) float16."""
+        """(features and alpha) as (channels + 1, size, size) float16; several processes share the numbers."""
         cv2.setNumThreads(1)
         torch.set_num_threads(1)
+        worker = get_worker_info()
+        first, step = (worker.id, worker.num_workers) if worker else (0, 1)
         figures = [np.load(path, mmap_mode="r") for path in self.banks]
         real = read_photos(self.photos, held_out=False)
         plates = [real, real, make_rooms(ROOMS, self.seed), make_patterns(PATTERNS, self.seed)]
         rules = _CLOSE if self.second else Difficulty()
         rules = replace(rules, size_px=self.size_px)
-        for number in range(1 << 30):
+        for number in range(first, 1 << 30, step):
             rng = np.random.default_rng([self.seed, number])
             scene = draw_scene(figures[rng.integers(len(figures))], plates, rules, rng)
             seen = features(scene.frame, scene.plate)
@@ -138,6 +141,8 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--loaders", type=int, default=1, help="processes that draw; a GPU needs many")
     parser.add_argument("--start", type=Path, help="training state to go on from")
     parser.add_argument("--go-on", type=Path, help="begin with what ships (.safetensors), without normalisation")
     parser.add_argument("--second", action="store_true", help="the network that sees the shipped first one's matte")
@@ -150,7 +155,8 @@ def main() -> None:
     channels = CHANNELS + EVIDENCE_CHANNELS * options.second
     normalisation = () if options.go_on else (nn.BatchNorm2d,)
     network, average = (MatteNetwork(WIDTHS, *normalisation, channels=channels) for _ in range(2))
-    network = network.to(memory_format=torch.channels_last)
+    network = network.to(options.device, memory_format=torch.channels_last)
+    average = average.to(options.device)
     if options.go_on:
         network.load_state_dict({name: weights.float() for name, weights in load_file(options.go_on).items()})
     if options.start:
@@ -159,7 +165,7 @@ def main() -> None:
     optimiser = Muon(network, options.rate, 0.01, ("exit",))
     loader = DataLoader(
         Scenes(options.bank, options.photos, options.size, options.seed, options.second), batch_size=options.fresh,
-        num_workers=1, prefetch_factor=16,
+        num_workers=options.loaders, prefetch_factor=16,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(options.seed)
     remembered: deque[torch.Tensor] = deque(maxlen=_REMEMBERED)
@@ -170,8 +176,9 @@ def main() -> None:
         progress = max(step / options.iterations, elapsed / 60 / options.minutes)
         if time.monotonic() - saved > _EVERY_S or progress >= 1:
             saved = time.monotonic()
-            torch.save(average.state_dict(), options.out / "state.pt")
-            folded = average if options.go_on else fold(average, WIDTHS)
+            there = copy.deepcopy(average).cpu()
+            torch.save(there.state_dict(), options.out / "state.pt")
+            folded = there if options.go_on else fold(there, WIDTHS)
             torch.save(folded.state_dict(), options.out / "folded.pt")
             facts = {"iterations": step, "seconds": elapsed, "loss": smooth, "options": vars(options)}
             (options.out / "training.json").write_text(json.dumps(facts, default=str))
@@ -183,11 +190,11 @@ def main() -> None:
             continue
         chosen = torch.randint(len(remembered), (options.batch - options.fresh,), generator=generator)
         batch = torch.cat([fresh, torch.stack([remembered[int(k)] for k in chosen])])
-        batch = augment(batch, generator).float().contiguous(memory_format=torch.channels_last)
+        batch = augment(batch, generator).to(options.device).float().contiguous(memory_format=torch.channels_last)
         warm = min(1.0, (step + 1) / 100)
         rate = options.rate * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1, progress))))
         network.train()
-        with torch.autocast("cpu", torch.bfloat16, enabled=options.half):
+        with torch.autocast(options.device, torch.bfloat16, enabled=options.half):
             output = network(batch[:, :channels])
         loss = matte_loss(output.float(), batch[:, channels:], options.band_weight)
         network.zero_grad()

@@ -115,13 +115,13 @@ def test_operators_are_well_formed() -> None:
     held = skinning.sparse_weights(torch.softmax(random(5, 24), 1))
     transforms, rotations, rest = random(2, 24, 3, 4), random(2, 24, 3, 3), random(5, 3)
     given = [leaf.requires_grad_() for leaf in (transforms, rotations, rest)]
-    torch.library.opcheck(operators.skin, (transforms, rest, *held), test_utils=CHECKS)
+    torch.library.opcheck(operators.skin.registered, (transforms, rest, *held), test_utils=CHECKS)
     for dtype in (torch.float32, torch.float64):
         leaves = [leaf.detach().to(dtype).requires_grad_() for leaf in given]
         constants = *skinning.rounded(random(5, 3, 207, dtype=dtype)), *held[:2], held[2].to(dtype)
-        torch.library.opcheck(operators.blend_and_skin, (*leaves, *constants), test_utils=CHECKS)
+        torch.library.opcheck(operators.blend_and_skin.registered, (*leaves, *constants), test_utils=CHECKS)
     chain = random(2, 24, 3, 3).requires_grad_(), random(2, 3).requires_grad_(), random(24, 3).requires_grad_()
-    torch.library.opcheck(operators.place_joints, (*chain, CHAIN), test_utils=CHECKS)
+    torch.library.opcheck(operators.place_joints.registered, (*chain, CHAIN), test_utils=CHECKS)
 
 
 def test_lists_of_weights_hold_what_the_table_holds() -> None:

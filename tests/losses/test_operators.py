@@ -57,4 +57,4 @@ def test_the_operator_is_well_formed() -> None:
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
     for scales in ((2, 3), (0, 1), (1, 0)):
         arguments = (mean.clone().requires_grad_(), plate, frame, matte, *scales)
-        torch.library.opcheck(operators._compare, arguments, test_utils=checks)
+        torch.library.opcheck(operators._compare.registered, arguments, test_utils=checks)

@@ -23,7 +23,7 @@ def test_the_operator_is_well_formed() -> None:
     coefficients = torch.randn(1, 3, 24, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     powers = torch.tensor([[1.0, 0.0, 0.0], [1.0, 1.0, 1.0]], dtype=torch.float64)
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
-    torch.library.opcheck(turn, (coefficients.requires_grad_(), powers), test_utils=checks)
+    torch.library.opcheck(turn.registered, (coefficients.requires_grad_(), powers), test_utils=checks)
     assert torch.autograd.gradcheck(
         lambda given: turn(given, powers), (coefficients[:, :, :3].detach().requires_grad_(),)
     )
@@ -50,4 +50,4 @@ def test_logarithms_and_their_gradients_are_the_readable_ones(angle: float) -> N
 def test_the_logarithm_is_well_formed() -> None:
     matrices = axis_angle_to_matrix(torch.tensor([[0.1, 0.2, 0.3], [0.0, 3.0, 0.0]], dtype=torch.float64))
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
-    torch.library.opcheck(rotation_vectors, (matrices.requires_grad_(),), test_utils=checks)
+    torch.library.opcheck(rotation_vectors.registered, (matrices.requires_grad_(),), test_utils=checks)

@@ -1,0 +1,70 @@
+"""Compiled kernels as torch operators, and the short way past torch's dispatcher where nobody but autograd looks.
+
+torch.compile and export see a registered operator. Called by itself one costs some 20 us there and back, beside kernels
+that take as long; a plain autograd function with the same kernels and the same way back costs a quarter of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch.autograd.function import once_differentiable
+
+from hfb.shapes import Tensor
+
+_PLAIN = (torch.Tensor, torch.nn.Parameter)
+
+
+class Operator:
+    """A function of tensors that computes in numpy.
+
+    Attributes:
+        registered: the operator as torch.compile, export and `torch.library.opcheck` take it.
+    """
+
+    def __init__(self, name: str, function: Callable[..., Any]) -> None:
+        self.registered = torch.library.custom_op(name, function, mutates_args=())
+        self._direct = function
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The registered operator where torch traces, with tensors of its own kinds; else the function, past it."""
+        if torch.compiler.is_compiling() or not all(
+            type(one) in _PLAIN for one in arguments if isinstance(one, Tensor)
+        ):
+            return self.registered(*arguments)
+        return self._direct(*arguments)
+
+    def register_fake(self, fake: Callable[..., Any]) -> None:
+        """Shapes and types of the results, for `torch.compile`."""
+        self.registered.register_fake(fake)
+
+    def register_autograd(self, backward: Callable[..., Any], keep: Callable[..., None]) -> None:
+        """The way back.
+
+        Args:
+            backward: (ctx, gradients of the results) to the gradients of the arguments.
+            keep: (ctx, arguments, results), saves what it needs.
+        """
+        self.registered.register_autograd(backward, setup_context=keep)
+        function = self._direct
+
+        class Shortcut(torch.autograd.Function):
+            @staticmethod
+            def forward(ctx: Any, *arguments: Any) -> Any:  # beside `setup_context` it would be inspected at every call
+                results = function(*arguments)
+                keep(ctx, arguments, results)
+                return results
+
+            @staticmethod
+            @once_differentiable
+            def backward(ctx: Any, *gradients: Any) -> Any:
+                return backward(ctx, *gradients)
+
+        self._direct = Shortcut.apply
+
+
+def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
+    """Make an `Operator` of a function; its types are its schema, as `torch.library.custom_op` reads them."""
+    return lambda function: Operator(name, function)
