@@ -162,6 +162,9 @@ class FitConfig(Record):
     )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
+    motion_shared: bool = Field(
+        False, description="divide w_C by the number of frames: where neighbours meet they bound the motion, too"
+    )
     patience: int = Field(
         0, ge=0, description="a stage ends after so many iterations that gain less than a thousandth; 0: never"
     )
@@ -308,6 +311,7 @@ _BEST = FitConfig(
     across=0.2,
     compare=0.75,
     size_moves_away=True,
+    motion_shared=True,
     weights=Weights(
         image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04
     ),

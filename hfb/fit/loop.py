@@ -237,16 +237,19 @@ def _objective(
 ) -> Objective:
     """Eq. (11) in the window around the mattes at its full size; drawn on the processor."""
     first = axis_angle_to_matrix(torch.stack([one.pose for one in first_bodies]).to(observation.mattes))
-    looks = config.settle > 0 or config.weights.joints + config.weights.path + config.weights.height > 0
+    weights = config.weights
+    if config.motion_shared:
+        weights = weights.model_copy(update={"motion": weights.motion / len(first_bodies)})
+    looks = config.settle > 0 or weights.joints + weights.path + weights.height > 0
     return Objective(
         observation.cropped(*observation.region(square=square)),
         body,
         make_rasterizer(config.silhouette, "reference" if config.rasterizer == "reference" else "cpu", config.threads),
         pose_prior,
-        config.weights,
+        weights,
         config.subframes,
         first,
-        _texels(body, config) if config.weights.texture > 0 else None,
+        _texels(body, config) if weights.texture > 0 else None,
         matte_scales=config.matte_scales,
         image_scales=config.image_scales,
         evidence=look_for_joints(observation, first_bodies, body) if looks else None,

@@ -20,7 +20,7 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
     A limb that lies wholly beside its place in the picture has no edge in common with it and is never pulled there by
     images; a body that errs by a metre neither.
     """
-    skeleton, trajectory = settling(objective, config), variables.trajectory
+    skeleton, trajectory = settling(objective), variables.trajectory
 
     def loss() -> Float[Tensor, ""]:
         shaped = objective.body.shape(variables.betas)
@@ -33,9 +33,9 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
     settle_by(loss, [trajectory.rotation, trajectory.translation], variables.betas, config, keep_within)
 
 
-def settling(objective: Objective, config: FitConfig) -> Objective:
+def settling(objective: Objective) -> Objective:
     """The objective with what counts before any picture is drawn."""
-    held = config.weights
+    held = objective.weights
     weights = Weights(
         image=0, matte=0, boundary=held.boundary, joints=_JOINTS, path=_PATH, height=held.height,
         pose=held.pose / 20, shape=held.shape, motion=held.motion / 10, start=held.start / 10,

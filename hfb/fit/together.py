@@ -295,7 +295,7 @@ def settle_together(
 ) -> None:
     """As `hfb.fit.settle.settle`, of all fits at once."""
     leaves = Leaves.of(filled(variables, room), rasterizer.device)
-    settled = [settling(one, config) for one in objectives]
+    settled = [settling(one) for one in objectives]
     group = Together(filled(settled, room), filled(variables, room), rasterizer, draws=False)
 
     def loss() -> Float[Tensor, ""]:

@@ -22,13 +22,14 @@ _DATA = {
     "alone in the first 12,200 pictures), joints bent a little in half of the others; a quarter generated",
     "backgrounds": "Poly Haven HDRI views, Buddies of Budgie backgrounds, scikit-image textures (all CC0); "
     "generated rooms",
-    "mattes": "the shipped matting network's",
+    "mattes": "the first matting network's; from run20 on a third to all of its errors",
     "starts": "drawn by hfb.datasets.network_errors, placed beside the person",
     "while learning": "mirrored, colours exchanged, holes in mattes; from run13 on a quarter turned about the "
     "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); from run14 on "
     "errors across the view weighed above depth, and the path half as much again; from run15 on the height, too; in "
     "run16 and run17 a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %), in run18 on eight in ten "
-    "(9 degrees, 8 %, 4 %); in run19 pictures and what a fit made of them, in seven tenths of every batch",
+    "(9 degrees, 8 %, 4 %); in run19 pictures and what a fit made of them, in seven tenths of every batch; in run20 "
+    "people with doubles alone",
 }
 
 

@@ -62,3 +62,21 @@ def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a
     monkeypatch.setattr(descent, "beside_the_fit", looks)
     losses(0.75, coarse, stage, stage, stage)
     assert looks.call_count == 3
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_frames_share_what_holds_their_motion(frames: int) -> None:
+    """With w_C shared the motion is held by as much as with a part of it for each, while the skeleton settles, too."""
+    body = load_default_body()
+    scene = moving_scene(body, size_px=48, frames=frames)
+
+    def losses(motion: float, shared: bool) -> list[float]:
+        config = FitConfig(
+            stages=(Stage(size_px=48, iterations=3),), subframes=3, texture_px=16, settle=3,
+            weights=Weights(motion=motion), motion_shared=shared,
+        )  # fmt: skip
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    shared = losses(0.5, True)
+    assert shared == losses(0.5 / frames, False)
+    assert (shared == losses(0.5, False)) == (frames == 1)
