@@ -28,8 +28,7 @@ _DATA = {
     "line of sight (10 degrees), three in ten starts leaning as a whole into depth (14 degrees); from run14 on "
     "errors across the view weighed above depth, and the path half as much again; from run15 on the height, too; in "
     "run16 and run17 a half turned (7 degrees), nearer or farther (6 %) and shifted (4 %), in run18 on eight in ten "
-    "(9 degrees, 8 %, 4 %); in run19 pictures and what a fit made of them, in seven tenths of every batch; in run20 "
-    "people with doubles alone",
+    "(9 degrees, 8 %, 4 %); in run19 pictures and what a fit made of them, in seven tenths of every batch",
 }
 
 
