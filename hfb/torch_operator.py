@@ -1,7 +1,7 @@
 """Compiled kernels as torch operators, and the short way past torch's dispatcher where nobody but autograd looks.
 
-torch.compile and export see a registered operator. Called by itself one costs some 20 us there and back, beside kernels
-that take as long; a plain autograd function with the same kernels and the same way back costs a quarter of it.
+torch.compile and export see a registered operator. Called by itself one costs 25 to 33 us more there and back than a
+plain autograd function with the same kernels and the same way back, and some of the kernels take no longer than that.
 """
 
 from __future__ import annotations

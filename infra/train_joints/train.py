@@ -327,10 +327,11 @@ def main() -> None:
         iteration += 1
         if spent - last > _CHECKPOINT_S or iteration == 100:
             last = spent
-            figures = measure(copy.deepcopy(average).cpu(), dev)
+            there = copy.deepcopy(average).cpu()
+            figures = measure(there, dev)
             facts = {"iteration": iteration, "minutes": round(spent / 60, 1), "loss": running}
             print(json.dumps(facts | figures), flush=True)
-            torch.save(average.state_dict(), options.out / "average.part")
+            torch.save(there.state_dict(), options.out / "average.part")
             (options.out / "average.part").rename(options.out / "average.pt")
     average = average.cpu()
     torch.save(average.state_dict(), options.out / "average.pt")
