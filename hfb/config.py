@@ -192,6 +192,9 @@ class FitConfig(Record):
         description="share of what the joint network sees to differ between the picture and the fit's own, before "
         "every stage of the last one's size but a first",
     )
+    matte_again: bool = Field(
+        False, description="find the mattes again, the fit's own picture in sight, before every such stage"
+    )
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
     )
@@ -312,6 +315,7 @@ _BEST = FitConfig(
     compare=0.75,
     size_moves_away=True,
     motion_shared=True,
+    matte_again=True,
     weights=Weights(
         image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04
     ),

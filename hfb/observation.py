@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from hfb.errors import InputError
-from hfb.photometry import linear_to_srgb
+from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.render.camera import PinholeCamera
 from hfb.shapes import Float, Tensor
 
@@ -37,6 +37,10 @@ class Observation:
     def to_srgb(self, picture: Float[Tensor, "*t H W 3"]) -> Float[Tensor, "*t H W 3"]:
         """A picture in this observation's light, as it would be stored in a file."""
         return linear_to_srgb(picture.clamp(0, 1)) if self.light == "linear" else picture.clamp(0, 1)
+
+    def to_linear(self, picture: Float[Tensor, "*t H W 3"]) -> Float[Tensor, "*t H W 3"]:
+        """A picture in this observation's light, in linear light."""
+        return picture if self.light == "linear" else srgb_to_linear(picture.clamp(0, 1))
 
     def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
         """left, top, width, height [px] of the box around all mattes, widened by a share of its size.

@@ -60,6 +60,7 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     "settled": _with(stages=()),
     "no-lifting": _with(lifting=0.0),
     "no-compare": _with(compare=0.0),
+    "no-matte-again": _with(matte_again=False),
     "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
@@ -73,6 +74,7 @@ MODIFIERS: Mapping[str, str] = {
     "best-no-pyramid, best-no-kick": "one stage at full size; no first velocity of the root",
     "best-no-lifting": "without the lifting network, which tells depth from joints across the view",
     "best-no-compare": "the joint network does not look at the fit's own picture",
+    "best-no-matte-again": "the mattes stay as they were found before the fit",
     "best-no-evidence": "without the joint network; best-settled: with nothing but it, no picture is compared",
     "best-no-directions": "the motion as fitted, no search for its directions",
     "best-dibr, paper-coverage": "the other preset's silhouette",
@@ -141,6 +143,9 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
         spec = _named(base, chains)
     if "true-height" in oracles and spec.kind != "fit":
         raise InputError(f"method {name}: only a fit can be told the person's height")
+    if "true-matte" in oracles:  # it is exact: no network finds a better one
+        exact = spec.config.fit.model_copy(update={"matte_again": False})
+        spec = spec.model_copy(update={"config": spec.config.model_copy(update={"fit": exact})})
     paths = list(spec.chain.paths()) if spec.chain else []
     if spec.kind == "fit":
         paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]
@@ -176,7 +181,8 @@ def _named(base: str, chains: Path | None) -> MethodSpec:
         if rest == "-frames" or rest.startswith("-frames-"):
             rest, alone = rest.removeprefix("-frames"), True
             continue
-        variant = next((v for v in _VARIANTS if rest == f"-{v}" or rest.startswith(f"-{v}-")), None)
+        fitting = [v for v in _VARIANTS if rest == f"-{v}" or rest.startswith(f"-{v}-")]
+        variant = max(fitting, key=len, default=None)  # no-matte-again is not no-matte
         if variant is None:
             raise _unknown(base, known)
         fit, rest = _VARIANTS[variant](fit), rest.removeprefix(f"-{variant}")

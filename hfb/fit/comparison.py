@@ -15,9 +15,12 @@ from hfb.body.model import Body
 from hfb.fit.variables import Variables
 from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
+from hfb.matting.network import matte_beside_fit
 from hfb.objective import Objective
 from hfb.observation import Observation
+from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import Rasterizer
+from hfb.shapes import Float, Tensor
 
 _HEIGHT_SHARE = 0.22
 """Of the claim's own scale: 20 times the word on the height once two claims of it are compared."""
@@ -27,7 +30,12 @@ _NOBODY = 0.01
 
 
 def beside_the_fit(
-    evidence: JointEvidence, claimed: JointEvidence, variables: Variables, objective: Objective, share: float
+    evidence: JointEvidence,
+    claimed: JointEvidence,
+    variables: Variables,
+    objective: Objective,
+    blurred: Float[Tensor, "T H W 4"],
+    share: float,
 ) -> JointEvidence:
     """The evidence, moved by a share of what the network sees to differ between the picture and the fit's own.
 
@@ -37,9 +45,10 @@ def beside_the_fit(
     Args:
         claimed: what the network said about the picture.
         objective: with the observation that the fit is drawn for, and the evidence until now.
+        blurred: the fit's own pictures, see `drawn`.
     """
     body = objective.body
-    told = claimed.of(drawn(variables, objective.observation, body, objective.rasterizer, objective.subframes))
+    told = claimed.of(shown(blurred, objective.observation))
     moved = replace(evidence, middle=evidence.middle + share * (claimed.middle - told.middle))
     before = objective.evidence
     if before is not None and before.height_compared and len(before.windows) == 1:
@@ -54,19 +63,42 @@ def beside_the_fit(
     )
 
 
-def drawn(variables: Variables, seen: Observation, body: Body, rasterizer: Rasterizer, subframes: int) -> Observation:
-    """The fit's re-blurred pictures over the plate, its silhouettes as mattes.
-
-    What nobody covers stays as it was seen: the camera's noise there is in both pictures then, and in no difference.
-    """
+def drawn(
+    variables: Variables, camera: PinholeCamera, body: Body, rasterizer: Rasterizer, subframes: int
+) -> Float[Tensor, "T H W 4"]:
+    """The fit's re-blurred pictures by themselves, premultiplied, with their silhouettes; no gradient."""
     with torch.no_grad():
-        blurred = torch.stack(
+        return torch.stack(
             [
-                rasterizer.render_mean(one, variables.texture, seen.camera, body.mesh)
+                rasterizer.render_mean(one, variables.texture, camera, body.mesh)
                 for one in variables.vertices(body, subframes)
             ]
         )
-        alpha = blurred[..., 3]
-        bare = torch.maximum(alpha, seen.mattes) < _NOBODY
-        frames = torch.where(bare[..., None], seen.frames_linear, compose(blurred, seen.plate_linear))
-        return replace(seen, frames_linear=frames, mattes=alpha)
+
+
+def shown(blurred: Float[Tensor, "T H W 4"], seen: Observation) -> Observation:
+    """The fit's pictures over the plate, its silhouettes as mattes.
+
+    What nobody covers stays as it was seen: the camera's noise there is in both pictures then, and in no difference.
+    """
+    alpha = blurred[..., 3]
+    bare = torch.maximum(alpha, seen.mattes) < _NOBODY
+    frames = torch.where(bare[..., None], seen.frames_linear, compose(blurred, seen.plate_linear))
+    return replace(seen, frames_linear=frames, mattes=alpha)
+
+
+def matted_again(blurred: Float[Tensor, "T H W 4"], seen: Observation) -> Observation:
+    """With mattes that a network finds once it sees the fit's pictures, too (`hfb.matting.third_look`).
+
+    Args:
+        seen: with the mattes that were found before the fit.
+    """
+    plate = seen.to_linear(seen.plate_linear)
+    over = seen.to_linear(compose(blurred, seen.plate_linear))
+    alpha = blurred[..., 3:]
+    fitted = torch.cat([(over - (1 - alpha) * plate).clamp(0, 1), alpha], -1)
+    mattes = [
+        torch.from_numpy(matte_beside_fit(frame.numpy(), plate.numpy(), matte.numpy(), fit.numpy()))
+        for frame, matte, fit in zip(seen.to_linear(seen.frames_linear), seen.mattes, fitted, strict=True)
+    ]
+    return replace(seen, mattes=torch.stack(mattes))

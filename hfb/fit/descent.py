@@ -8,9 +8,8 @@ import torch
 
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
-from hfb.fit.comparison import beside_the_fit
+from hfb.fit.comparison import beside_the_fit, drawn, matted_again
 from hfb.fit.variables import Variables, falling
-from hfb.initialize.joint_evidence import JointEvidence
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.render.texture import visible_texels
@@ -24,12 +23,17 @@ Progress = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class Descent:
-    """Where the stages led: the best iterate of the last one, and what it was measured by."""
+    """Where the stages led: the best iterate of the last one, and what it was measured by.
+
+    Attributes:
+        objective: at the last stage's size. seen: the same observation at its full size.
+    """
 
     best: Variables
     best_iteration: int
     history: dict[str, list[float]]
     objective: Objective
+    seen: Observation
 
 
 def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_progress: Progress | None) -> Descent:
@@ -40,11 +44,11 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
     best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
     # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
     optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
-    claimed = everywhere.evidence
+    first = everywhere
     for number, stage in enumerate(stages):
-        if number > 0 and claimed is not None:
+        if number > 0:
             full = stage.size_px == stages[-1].size_px
-            everywhere = replace(everywhere, evidence=told_after(claimed, variables, everywhere, config, full))
+            everywhere = looked_again(first, everywhere, variables, config, full)
         seen = everywhere.observation.resized(stage.size_px)
         visible = visible_at(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = replace(everywhere, observation=seen, visible=visible)
@@ -63,20 +67,29 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
                 skipped += ends - done
                 break
         _restore(variables, best)
-    return Descent(best, best_iteration, history, objective)
+    return Descent(best, best_iteration, history, objective, everywhere.observation)
 
 
-def told_after(
-    claimed: JointEvidence, variables: Variables, everywhere: Objective, config: FitConfig, full: bool
-) -> JointEvidence:
-    """What the networks say of the joints after a stage: the lifting network sees more of them then, and before
-    every stage of full size the fit's own picture is worth a look."""
-    evidence = claimed
-    if config.lifting > 0:
+def looked_again(
+    first: Objective, everywhere: Objective, variables: Variables, config: FitConfig, full: bool
+) -> Objective:
+    """What the networks say after a stage: the lifting network sees more of the joints then, and before every stage of
+    full size the fit's own picture is worth a look, for the mattes and for the joints.
+
+    Args:
+        first: with what they said before any stage. everywhere: with what they said last.
+    """
+    evidence, seen = first.evidence, everywhere.observation
+    if evidence is not None and config.lifting > 0:
         evidence = evidence.lifted(variables.joints_at_middle(everywhere.body), config.lifting)
-    if full and config.compare > 0:
-        evidence = beside_the_fit(evidence, claimed, variables, everywhere, config.compare)
-    return evidence
+    if not full or (config.compare == 0 and not config.matte_again):
+        return replace(everywhere, evidence=evidence)
+    blurred = drawn(variables, seen.camera, everywhere.body, everywhere.rasterizer, everywhere.subframes)
+    if first.evidence is not None and evidence is not None and config.compare > 0:
+        evidence = beside_the_fit(evidence, first.evidence, variables, everywhere, blurred, config.compare)
+    if config.matte_again:
+        seen = matted_again(blurred, first.observation)
+    return replace(everywhere, evidence=evidence, observation=seen)
 
 
 def _iterations(

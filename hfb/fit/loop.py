@@ -213,12 +213,12 @@ def _fit_together(
 
 def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) -> FitResult:
     """The best iterate as a result, its directions searched or at least how far off each joint may be."""
-    first_bodies, everywhere = begun.first_bodies, begun.everywhere
+    first_bodies = begun.first_bodies
     best = descent.best.in_metres(body)
     result = _result(best, begun.problem.observation, body, config, descent.history, descent.best_iteration)
     if not descent.history or not (config.directions.search or begun.problem.person is not None):
         return result
-    coarse = replace(descent.objective, observation=everywhere.observation.resized(config.directions.size_px))
+    coarse = replace(descent.objective, observation=descent.seen.resized(config.directions.size_px))
     if config.directions.search:
         return _directed(result, best, first_bodies, coarse, descent.objective, config)
     # a window of a clip: its neighbours tell the directions

@@ -20,11 +20,10 @@ from torch.func import vmap
 
 from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
-from hfb.fit.descent import GAIN, Descent, Progress, told_after, visible_at
+from hfb.fit.descent import GAIN, Descent, Progress, looked_again, visible_at
 from hfb.fit.settle import settle_by, settling
 from hfb.fit.variables import Variables, falling, parameter_groups
 from hfb.formulas import readable_formulas
-from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.regularizers import background_loss
 from hfb.motion.trajectory import Trajectory
 from hfb.objective import Objective, mean_of_frames
@@ -324,17 +323,17 @@ def descend_together(
     total, done = sum(stage.iterations for stage in stages), 0
     leaves, everywhere = Leaves.of(filled(variables, room), rasterizer.device), list(objectives)
     optimizer = torch.optim.Adam(leaves.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
-    claims = [one.evidence for one in objectives]
+    begun = everywhere
     histories: list[dict[str, list[float]]] = [{} for _ in variables]
     best_iterations, offsets = [0] * len(variables), [0] * len(variables)
     for number, stage in enumerate(stages):
         if number > 0:
             full = stage.size_px == stages[-1].size_px
 
-            def told(claim: JointEvidence | None, mine: Variables, one: Objective, full: bool = full) -> Objective:
-                return one if claim is None else replace(one, evidence=told_after(claim, mine, one, config, full))
+            def again(first: Objective, now: Objective, mine: Variables, full: bool = full) -> Objective:
+                return looked_again(first, now, mine, config, full)
 
-            everywhere = each_by_itself(told, claims, variables, everywhere)
+            everywhere = each_by_itself(again, begun, everywhere, variables)
         seen = [one.observation.resized(stage.size_px) for one in everywhere]
         visible = [
             visible_at(mine, there, one.body, config) if one.texels else None
@@ -361,8 +360,10 @@ def descend_together(
         leaves.into(variables)
         objectives = everywhere_seen
     return [
-        Descent(mine.copy(), best, history, objective)
-        for mine, best, history, objective in zip(variables, best_iterations, histories, objectives, strict=True)
+        Descent(mine.copy(), best, history, objective, one.observation)
+        for mine, best, history, objective, one in zip(
+            variables, best_iterations, histories, objectives, everywhere, strict=True
+        )
     ]
 
 

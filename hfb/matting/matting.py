@@ -125,7 +125,7 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
     return np.where(alpha < 0.02, 0, alpha).astype(np.float32)
 
 
-def shrink(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
+def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w *c"]:
     """Area average to at most `longer_px` on the longer side; smaller pictures stay."""
     height, width = picture.shape[:2]
     scale = longer_px / max(height, width)

@@ -27,6 +27,7 @@ from hfb.matting.matting import (
 )
 from hfb.matting.moving_layer import explained_matte
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
+from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import linear_to_srgb
 from hfb.shapes import Array, Float
 
@@ -100,6 +101,31 @@ class NetworkMatting:
         return _answer(self._second, np.concatenate([seen, told]))
 
 
+def matte_beside_fit(
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    matte: Float[Array, "H W"],
+    fitted: Float[Array, "H W 4"],
+    network: MatteNetwork | None = None,
+) -> Float[Array, "H W"]:
+    """The third network's alpha of a crop around a person: what a matte and a fit show, weighed by the pixels.
+
+    Args:
+        frame_linear, plate_linear: in linear light.
+        matte: alpha as it was found before the fit.
+        fitted: the fit's blurred picture there, premultiplied linear light and alpha.
+        network: the shipped third one when not given.
+    """
+    height, width = matte.shape
+    longer = min(_CROP_PX, max(height, width))
+    frame, plate, before, beside = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
+    gain = _gain_without(before, frame, plate)
+    frame, plate = np.clip(frame, 0, 1), np.clip(plate * gain, 0, 1)
+    seen = [features(frame, plate), colour_evidence(frame, plate, before), fit_evidence(frame, plate, beside)]
+    alpha = clean(_answer(shipped_third() if network is None else network.eval(), np.concatenate(seen))[0])
+    return cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
 def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
     """So many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
     height, width = picture.shape[:2]
@@ -133,6 +159,12 @@ def shipped_network() -> MatteNetwork:
 def shipped_second() -> MatteNetwork:
     """The second network; data/second_look.json tells how it was made."""
     return _shipped("second_look", CHANNELS + EVIDENCE_CHANNELS)
+
+
+@lru_cache(maxsize=1)
+def shipped_third() -> MatteNetwork:
+    """The third network; data/third_look.json tells how it was made."""
+    return _shipped("third_look", SHARED_CHANNELS + FIT_CHANNELS)
 
 
 def _shipped(name: str, channels: int) -> MatteNetwork:

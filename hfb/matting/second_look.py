@@ -26,34 +26,45 @@ def colour_evidence(
     frame_linear: Float[Array, "H W 3"],
     plate_linear: Float[Array, "H W 3"],
     alpha: Float[Array, "H W"],
-    doubt: Float[Array, "H W"],
+    doubt: Float[Array, "H W"] | None = None,
 ) -> Float[Array, "C H W"]:
     """What the second network sees besides `matte_network.features`.
 
     Args:
         frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        alpha: the first matte. doubt: the logarithm of its expected error.
+        alpha: the first matte. doubt: the logarithm of its expected error, where it is known.
 
     Returns:
         near and unmixed body colours in sRGB (6); for each of the near, far and unmixed colour: alpha by it, how far it
-        is from the plate, and what it leaves unexplained (9); the first matte and its doubt (2).
+        is from the plate, and what it leaves unexplained (9); the first matte and, if known, its doubt (2).
     """
     noise = quiet_noise(linear_to_srgb(frame_linear), linear_to_srgb(plate_linear))
-    apart = frame_linear - plate_linear
     opaque = (alpha**_OPAQUE_POWER + 1e-6).astype(np.float32)
     near = spread_colours(frame_linear, opaque, _NEAR_PX)
     far = spread_colours(frame_linear, opaque, _FAR_PX)
     own = unmixed_colours(frame_linear, plate_linear, alpha, _UNMIXED_POWER)
     channels = [linear_to_srgb(colours) - 0.5 for colours in (near, own)]
     for colours in (near, far, own):
-        direction, difference = (colours - plate_linear) / noise, apart / noise
-        length = dot(direction, direction)
-        share = dot(difference, direction) / (length + 1)
-        rest = difference - np.clip(share, 0, 1)[..., None] * direction
-        told = np.clip(share, -0.3, 1.3) - 0.5, np.log1p(length) / 8, np.log1p(dot(rest, rest)) / 8
-        channels.extend(one[..., None] for one in told)
-    channels.extend([(alpha - 0.5)[..., None], np.clip(doubt, -6, 1)[..., None] / 4])
+        channels.extend(explained_by(colours, frame_linear, plate_linear, noise))
+    channels.append((alpha - 0.5)[..., None])
+    if doubt is not None:
+        channels.append(np.clip(doubt, -6, 1)[..., None] / 4)
     return np.ascontiguousarray(np.concatenate(channels, -1).transpose(2, 0, 1), np.float32)
+
+
+def explained_by(
+    colours: Float[Array, "H W 3"],
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    noise: Float[Array, "H W 3"],
+) -> list[Float[Array, "H W 1"]]:
+    """If the body had these colours: alpha by them, how far they are from the plate, and what is left unexplained."""
+    direction, difference = (colours - plate_linear) / noise, (frame_linear - plate_linear) / noise
+    length = dot(direction, direction)
+    share = dot(difference, direction) / (length + 1)
+    rest = difference - np.clip(share, 0, 1)[..., None] * direction
+    told = np.clip(share, -0.3, 1.3) - 0.5, np.log1p(length) / 8, np.log1p(dot(rest, rest)) / 8
+    return [one[..., None] for one in told]
 
 
 def unmixed_colours(

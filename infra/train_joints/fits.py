@@ -14,7 +14,7 @@ from pictures import LEAST_PX, Sample, Shot, Studio, as_file, matte_of, until_fo
 from hfb.body.height import height_m
 from hfb.config import FitConfig, Stage, preset
 from hfb.datasets.network_errors import draw_turns
-from hfb.fit.comparison import drawn
+from hfb.fit.comparison import drawn, shown
 from hfb.fit.loop import fit
 from hfb.fit.variables import Variables
 from hfb.initialize.first_body import FirstBody
@@ -73,7 +73,7 @@ class Gym(Studio):
         firsts = self._first_bodies(exposures, shot, rng)
         result = fit(seen, firsts, self.body, _hasty(rng), int(rng.integers(1 << 30)), self.prior)
         found = Variables(result.trajectory, torch.from_numpy(result.motion.betas).float(), result.texture)
-        again = drawn(found, seen, self.body, self.rasterizer, preset("best").fit.subframes)
+        again = shown(drawn(found, seen.camera, self.body, self.rasterizer, preset("best").fit.subframes), seen)
         turns, places = result.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
         person = self.body.shape(found.betas)
         samples = []

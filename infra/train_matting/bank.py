@@ -25,6 +25,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--doubles", action="store_true", help="beside everybody somebody else, as a fit would be")
     parser.add_argument("--held-out", action="store_true", help="the subjects that training never sees")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -33,12 +34,14 @@ def main() -> None:
     photos = read_photos(options.photos, options.held_out)
     photos = [srgb_to_linear(photo.astype(np.float32) / 255).astype(np.float32) for photo in photos]
     painter, facts = Painter(load_default_body()), []
+    channels = CHANNELS * (1 + options.doubles)
     bank = np.lib.format.open_memmap(
-        options.out, mode="w+", dtype=np.uint8, shape=(options.count, CHANNELS, SIZE_PX, SIZE_PX)
+        options.out, mode="w+", dtype=np.uint8, shape=(options.count, channels, SIZE_PX, SIZE_PX)
     )
     started = time.monotonic()
     for number in range(options.count):
-        figure = draw_figure(painter, recordings, photos, np.random.default_rng([options.seed, number]))
+        rng = np.random.default_rng([options.seed, number])
+        figure = draw_figure(painter, recordings, photos, rng, options.doubles)
         bank[number] = figure.channels
         facts.append({"smear_px": figure.smear_px, "exposure_s": figure.exposure_s, "source": figure.source})
         if number % 100 == 99:

@@ -13,13 +13,16 @@ from motions import Recording, poses_at
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.clothed import draw_clothing, dress
+from hfb.datasets.network_errors import draw_turns, pose_errors
 from hfb.datasets.textures import clothes_texture
 from hfb.render.camera import PinholeCamera
 from hfb.render.rasterizer import make_rasterizer
 from hfb.render.texture import texel_faces
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 SIZE_PX = 224
 TEXTURE_PX = 256
@@ -29,10 +32,16 @@ CHANNELS = 4 + len(GARMENTS)  # coverage, garments, a whole photo as texture (sq
 
 _PATTERNS = {"plain": 0.22, "stripes": 0.25, "soft": 0.08, "checks": 0.12, "spots": 0.1, "clouds": 0.15, "grain": 0.08}
 _THINGS = ("skirt", "hair", "bag", "ball", "stick", "legs", "cape")
+_THINGS_SHARE, _THINGS_BESIDE_DOUBLES = 0.5, 0.3  # of figures
 _FILLS = 0.78  # of the picture's side: the box around the whole blur
 _SHARP = 0.22  # of all figures stand still
 _LARGEST_SMEAR_PX = 100
 _MOST_INSTANTS = 48
+_ERRORS, _MOTION, _BLUR_PX = (0.005, 0.15), (0.8, 1.05), (0.6, 6.0)
+"""Of doubles: ranges of a network's errors, of how much of the motion is left, of how blurred the texture is."""
+_ALIKE = 0.6  # of doubles have the person's clothes: a fit swells to them
+_KEPT, _SHAPE, _ASIDE, _DOUBLES_INSTANTS = 0.95, 0.15, 0.0007, 8
+"""Of doubles: how much of the betas is true, how large their errors are; steps aside, relative to the distance."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +75,18 @@ class Painter:
 
 
 def draw_figure(
-    painter: Painter, recordings: list[Recording], photos: list[np.ndarray], rng: np.random.Generator
+    painter: Painter,
+    recordings: list[Recording],
+    photos: list[np.ndarray],
+    rng: np.random.Generator,
+    with_double: bool = False,
 ) -> Figure:
     """A person at a random moment of a random recording, seen from anywhere.
 
     Args:
         photos: (h, w, 3) linear; empty: the project's own generated clothes stand in their place.
+        with_double: behind the person's channels those of somebody else, as a fit has them: a bare body, posed and
+            shaped a little otherwise, who moves less and wears a blurred texture.
     """
     sharp = rng.random() < _SHARP
     wanted = 0.0 if sharp else float(rng.uniform(1, _LARGEST_SMEAR_PX))
@@ -85,14 +100,46 @@ def draw_figure(
     posed = body.shape(betas).pose(
         torch.from_numpy(rotations[chosen]).float(), torch.from_numpy(places[chosen]).float()
     )
-    things = _draw_things(camera.project(posed.joints).numpy(), rng) if rng.random() < 0.5 else []
+    often = _THINGS_BESIDE_DOUBLES if with_double else _THINGS_SHARE
+    things = _draw_things(camera.project(posed.joints).numpy(), rng) if rng.random() < often else []
     shade = _shade(painter, posed.vertices[count // 2].numpy(), rng)
     worn = _garments(painter, rng) * shade[:, None]
     whole = _photo_texture(painter, photos, rng) * torch.from_numpy(shade.astype(np.float32))[painter.owner][..., None]
     textures = [painter.texture(worn[:, k : k + 3]) for k in (0, 3, 6)] + [whole]
     channels = _render(painter, posed.vertices, textures, camera, things)
     channels[PHOTO] = np.sqrt(np.clip(channels[PHOTO], 0, 1))
+    if with_double:
+        double = _double(body if rng.random() < _ALIKE else painter.body, rotations, places, betas, rng)
+        blur = float(rng.uniform(*_BLUR_PX))
+        blurred = [torch.from_numpy(cv2.GaussianBlur(one.numpy(), (0, 0), blur)) for one in textures]
+        beside = _render(painter, double, blurred, camera, [])
+        beside[PHOTO] = np.sqrt(np.clip(beside[PHOTO], 0, 1))
+        channels = np.concatenate([channels, beside])
     return Figure((np.clip(channels, 0, 1) * 255).round().astype(np.uint8), smear, exposure_s, recording.name)
+
+
+def _double(
+    body: Body, rotations: np.ndarray, places: np.ndarray, betas: torch.Tensor, rng: np.random.Generator
+) -> torch.Tensor:
+    """Vertices (S, V, 3) of a double, who covers about the same pixels, the further away the taller."""
+    instants, middle = len(rotations), len(rotations) // 2
+    at = np.round(middle + rng.uniform(*_MOTION) * np.linspace(-1, 1, _DOUBLES_INSTANTS) * middle)
+    at = at.astype(int).clip(0, instants - 1)
+    true = torch.from_numpy(rotations).float()
+    pose = matrix_to_axis_angle(true[middle][None])
+    errors = pose_errors(pose, draw_turns(1, rng) * np.exp(rng.uniform(*np.log(_ERRORS))))
+    erring = axis_angle_to_matrix(errors.poses_at(torch.tensor([0.5, 1.0]))[-1])
+    turned = true[at] @ (true[middle].transpose(-1, -2) @ erring)
+    others = _KEPT * betas + torch.from_numpy(rng.normal(0, _SHAPE, 10)).float()
+    person, double = body.shape(betas), body.shape(others)
+    joints = person.joints_of(true[at], torch.from_numpy(places[at]).float())
+    larger = float(height_m(body, others) / height_m(body, betas))
+    depth = joints[:, :1, 2:] * larger * float(np.exp(rng.normal(0, 0.005)))
+    still = double.joints_of(turned, torch.zeros(len(at), 3))
+    away = depth + still[..., 2:] - still[:, :1, 2:]
+    seen = (joints[..., :2] / joints[..., 2:]).mean(1) + torch.from_numpy(rng.normal(0, _ASIDE, 2)).float()
+    across = (seen - (still[..., :2] / away).mean(1)) / (1 / away).mean(1)
+    return double.pose(turned, torch.cat([across, depth[:, 0] - still[:, 0, 2:]], -1)).vertices
 
 
 def _shoot(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from figures import GARMENTS, PHOTO, SIZE_PX
+from figures import CHANNELS, GARMENTS, PHOTO, SIZE_PX
 
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 
@@ -17,11 +17,16 @@ _FIGURE_SHARE = 0.78
 
 @dataclass(frozen=True)
 class Scene:
-    """What a matting method gets, and what it should answer; pictures in linear light."""
+    """What a matting method gets, and what it should answer; pictures in linear light.
+
+    Attributes:
+        double: premultiplied light and coverage (H, W, 4) of somebody who stands for a fit, where the bank has doubles.
+    """
 
     frame: np.ndarray
     plate: np.ndarray
     alpha: np.ndarray
+    double: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -54,13 +59,13 @@ def draw_scene(
     plate = _draw_plate(plates, size, rng)
     worn = _draw_plate(plates, size, rng) if rng.random() < rules.picture_share else None
     if rng.random() < 0.06:
-        colour, alpha = _place(figures, plate, None, rules, rng)
+        (colour, alpha), *_ = _place(figures, plate, None, rules, rng)
         plate = colour + (1 - alpha[..., None]) * plate  # somebody who is in both pictures
     if rng.random() < rules.empty_share:
         colour, alpha = np.zeros_like(plate), np.zeros((size, size), np.float32)
-        shade = np.ones_like(plate)
+        shade, doubles = np.ones_like(plate), []
     else:
-        colour, alpha = _place(figures, plate, worn, rules, rng)
+        (colour, alpha), *doubles = _place(figures, plate, worn, rules, rng)
         shade = cast_shadows(alpha, rng) if rng.random() < rules.shadow_share else np.ones_like(plate)
     lit = plate * shade
     if rng.random() < rules.reflection_share:
@@ -68,9 +73,10 @@ def draw_scene(
     if rng.random() < 0.08:
         lit = _flutter(lit, rng)
     frame = colour + (1 - alpha[..., None]) * lit
+    beside = [np.dstack(double) for double in doubles]
     if rng.random() < 0.35:
         sigma = rng.uniform(0.3, 1.2)
-        frame, plate, alpha = (cv2.GaussianBlur(one, (0, 0), sigma) for one in (frame, plate, alpha))
+        frame, plate, alpha, *beside = (cv2.GaussianBlur(one, (0, 0), sigma) for one in (frame, plate, alpha, *beside))
     if rng.random() < 0.4:
         move = np.array([[1, 0, rng.normal(0, 0.25)], [0, 1, rng.normal(0, 0.25)]])
         plate = cv2.warpAffine(plate, move, (size, size), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
@@ -79,7 +85,11 @@ def draw_scene(
     noise, compressed = np.exp(rng.uniform(np.log(0.002), np.log(0.02))), rng.random() < 0.4
     plate_noise = noise * (1 if rng.random() < 0.3 else 0.3)
     frame, plate = take_picture(frame, noise, compressed, rng), take_picture(plate, plate_noise, compressed, rng)
-    return Scene(frame, plate, np.clip(alpha, 0, 1).astype(np.float32))
+    alpha = np.clip(alpha, 0, 1).astype(np.float32)
+    if not beside:
+        return Scene(frame, plate, alpha)
+    tint = np.append(gain * np.exp(rng.normal(0, 0.03, 3)), 1).astype(np.float32)
+    return Scene(frame, plate, alpha, np.clip(beside[0] * tint, 0, 1))
 
 
 def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Generator) -> np.ndarray:
@@ -98,8 +108,9 @@ def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Genera
 
 def _place(
     figures: np.ndarray, plate: np.ndarray, picture: np.ndarray | None, rules: Difficulty, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Premultiplied colour and coverage of a figure somewhere in the picture, perhaps cut by its border.
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Premultiplied colour and coverage of a figure somewhere in the picture, perhaps cut by its border; then of its
+    double, where the bank has doubles.
 
     Args:
         picture: what the figure wears in place of its own colours.
@@ -109,7 +120,10 @@ def _place(
     while not channels[0].any():  # a bank that is still being rendered
         channels = figures[rng.integers(len(figures))]
     worn = rng.random() < rules.photo_share
-    layers = np.concatenate([channels[:1], channels[PHOTO]]) if worn else channels[: 1 + len(GARMENTS)]
+    people = [channels[start : start + CHANNELS] for start in range(0, len(channels), CHANNELS)]
+    layers = np.concatenate(
+        [np.concatenate([one[:1], one[PHOTO]]) if worn else one[: 1 + len(GARMENTS)] for one in people]
+    )
     layers = layers[..., :: (-1 if rng.random() < 0.5 else 1)]
     longer = size * np.exp(rng.uniform(*np.log(rules.scale)))
     scale = longer / (_FIGURE_SHARE * SIZE_PX)
@@ -123,19 +137,26 @@ def _place(
     top, left, bottom, end = max(0, down), max(0, right), min(size, down + wide), min(size, right + wide)
     if bottom > top and end > left:
         placed[top:bottom, left:end] = layers[top - down : bottom - down, left - right : end - right]
-    alpha = placed[..., 0]
-    if picture is not None:
-        colour = picture * alpha[..., None]
-    elif worn:
-        colour = placed[..., 1:] ** 2
-    else:
+    colours = None
+    if picture is None and not worn:
         colours = draw_colours(plate[max(0, top) : bottom, max(0, left) : end], rules, rng)
-        colour = (placed[..., 1:].reshape(-1, len(GARMENTS)) @ colours).reshape(size, size, 3)
-    colour = colour * np.exp(rng.normal(0, 0.3) + rng.normal(0, 0.06, 3)).astype(np.float32)
-    if rng.random() < rules.slide_share:
-        path = draw_path(size * np.exp(rng.uniform(np.log(0.015), np.log(rules.longest_slide))), rng)
-        colour, alpha = (cv2.filter2D(one, -1, path, borderType=cv2.BORDER_CONSTANT) for one in (colour, alpha))
-    return np.clip(colour, 0, alpha[..., None]).astype(np.float32), np.clip(alpha, 0, 1)
+    light = np.exp(rng.normal(0, 0.3) + rng.normal(0, 0.06, 3)).astype(np.float32)
+    slides = rng.random() < rules.slide_share
+    path = draw_path(size * np.exp(rng.uniform(np.log(0.015), np.log(rules.longest_slide))), rng) if slides else None
+    coloured = []
+    for one in np.split(placed, len(people), -1):
+        alpha = one[..., 0]
+        if picture is not None:
+            colour = picture * alpha[..., None]
+        elif colours is None:
+            colour = one[..., 1:] ** 2
+        else:
+            colour = (one[..., 1:].reshape(-1, len(GARMENTS)) @ colours).reshape(size, size, 3)
+        colour = colour * light
+        if path is not None:
+            colour, alpha = (cv2.filter2D(each, -1, path, borderType=cv2.BORDER_CONSTANT) for each in (colour, alpha))
+        coloured.append((np.clip(colour, 0, alpha[..., None]).astype(np.float32), np.clip(alpha, 0, 1)))
+    return coloured
 
 
 def draw_path(length_px: float, rng: np.random.Generator) -> np.ndarray:

@@ -26,8 +26,10 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
-from hfb.matting.network import shipped_network
+from hfb.matting.matting import clean
+from hfb.matting.network import shipped_network, shipped_second
 from hfb.matting.second_look import COLOUR_STARTS, EVIDENCE_CHANNELS, colour_evidence
+from hfb.matting.third_look import FIT_CHANNELS, FIT_COLOUR_STARTS, SHARED_CHANNELS, fit_evidence
 
 _REMEMBERED = 480
 _CLOSE = Difficulty(
@@ -46,8 +48,8 @@ _EVERY_S = 120
 class Scenes(IterableDataset):
     """New scenes, one after another, for ever."""
 
-    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int, second: bool) -> None:
-        self.banks, self.photos, self.size_px, self.seed, self.second = banks, photos, size_px, seed, second
+    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int) -> None:
+        self.banks, self.photos, self.size_px, self.seed, self.look = banks, photos, size_px, seed, look
 
     def __iter__(self):
         """(features and alpha) as (channels + 1, size, size) float16; several processes share the numbers."""
@@ -58,22 +60,34 @@ class Scenes(IterableDataset):
         figures = [np.load(path, mmap_mode="r") for path in self.banks]
         real = read_photos(self.photos, held_out=False)
         plates = [real, real, make_rooms(ROOMS, self.seed), make_patterns(PATTERNS, self.seed)]
-        rules = _CLOSE if self.second else Difficulty()
+        rules = _CLOSE if self.look > 1 else Difficulty()
         rules = replace(rules, size_px=self.size_px)
         for number in range(first, 1 << 30, step):
             rng = np.random.default_rng([self.seed, number])
             scene = draw_scene(figures[rng.integers(len(figures))], plates, rules, rng)
             seen = features(scene.frame, scene.plate)
-            if self.second:
-                seen = np.concatenate([seen, _second_look(scene, seen)])
+            if self.look > 1:
+                seen = _looked(scene, seen, self.look)
             yield torch.from_numpy(np.concatenate([seen, scene.alpha[None]]).astype(np.float16))
 
 
-def _second_look(scene: Scene, seen: np.ndarray) -> np.ndarray:
-    """What the shipped first network makes known about a scene."""
+def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
+    """What the shipped networks before it make known about a scene; the third also sees the double."""
+    alpha, doubt = _answer(shipped_network(), seen)
+    seen_twice = np.concatenate([seen, colour_evidence(scene.frame, scene.plate, alpha, doubt)])
+    if look == 2:
+        return seen_twice
+    alpha, _ = _answer(shipped_second(), seen_twice)
+    told = colour_evidence(scene.frame, scene.plate, clean(alpha))
+    double = np.zeros((*scene.alpha.shape, 4), np.float32) if scene.double is None else scene.double
+    return np.concatenate([seen, told, fit_evidence(scene.frame, scene.plate, double)])
+
+
+def _answer(network: MatteNetwork, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
-        logit, doubt = shipped_network()(torch.from_numpy(seen)[None])[0].float().numpy()
-    return colour_evidence(scene.frame, scene.plate, 1 / (1 + np.exp(-logit)), doubt)
+        picture = torch.from_numpy(seen)[None].contiguous(memory_format=torch.channels_last)
+        logit, doubt = network(picture)[0].float().numpy()
+    return 1 / (1 + np.exp(-logit)), doubt
 
 
 def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) -> torch.Tensor:
@@ -100,17 +114,19 @@ def augment(batch: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     starts = [0, 3, 6, 9]
     if batch.shape[1] > CHANNELS + 1:
         starts += [CHANNELS + start for start in COLOUR_STARTS]
+    if batch.shape[1] > SHARED_CHANNELS + 2:
+        starts += [SHARED_CHANNELS + start for start in FIT_COLOUR_STARTS]
     for start in starts:
         channels[start : start + 3] = order + start
     batch = batch[:, channels]
     return batch.flip(-1) if torch.rand((), generator=generator) < 0.5 else batch
 
 
-def widened(state: dict[str, torch.Tensor], channels: int) -> dict[str, torch.Tensor]:
-    """The same network for more channels, of which it does not make use yet."""
+def widened(state: dict[str, torch.Tensor], channels: int, shared: int) -> dict[str, torch.Tensor]:
+    """The same network for other channels behind those that are shared, of which it does not make use yet."""
     entry = state["entry.0.weight"]
     wide = entry.new_zeros(len(entry), channels, *entry.shape[2:])
-    wide[:, : entry.shape[1]] = entry
+    wide[:, :shared] = entry[:, :shared]
     return state | {"entry.0.weight": wide}
 
 
@@ -146,25 +162,28 @@ def main() -> None:
     parser.add_argument("--start", type=Path, help="training state to go on from")
     parser.add_argument("--go-on", type=Path, help="begin with what ships (.safetensors), without normalisation")
     parser.add_argument("--second", action="store_true", help="the network that sees the shipped first one's matte")
+    parser.add_argument("--third", action="store_true", help="the network that sees the second one's, and a fit")
     parser.add_argument("--band-weight", type=float, default=2.0, help="of the blurred band in the loss")
     parser.add_argument("--half", action="store_true", help="multiply in bfloat16")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     torch.manual_seed(options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
-    channels = CHANNELS + EVIDENCE_CHANNELS * options.second
+    look = 3 if options.third else 2 if options.second else 1
+    channels = {1: CHANNELS, 2: CHANNELS + EVIDENCE_CHANNELS, 3: SHARED_CHANNELS + FIT_CHANNELS}[look]
     normalisation = () if options.go_on else (nn.BatchNorm2d,)
     network, average = (MatteNetwork(WIDTHS, *normalisation, channels=channels) for _ in range(2))
     network = network.to(options.device, memory_format=torch.channels_last)
     average = average.to(options.device)
     if options.go_on:
-        network.load_state_dict({name: weights.float() for name, weights in load_file(options.go_on).items()})
+        before = {name: weights.float() for name, weights in load_file(options.go_on).items()}
+        network.load_state_dict(widened(before, channels, SHARED_CHANNELS) if look == 3 else before)
     if options.start:
-        network.load_state_dict(widened(torch.load(options.start, weights_only=True), channels))
+        network.load_state_dict(widened(torch.load(options.start, weights_only=True), channels, CHANNELS))
     average.load_state_dict(network.state_dict())
     optimiser = Muon(network, options.rate, 0.01, ("exit",))
     loader = DataLoader(
-        Scenes(options.bank, options.photos, options.size, options.seed, options.second), batch_size=options.fresh,
+        Scenes(options.bank, options.photos, options.size, options.seed, look), batch_size=options.fresh,
         num_workers=options.loaders, prefetch_factor=16,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(options.seed)

@@ -69,11 +69,17 @@ def test_without_the_pyramid_the_iterations_stay() -> None:
     assert stage.size_px == 256
 
 
+def test_of_two_variants_that_begin_alike_the_longer_one_is_meant() -> None:
+    assert changed(method_spec("best-no-matte-again"), preset("best")).keys() == {"matte_again"}
+    assert changed(method_spec("best-no-matte"), preset("best")).keys() == {"weights"}
+
+
 def test_frames_and_oracles() -> None:
     spec = method_spec("best-no-image-frames@true-matte@true-start")
     assert spec.frames_alone
     assert spec.oracles == ("true-matte", "true-start")
-    assert changed(spec, preset("best")).keys() == {"weights"}
+    assert changed(spec, preset("best")).keys() == {"weights", "matte_again"}
+    assert not spec.config.fit.matte_again
     assert method_spec("sfb@true-matte").oracles == ("true-matte",)
 
 

@@ -146,13 +146,17 @@ def test_shipped_files_belong_together() -> None:
     assert about["held_out"]["network all"]["iou"] > about["held_out"]["projection all"]["iou"]
 
 
-def test_the_second_network_belongs_to_its_files() -> None:
+@pytest.mark.parametrize(
+    ("name", "channels"),
+    [("second_look", CHANNELS + EVIDENCE_CHANNELS), ("third_look", SHARED_CHANNELS + FIT_CHANNELS)],
+)
+def test_a_later_network_belongs_to_its_files(name: str, channels: int) -> None:
     folder = resources.files("hfb.matting") / "data"
-    content = (folder / "second_look.safetensors").read_bytes()
-    about = json.loads((folder / "second_look.json").read_text())
+    content = (folder / f"{name}.safetensors").read_bytes()
+    about = json.loads((folder / f"{name}.json").read_text())
     assert len(content) <= 1.5e6
     assert about["sha256"] == hashlib.sha256(content).hexdigest()
-    assert about["channels"] == CHANNELS + EVIDENCE_CHANNELS
+    assert about["channels"] == channels
     assert about["parameters"] == sum(value.numel() for value in load(content).values())
 
 
