@@ -118,12 +118,22 @@ def matte_beside_fit(
     """
     height, width = matte.shape
     longer = min(_CROP_PX, max(height, width))
-    frame, plate, before, beside = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
-    gain = _gain_without(before, frame, plate)
-    frame, plate = np.clip(frame, 0, 1), np.clip(plate * gain, 0, 1)
-    seen = [features(frame, plate), colour_evidence(frame, plate, before), fit_evidence(frame, plate, beside)]
-    alpha = clean(_answer(shipped_third() if network is None else network.eval(), np.concatenate(seen))[0])
-    return cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
+    pictures = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
+    alpha, _ = _answer(shipped_third() if network is None else network.eval(), seen_beside_fit(*pictures))
+    return cv2.resize(clean(alpha), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def seen_beside_fit(
+    frame_linear: Float[Array, "H W 3"],
+    plate_linear: Float[Array, "H W 3"],
+    matte: Float[Array, "H W"],
+    fitted: Float[Array, "H W 4"],
+) -> Float[Array, "C H W"]:
+    """All that the third network sees; arguments as of `matte_beside_fit`."""
+    gain = _gain_without(matte, frame_linear, plate_linear)
+    frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear * gain, 0, 1)
+    seen = [features(frame, plate), colour_evidence(frame, plate, matte), fit_evidence(frame, plate, fitted)]
+    return np.concatenate(seen)
 
 
 def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:

@@ -3,6 +3,7 @@
 Every row is a picture and what a fit makes of it before its stages of full size, as that is when the two are compared.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,16 @@ _HASTE, _SUBFRAMES = (0.25, 0.7), 4
 """Share of the iterations that ship, and how many sub-frames: other fits of a picture are as good to learn from."""
 
 
+@dataclass(frozen=True)
+class Watched:
+    """A person as cameras see him: first and last instant of every exposure, its matte as estimated, and the truth."""
+
+    shot: Shot
+    exposures: tuple[tuple[int, int], ...]
+    seen: Observation
+    alphas: np.ndarray
+
+
 class Gym(Studio):
     """A studio whose pictures are fitted."""
 
@@ -45,17 +56,23 @@ class Gym(Studio):
         return until_found(lambda: self._fitted(rng))
 
     def _fitted(self, rng: np.random.Generator) -> list[Sample] | None:
+        watched = self._watched(rng)
+        return None if watched is None else self._samples(watched, rng)
+
+    def _watched(self, rng: np.random.Generator) -> Watched | None:
+        """Somebody in one or two exposures; nobody where no matte finds him."""
         exposures = _TWO if rng.random() < _PAIRS else _ONE
         shot = self._shot(rng, _SECONDS, _INSTANTS)
         if shot is None:
             return None
         noise, gain = rng.uniform(0.002, 0.012), float(np.exp(rng.normal(0, 0.03)))
         plate = as_file(shot.plate, noise / 2, rng)
-        frames, mattes = [], []
+        frames, mattes, alphas = [], [], []
         for first, last in exposures:
             picture, alpha = self._exposed(shot, slice(first, last + 1))
             frames.append(as_file(picture, noise, rng))
-            mattes.append(matte_of(frames[-1], plate * gain, alpha, rng))
+            mattes.append(self._matte(frames[-1], plate * gain, alpha, rng))
+            alphas.append(alpha)
             if mattes[-1].sum() < LEAST_PX:
                 return None
         (first, last), opens = exposures[0], exposures[-1][0]
@@ -64,17 +81,28 @@ class Gym(Studio):
             *(torch.from_numpy(one).float() for one in (np.stack(frames), plate, np.stack(mattes))),
             shot.lens, (last - first) * step_s, (opens or last) * step_s,
         )  # fmt: skip
-        return self._samples(seen, exposures, shot, rng)
+        return Watched(shot, exposures, seen, np.stack(alphas))
 
-    def _samples(
-        self, seen: Observation, exposures: tuple[tuple[int, int], ...], shot: Shot, rng: np.random.Generator
-    ) -> list[Sample]:
+    def _matte(self, frame: np.ndarray, plate: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        return matte_of(frame, plate, alpha, rng)
+
+    def _fit(self, watched: Watched, rng: np.random.Generator) -> tuple[list[FirstBody], Variables]:
+        """Where a fit begins, and what it has found before its stages of full size."""
+        firsts = self._first_bodies(watched.exposures, watched.shot, rng)
+        result = fit(watched.seen, firsts, self.body, _hasty(rng), int(rng.integers(1 << 30)), self.prior)
+        betas = torch.from_numpy(result.motion.betas).float()
+        return firsts, Variables(result.trajectory, betas, result.texture)
+
+    def _drawn(self, found: Variables, seen: Observation) -> torch.Tensor:
+        """A fit's own pictures (T, H, W, 4)."""
+        return drawn(found, seen.camera, self.body, self.rasterizer, preset("best").fit.subframes)
+
+    def _samples(self, watched: Watched, rng: np.random.Generator) -> list[Sample]:
+        seen, shot, exposures = watched.seen, watched.shot, watched.exposures
         windows = [Window.around(matte.numpy(), seen.camera, rng.normal(0, 0.02, 3)) for matte in seen.mattes]
-        firsts = self._first_bodies(exposures, shot, rng)
-        result = fit(seen, firsts, self.body, _hasty(rng), int(rng.integers(1 << 30)), self.prior)
-        found = Variables(result.trajectory, torch.from_numpy(result.motion.betas).float(), result.texture)
-        again = shown(drawn(found, seen.camera, self.body, self.rasterizer, preset("best").fit.subframes), seen)
-        turns, places = result.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
+        firsts, found = self._fit(watched, rng)
+        again = shown(self._drawn(found, seen), seen)
+        turns, places = found.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
         person = self.body.shape(found.betas)
         samples = []
         for number, ((first, last), window, start) in enumerate(zip(exposures, windows, firsts, strict=True)):

@@ -1,6 +1,6 @@
 """Ship what was trained: `python export.py --run FOLDER --metrics FILE --out hfb/matting/data`.
 
-The second network (train.py --second) with `--name second_look`.
+The second network (train.py --second) with `--name second_look`, the third with `--name third_look`.
 """
 
 import argparse
@@ -28,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--run", type=Path, nargs="+", required=True, help="of train.py; the last one's weights")
     parser.add_argument("--metrics", type=Path, required=True, help="what measure.py or compare.py wrote with --out")
-    parser.add_argument("--name", choices=["matting", "second_look"], default="matting")
+    parser.add_argument("--name", choices=["matting", "second_look", "third_look"], default="matting")
     parser.add_argument("--went-on", action="store_true", help="the run began with what lies in --out: keep its story")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()

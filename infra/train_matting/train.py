@@ -27,9 +27,10 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.matting import clean
-from hfb.matting.network import shipped_network, shipped_second
+from hfb.matting.network import seen_beside_fit, shipped_network, shipped_second
 from hfb.matting.second_look import COLOUR_STARTS, EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, FIT_COLOUR_STARTS, SHARED_CHANNELS, fit_evidence
+from hfb.photometry import srgb_to_linear
 
 _REMEMBERED = 480
 _CLOSE = Difficulty(
@@ -43,13 +44,18 @@ _CLOSE = Difficulty(
 )
 """The second network sees the box around the person."""
 _EVERY_S = 120
+_OF_FITS = 0.6
+"""Of the third network's pictures, where there are fits; the others have what no body model wears."""
 
 
 class Scenes(IterableDataset):
     """New scenes, one after another, for ever."""
 
-    def __init__(self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int) -> None:
-        self.banks, self.photos, self.size_px, self.seed, self.look = banks, photos, size_px, seed, look
+    def __init__(
+        self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int, fits: list[Path]
+    ) -> None:
+        self.banks, self.fits, self.photos = banks, fits, photos
+        self.size_px, self.seed, self.look = size_px, seed, look
 
     def __iter__(self):
         """(features and alpha) as (channels + 1, size, size) float16; several processes share the numbers."""
@@ -57,18 +63,32 @@ class Scenes(IterableDataset):
         torch.set_num_threads(1)
         worker = get_worker_info()
         first, step = (worker.id, worker.num_workers) if worker else (0, 1)
-        figures = [np.load(path, mmap_mode="r") for path in self.banks]
+        figures, fits = ([np.load(path, mmap_mode="r") for path in paths] for paths in (self.banks, self.fits))
         real = read_photos(self.photos, held_out=False)
         plates = [real, real, make_rooms(ROOMS, self.seed), make_patterns(PATTERNS, self.seed)]
         rules = _CLOSE if self.look > 1 else Difficulty()
         rules = replace(rules, size_px=self.size_px)
         for number in range(first, 1 << 30, step):
             rng = np.random.default_rng([self.seed, number])
+            if fits and rng.random() < _OF_FITS:
+                yield torch.from_numpy(_of_fit(fits[rng.integers(len(fits))], rng).astype(np.float16))
+                continue
             scene = draw_scene(figures[rng.integers(len(figures))], plates, rules, rng)
             seen = features(scene.frame, scene.plate)
             if self.look > 1:
                 seen = _looked(scene, seen, self.look)
             yield torch.from_numpy(np.concatenate([seen, scene.alpha[None]]).astype(np.float16))
+
+
+def _of_fit(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A row of `../train_joints/fitted_mattes.py` as the third network sees it, and alpha."""
+    row = rows[rng.integers(len(rows))]
+    while not row[-1].any():  # a bank that is still being drawn
+        row = rows[rng.integers(len(rows))]
+    picture = row.astype(np.float32).transpose(1, 2, 0) / 255
+    frame, plate = srgb_to_linear(picture[..., :3]), srgb_to_linear(picture[..., 3:6])
+    fitted = np.concatenate([picture[..., 7:10] ** 2, picture[..., 10:11]], -1)
+    return np.concatenate([seen_beside_fit(frame, plate, picture[..., 6], fitted), picture[..., 11][None]])
 
 
 def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
@@ -86,8 +106,8 @@ def _looked(scene: Scene, seen: np.ndarray, look: int) -> np.ndarray:
 def _answer(network: MatteNetwork, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16):
         picture = torch.from_numpy(seen)[None].contiguous(memory_format=torch.channels_last)
-        logit, doubt = network(picture)[0].float().numpy()
-    return 1 / (1 + np.exp(-logit)), doubt
+        logit, doubt = network(picture)[0].float()
+    return torch.sigmoid(logit).numpy(), doubt.numpy()
 
 
 def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) -> torch.Tensor:
@@ -163,6 +183,9 @@ def main() -> None:
     parser.add_argument("--go-on", type=Path, help="begin with what ships (.safetensors), without normalisation")
     parser.add_argument("--second", action="store_true", help="the network that sees the shipped first one's matte")
     parser.add_argument("--third", action="store_true", help="the network that sees the second one's, and a fit")
+    parser.add_argument(
+        "--fits", type=Path, nargs="*", default=[], help="of ../train_joints/fitted_mattes.py, for --third"
+    )
     parser.add_argument("--band-weight", type=float, default=2.0, help="of the blurred band in the loss")
     parser.add_argument("--half", action="store_true", help="multiply in bfloat16")
     options = parser.parse_args()
@@ -177,13 +200,15 @@ def main() -> None:
     average = average.to(options.device)
     if options.go_on:
         before = {name: weights.float() for name, weights in load_file(options.go_on).items()}
-        network.load_state_dict(widened(before, channels, SHARED_CHANNELS) if look == 3 else before)
+        goes_on = before["entry.0.weight"].shape[1] == channels
+        network.load_state_dict(before if goes_on else widened(before, channels, SHARED_CHANNELS))
     if options.start:
         network.load_state_dict(widened(torch.load(options.start, weights_only=True), channels, CHANNELS))
     average.load_state_dict(network.state_dict())
     optimiser = Muon(network, options.rate, 0.01, ("exit",))
     loader = DataLoader(
-        Scenes(options.bank, options.photos, options.size, options.seed, look), batch_size=options.fresh,
+        Scenes(options.bank, options.photos, options.size, options.seed, look, options.fits),
+        batch_size=options.fresh,
         num_workers=options.loaders, prefetch_factor=16,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(options.seed)

@@ -1,13 +1,16 @@
 """From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
 
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, Weights
-from hfb.fit import descent
+from hfb.fit import comparison, descent, loop
 from hfb.fit.loop import FitResult, fit
+from hfb.observation import Observation
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
 
@@ -62,6 +65,41 @@ def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a
     monkeypatch.setattr(descent, "beside_the_fit", looks)
     losses(0.75, coarse, stage, stage, stage)
     assert looks.call_count == 3
+
+
+def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
+    scene = moving_scene(body, size_px=48)
+    given, found, ends = [], [], []
+
+    def matted_again(blurred: torch.Tensor, seen: Observation) -> Observation:
+        again = comparison.matted_again(blurred, seen)
+        given.append(seen.mattes)
+        found.append(again.mattes)
+        return again
+
+    def descend(*told: Any) -> descent.Descent:
+        ends.append(descent.descend(*told))
+        return ends[-1]
+
+    def losses(again: bool) -> list[float]:
+        stages = (stage, coarse, stage, stage)
+        config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, matte_again=again)
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    monkeypatch.setattr(descent, "matted_again", matted_again)
+    monkeypatch.setattr(loop, "descend", descend)
+    without = losses(False)
+    assert not given
+    both = zip(without, losses(True), strict=True)
+    assert next(number for number, (one, other) in enumerate(both) if one != other) == 6
+    assert len(given) == 2
+    assert torch.equal(given[0], given[1])
+    assert not torch.equal(found[1], given[1])
+    assert torch.equal(ends[-1].seen.mattes, found[-1])  # what comes after the stages sees them, too
+    assert ends[-1].seen.mattes.shape == ends[0].seen.mattes.shape
 
 
 @pytest.mark.parametrize("frames", [1, 2])

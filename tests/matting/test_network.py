@@ -16,8 +16,9 @@ from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.matting import KnownBackground, Matting, make_matting, matte_region, shrink
-from hfb.matting.network import NetworkMatting
+from hfb.matting.network import NetworkMatting, matte_beside_fit
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
+from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import average_frames, read_frames
 from hfb.photometry import srgb_to_linear
@@ -180,6 +181,39 @@ def test_the_true_colours_give_the_true_share() -> None:
     assert told.shape == (EVIDENCE_CHANNELS, 48, 64)
     for channel in (6, 9, 12):  # by the near, the far and the unmixed colour
         assert np.abs(told[channel] + 0.5 - alpha).mean() < 0.05
+
+
+def test_a_fit_that_explains_the_picture_leaves_nothing_and_tells_the_share() -> None:
+    alpha = np.clip(np.linspace(-0.5, 1.5, 64), 0, 1)[None].repeat(48, 0).astype(np.float32)
+    plate = generated_plate("clouds")[:48, :64] * 0.7 + 0.2
+    colour = alpha[..., None] * np.array([0.7, 0.1, 0.1], np.float32)
+    frame = colour + (1 - alpha[..., None]) * plate
+    told = fit_evidence(frame, plate, np.dstack([colour, alpha]))
+    assert told.shape == (FIT_CHANNELS, 48, 64)
+    assert np.abs(told[3] + 0.5 - alpha).mean() < 0.03  # by its colours
+    assert np.allclose(told[6] + 0.5, alpha, atol=1e-6)
+    assert np.abs(told[7:]).max() < 1e-3
+    wider = np.roll(np.dstack([colour, alpha]), -8, 1)  # it covers what is the plate's
+    assert np.abs(fit_evidence(frame, plate, wider)[7:, :, 8:28]).max() > 0.5
+
+
+def test_the_third_look_keeps_what_no_fit_can_wear_and_drops_what_it_wears_by_mistake() -> None:
+    """A bag beside the body, in the first matte but not in the fit, stays; half of an arm that the fit puts where only
+    the plate is does not come in."""
+    scene = composite(generated_plate("clouds"), 8, 21)
+    body = scene.alpha
+    rows, columns = np.nonzero(body > 0.5)
+    bag = np.zeros_like(body)
+    bag[int(np.median(rows)) - 10 : int(np.median(rows)) + 10, columns.max() - 4 : columns.max() + 16] = 1
+    bag *= 1 - body
+    frame = (1 - bag[..., None]) * scene.frame + bag[..., None] * np.array([0.6, 0.05, 0.3], np.float32)
+    arm = np.zeros_like(body)
+    arm[int(np.median(rows)) - 4 : int(np.median(rows)) + 4, max(0, columns.min() - 30) : columns.min() - 4] = 1
+    fitted = np.dstack([frame * body[..., None], body])
+    fitted[arm > 0] = [*frame[body > 0.9].mean(0), 1.0]
+    alpha = matte_beside_fit(frame, scene.plate, np.maximum(body, bag), fitted)
+    assert alpha[bag > 0.9].mean() > 0.8
+    assert alpha[arm > 0].mean() < 0.15
 
 
 def test_features_say_the_same_of_a_darker_scene() -> None:
