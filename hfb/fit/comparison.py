@@ -101,4 +101,4 @@ def matted_again(blurred: Float[Tensor, "T H W 4"], seen: Observation) -> Observ
         torch.from_numpy(matte_beside_fit(frame.numpy(), plate.numpy(), matte.numpy(), fit.numpy()))
         for frame, matte, fit in zip(seen.to_linear(seen.frames_linear), seen.mattes, fitted, strict=True)
     ]
-    return replace(seen, mattes=torch.stack(mattes))
+    return replace(seen, mattes=torch.stack(mattes).to(seen.mattes))

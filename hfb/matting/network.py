@@ -37,6 +37,8 @@ _LOOKS = (1.0, 1.4)
 """Sizes of the crop, relative to at most _CROP_PX, at which it is looked at; a small one is enlarged."""
 _LEAST_PX = 32
 _MARGIN = 0.2
+_COVERED, _REACH = 0.05, 0.05
+"""By a matte or a fit; how far beside them a third look may find the person, relative to the crop's longer side."""
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
@@ -110,6 +112,8 @@ def matte_beside_fit(
 ) -> Float[Array, "H W"]:
     """The third network's alpha of a crop around a person: what a matte and a fit show, weighed by the pixels.
 
+    What lies far from both is somebody else, who was left out of the matte before. Where nobody is left it stays.
+
     Args:
         frame_linear, plate_linear: in linear light.
         matte: alpha as it was found before the fit.
@@ -118,9 +122,15 @@ def matte_beside_fit(
     """
     height, width = matte.shape
     longer = min(_CROP_PX, max(height, width))
-    pictures = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
-    alpha, _ = _answer(shipped_third() if network is None else network.eval(), seen_beside_fit(*pictures))
-    return cv2.resize(clean(alpha), (width, height), interpolation=cv2.INTER_LINEAR)
+    frame, plate, before, beside = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
+    seen = seen_beside_fit(frame, plate, before, beside)
+    alpha, _ = _answer(shipped_third() if network is None else network.eval(), seen)
+    reach = 2 * max(2, round(_REACH * longer)) + 1
+    covered = (np.maximum(before, beside[..., 3]) > _COVERED).astype(np.uint8)
+    alpha = clean(alpha * cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))))
+    if alpha.sum() < LEAST_SHARE * alpha.size:
+        return np.asarray(matte, np.float32)
+    return cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def seen_beside_fit(

@@ -216,6 +216,23 @@ def test_the_third_look_keeps_what_no_fit_can_wear_and_drops_what_it_wears_by_mi
     assert alpha[arm > 0].mean() < 0.15
 
 
+def test_the_third_look_leaves_out_who_was_left_out() -> None:
+    """Of two people one is meant: neither his matte nor his fit has the other one."""
+    scene = composite(generated_plate("clouds"), 8, 21)
+    two, plate, alpha = (np.concatenate([one, one], 1) for one in (scene.frame, scene.plate, scene.alpha))
+    alpha[:, scene.alpha.shape[1] :] = 0
+    found = matte_beside_fit(two, plate, alpha, np.dstack([two * alpha[..., None], alpha]))
+    assert soft_iou(found, alpha) > 0.9
+    assert found[:, scene.alpha.shape[1] + 30 :].max() == 0
+
+
+def test_where_the_third_look_sees_nobody_the_matte_stays() -> None:
+    plate = generated_plate("flat")
+    matte = np.zeros(plate.shape[:2], np.float32)
+    matte[100:140, 100:120] = 0.9
+    assert np.array_equal(matte_beside_fit(plate, plate, matte, np.zeros((*matte.shape, 4), np.float32)), matte)
+
+
 def test_features_say_the_same_of_a_darker_scene() -> None:
     """A shadow is one number: the ratio's three channels agree where light is lost, whatever the plate's colour."""
     plate = generated_plate("clouds") * 0.7 + 0.2
