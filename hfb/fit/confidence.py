@@ -99,7 +99,8 @@ def joint_features(
     Args:
         alternatives: None where no directions were searched: ``spread`` is then not among the features.
         motion: the result. found: its polynomials, shape and texture.
-        coarse: the objective at a small picture size.
+        coarse: the objective at a small picture size, with the mattes from before the fit: one that was found beside
+            the fit agrees with it in its errors, too.
     """
     frames = range(int(motion.frame_index.max()) + 1)
     centred = motion.joints - motion.joints[:, :1]

@@ -213,17 +213,19 @@ def _fit_together(
 
 def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) -> FitResult:
     """The best iterate as a result, its directions searched or at least how far off each joint may be."""
-    first_bodies = begun.first_bodies
+    first_bodies, size_px = begun.first_bodies, config.directions.size_px
     best = descent.best.in_metres(body)
     result = _result(best, begun.problem.observation, body, config, descent.history, descent.best_iteration)
     if not descent.history or not (config.directions.search or begun.problem.person is not None):
         return result
-    coarse = replace(descent.objective, observation=descent.seen.resized(config.directions.size_px))
+    coarse = replace(descent.objective, observation=descent.seen.resized(size_px))
+    # How far a fit is from a matte tells how far off it is only of mattes that do not know the fit.
+    before = replace(coarse, observation=begun.everywhere.observation.resized(size_px))
     if config.directions.search:
-        return _directed(result, best, first_bodies, coarse, descent.objective, config)
+        return _directed(result, best, first_bodies, coarse, descent.objective, before, config)
     # a window of a clip: its neighbours tell the directions
     told = config.height_m is not None
-    return _with_radius(result, joint_features(result.motion, None, best, first_bodies, coarse, told))
+    return _with_radius(result, joint_features(result.motion, None, best, first_bodies, before, told))
 
 
 def _objective(
@@ -270,6 +272,7 @@ def _directed(
     first_bodies: Sequence[FirstBody],
     coarse: Objective,
     fine: Objective,
+    before: Objective,
     config: FitConfig,
 ) -> FitResult:
     """The result in its likeliest directions, with what else it may be and how far off each joint may be."""
@@ -280,7 +283,7 @@ def _directed(
         joints=alternatives.joints[chosen],
     )  # fmt: skip
     directed, told = replace(best, trajectory=trajectory), config.height_m is not None
-    features = joint_features(motion, alternatives, directed, first_bodies, coarse, told)
+    features = joint_features(motion, alternatives, directed, first_bodies, before, told)
     shown = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
     return _with_radius(shown, features)
 

@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.config import FitConfig, Stage, Weights
-from hfb.fit import comparison, descent, loop
+from hfb.config import DirectionsConfig, FitConfig, Stage, Weights
+from hfb.fit import comparison, confidence, descent, loop
+from hfb.fit.clip_person import ClipPerson
 from hfb.fit.loop import FitResult, fit
 from hfb.observation import Observation
 from hfb.priors.anatomy import AnatomicalPrior
+from hfb.shapes import Array, Float
 from tests.scenes import moving_scene
 
 
@@ -100,6 +102,24 @@ def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
     assert not torch.equal(found[1], given[1])
     assert torch.equal(ends[-1].seen.mattes, found[-1])  # what comes after the stages sees them, too
     assert ends[-1].seen.mattes.shape == ends[0].seen.mattes.shape
+
+
+def test_radii_are_told_by_the_mattes_from_before_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A matte that was found beside the fit agrees with it in its errors: radii would be too narrow."""
+    body, told = load_default_body(), []
+
+    def joint_features(*given: Any) -> dict[str, Float[Array, "R 24"]]:
+        told.append(given[4].observation.mattes)
+        return confidence.joint_features(*given)
+
+    scene = moving_scene(body, size_px=64, frames=2, instants=5)
+    stage, search = Stage(size_px=48, iterations=2), DirectionsConfig(size_px=64)
+    config = FitConfig(stages=(stage, stage), subframes=3, texture_px=16, matte_again=True, directions=search)
+    person = ClipPerson(scene.middle[0].betas, torch.full((16, 16, 3), 0.4))
+    monkeypatch.setattr(loop, "joint_features", joint_features)
+    fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), person=person)
+    seen = scene.observation
+    assert torch.equal(told[0], seen.cropped(*seen.region()).resized(64).mattes)
 
 
 @pytest.mark.parametrize("frames", [1, 2])
