@@ -1,9 +1,9 @@
-"""Two looks of the joint network compared: at the picture, and at what the fit makes of it.
+"""Networks look at the picture beside what the fit makes of it: where joints differ, and for a better matte.
 
-The network errs alike on pictures that look alike: it draws towards what is common, hangs on its first guess, misjudges
-a view. Of the fit's own picture the truth is known. What the network says of both differs by what it sees to be
-different, and that is off by less than either (a control variate; render and compare: Li et al., DeepIM: Deep Iterative
-Matching for 6D Pose Estimation, ECCV 2018, where a network is trained for it).
+The joint network errs alike on pictures that look alike: it draws towards what is common, hangs on its first guess,
+misjudges a view. Of the fit's own picture the truth is known. What the network says of both differs by what it sees to
+be different, and that is off by less than either (a control variate; render and compare: Li et al., DeepIM: Deep
+Iterative Matching for 6D Pose Estimation, ECCV 2018, where a network is trained for it).
 """
 
 from dataclasses import replace

@@ -3,7 +3,7 @@
 A matte that was found before any fit errs where the person looks like the plate; the fitted body errs where a limb is
 not yet where it should be. Both see the same pixels, and where they disagree the pixels say who is right: how much of
 a fitted colour is there, and what the fit's picture leaves unexplained. The third network has learned to weigh that
-from people beside somebody posed and shaped a little otherwise.
+from people beside somebody posed and shaped a little otherwise, and from fits.
 """
 
 import numpy as np
