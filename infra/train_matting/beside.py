@@ -10,11 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from measure import held_out_scenes
-from safetensors.torch import load_file
+from measure import held_out_scenes, network_of
 
 from hfb.errors import InputError
-from hfb.matting.matte_network import MatteNetwork
 from hfb.matting.network import NetworkMatting, matte_beside_fit
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS
 
@@ -29,7 +27,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    matting, network = NetworkMatting(), third_network(options.weights)
+    matting, network = NetworkMatting(), network_of(options.weights, SHARED_CHANNELS + FIT_CHANNELS)
     errors: dict[str, list[list[float]]] = {}
     for family, _, scene in held_out_scenes(options.bank, options.photos, options.per_family):
         if scene.double is None:
@@ -51,16 +49,6 @@ def main() -> None:
         print(f"{group:28s} {len(rows):4d}  before {before:.4f}  double {double:.4f}  after {after:.4f}")
     if options.out:
         options.out.write_text(json.dumps(table, indent=1))
-
-
-def third_network(weights: Path | None) -> MatteNetwork | None:
-    """With these weights; nothing for the shipped one."""
-    if weights is None:
-        return None
-    network = MatteNetwork(channels=SHARED_CHANNELS + FIT_CHANNELS)
-    state = load_file(weights) if weights.suffix == ".safetensors" else torch.load(weights, weights_only=True)
-    network.load_state_dict({name: value.float() for name, value in state.items()})
-    return network.eval().to(memory_format=torch.channels_last)
 
 
 if __name__ == "__main__":

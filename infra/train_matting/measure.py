@@ -17,7 +17,7 @@ from safetensors.torch import load_file
 from scenes import Difficulty, Scene, draw_scene
 
 from hfb.errors import InputError
-from hfb.matting.matte_network import MatteNetwork
+from hfb.matting.matte_network import CHANNELS, MatteNetwork
 from hfb.matting.matting import KnownBackground
 from hfb.matting.network import NetworkMatting
 
@@ -102,10 +102,11 @@ def main() -> None:
         options.out.write_text(json.dumps(rows, indent=1))
 
 
-def network_of(weights: Path | None) -> MatteNetwork | None:
+def network_of(weights: Path | None, channels: int = CHANNELS) -> MatteNetwork | None:
+    """With these weights; nothing for the shipped ones."""
     if weights is None:
         return None
-    network = MatteNetwork()
+    network = MatteNetwork(channels=channels)
     state = load_file(weights) if weights.suffix == ".safetensors" else torch.load(weights, weights_only=True)
     network.load_state_dict({name: value.float() for name, value in state.items()})
     return network.eval().to(memory_format=torch.channels_last)
