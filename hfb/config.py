@@ -296,6 +296,7 @@ _PAPER = FitConfig(
     ),
 )
 _BEST = FitConfig(
+    degree=3,  # as many coefficients as a frame's two ends have values and velocities
     origin=0.5,  # a static estimate of a blurred person is nearest to the middle of the motion
     root_kick=0.1,
     adam_epsilon=1e-4,

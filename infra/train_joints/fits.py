@@ -155,6 +155,7 @@ def _hasty(rng: np.random.Generator) -> FitConfig:
         "stages": stages,
         "directions": config.directions.model_copy(update={"search": False}),
         "compare": 0.0,
+        "matte_again": False,  # as before the first stage of full size
         "subframes": _SUBFRAMES,
         "settle": round(max(haste, 0.5) * config.settle),
     }
