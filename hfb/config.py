@@ -135,6 +135,13 @@ class Stage(Record):
     cosine: bool = Field(False, description="let the learning rate fall to a twentieth along a half cosine")
 
 
+class SeveralFrames(Record):
+    """What counts more where one texture has to explain several frames: a single one's may make up what it likes."""
+
+    image: float = Field(1.0, ge=0, description="factor of w_I in the stages of full size, when the texture is known")
+    height: float = Field(1.0, ge=0, description="factor of the height's weight")
+
+
 class DirectionsConfig(Record):
     """The search for the directions in which the body and its limbs moved, after the fit."""
 
@@ -162,6 +169,7 @@ class FitConfig(Record):
     )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
+    several: SeveralFrames = SeveralFrames()
     motion_shared: bool = Field(
         False, description="divide w_C by the number of frames: where neighbours meet they bound the motion, too"
     )
@@ -316,6 +324,7 @@ _BEST = FitConfig(
     compare=0.75,
     size_moves_away=True,
     motion_shared=True,
+    several=SeveralFrames(image=33, height=3),
     matte_again=True,
     weights=Weights(
         image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04

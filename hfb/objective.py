@@ -4,7 +4,7 @@ A term with weight zero is not computed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -173,6 +173,11 @@ class Objective:
         if weights.matte > 0:
             terms["matte"] = overlap
         return terms
+
+    def of_stage(self, seen: Observation, visible: Bool[Tensor, "A A"] | None, image: float) -> "Objective":
+        """What a stage minimises: of the observation at its size, with a factor of w_I."""
+        weights = self.weights.model_copy(update={"image": image * self.weights.image})
+        return replace(self, observation=seen, visible=visible, weights=weights)
 
     def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
         """The weighted sum of the terms."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from hfb.baselines.chain_spec import ChainSpec, read_chains
-from hfb.config import DirectionsConfig, FitConfig, Record, RunConfig, Stage, Weights, preset
+from hfb.config import DirectionsConfig, FitConfig, Record, RunConfig, SeveralFrames, Stage, Weights, preset
 from hfb.errors import InputError
 from hfb.initialize.networks import NETWORKS, network_path
 from hfb.toml_file import merged, read_toml, to_record
@@ -61,6 +61,7 @@ _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     "no-lifting": _with(lifting=0.0),
     "no-compare": _with(compare=0.0),
     "no-matte-again": _with(matte_again=False),
+    "no-several": _with(several=SeveralFrames()),
     "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
@@ -75,6 +76,7 @@ MODIFIERS: Mapping[str, str] = {
     "best-no-lifting": "without the lifting network, which tells depth from joints across the view",
     "best-no-compare": "the joint network does not look at the fit's own picture",
     "best-no-matte-again": "the mattes stay as they were found before the fit",
+    "best-no-several": "of several frames pictures and height count as they do of one",
     "best-no-evidence": "without the joint network; best-settled: with nothing but it, no picture is compared",
     "best-no-directions": "the motion as fitted, no search for its directions",
     "best-dibr, paper-coverage": "the other preset's silhouette",

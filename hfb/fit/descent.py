@@ -47,11 +47,10 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
     first = everywhere
     for number, stage in enumerate(stages):
         if number > 0:
-            full = stage.size_px == stages[-1].size_px
-            everywhere = looked_again(first, everywhere, variables, config, full)
+            everywhere = looked_again(first, everywhere, variables, config, of_full_size(stage, config))
         seen = everywhere.observation.resized(stage.size_px)
         visible = visible_at(variables, seen, everywhere.body, config) if everywhere.texels else None
-        objective = replace(everywhere, observation=seen, visible=visible)
+        objective = everywhere.of_stage(seen, visible, picture_factor(everywhere, config, stage))
         best_loss = told_loss = math.inf  # losses of different picture sizes do not compare
         waited, ends = 0, done + stage.iterations
         for loss, terms, iterate in _iterations(objective, variables, optimizer, config, stage):
@@ -90,6 +89,17 @@ def looked_again(
     if config.matte_again:
         seen = matted_again(blurred, first.observation)
     return replace(everywhere, evidence=evidence, observation=seen)
+
+
+def picture_factor(objective: Objective, config: FitConfig, stage: Stage) -> float:
+    """Of w_I in a stage: see `SeveralFrames`."""
+    several = len(objective.observation.mattes) > 1
+    return config.several.image if several and of_full_size(stage, config) else 1.0
+
+
+def of_full_size(stage: Stage, config: FitConfig) -> bool:
+    """Whether a stage has the last one's size."""
+    return stage.size_px == [one for one in config.stages if one.iterations > 0][-1].size_px
 
 
 def _iterations(

@@ -218,7 +218,9 @@ def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) ->
     result = _result(best, begun.problem.observation, body, config, descent.history, descent.best_iteration)
     if not descent.history or not (config.directions.search or begun.problem.person is not None):
         return result
-    coarse = replace(descent.objective, observation=descent.seen.resized(size_px))
+    # Weighed as before the stages of full size: what the odds of directions were measured by.
+    seen, weights = descent.seen.resized(size_px), begun.everywhere.weights
+    coarse = replace(descent.objective, observation=seen, weights=weights)
     # How far a fit is from a matte tells how far off it is only of mattes that do not know the fit.
     before = replace(coarse, observation=begun.everywhere.observation.resized(size_px))
     if config.directions.search:
@@ -242,6 +244,8 @@ def _objective(
     weights = config.weights
     if config.motion_shared:
         weights = weights.model_copy(update={"motion": weights.motion / len(first_bodies)})
+    if len(first_bodies) > 1:
+        weights = weights.model_copy(update={"height": config.several.height * weights.height})
     looks = config.settle > 0 or weights.joints + weights.path + weights.height > 0
     return Objective(
         observation.cropped(*observation.region(square=square)),

@@ -20,7 +20,7 @@ from torch.func import vmap
 
 from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
-from hfb.fit.descent import GAIN, Descent, Progress, looked_again, visible_at
+from hfb.fit.descent import GAIN, Descent, Progress, looked_again, of_full_size, picture_factor, visible_at
 from hfb.fit.settle import settle_by, settling
 from hfb.fit.variables import Variables, falling, parameter_groups
 from hfb.formulas import readable_formulas
@@ -328,7 +328,7 @@ def descend_together(
     best_iterations, offsets = [0] * len(variables), [0] * len(variables)
     for number, stage in enumerate(stages):
         if number > 0:
-            full = stage.size_px == stages[-1].size_px
+            full = of_full_size(stage, config)
 
             def again(first: Objective, now: Objective, mine: Variables, full: bool = full) -> Objective:
                 return looked_again(first, now, mine, config, full)
@@ -340,7 +340,7 @@ def descend_together(
             for one, mine, there in zip(everywhere, variables, seen, strict=True)
         ]
         everywhere_seen = [
-            replace(one, observation=there, visible=texels)
+            one.of_stage(there, texels, picture_factor(one, config, stage))
             for one, there, texels in zip(everywhere, seen, visible, strict=True)
         ]
         group = Together(filled(everywhere_seen, room), filled(variables, room), rasterizer)

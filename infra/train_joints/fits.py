@@ -153,6 +153,7 @@ def _hasty(rng: np.random.Generator) -> FitConfig:
     )
     changed = {
         "stages": stages,
+        "several": config.several.model_copy(update={"image": 1.0}),  # that of the stages left out
         "directions": config.directions.model_copy(update={"search": False}),
         "compare": 0.0,
         "matte_again": False,  # as before the first stage of full size

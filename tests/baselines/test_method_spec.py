@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hfb.baselines.method_spec import METHOD_NAMES, MethodSpec, method_spec
-from hfb.config import FitConfig, RunConfig, Weights, preset
+from hfb.config import FitConfig, RunConfig, SeveralFrames, Weights, preset
 from hfb.errors import InputError
 
 
@@ -43,6 +43,7 @@ def test_leaving_out_a_term_changes_its_weight_alone(base: str, weight: str) -> 
         ("best-dibr", "best", {"silhouette": "dibr"}),
         ("best-axis-angle", "best", {"rotation": "axis-angle"}),
         ("best-no-kick", "best", {"root_kick": 0.0}),
+        ("best-no-several", "best", {"several": SeveralFrames().model_dump()}),
         ("best-degree1", "best", {"degree": 1}),
         ("best-degree2", "best", {"degree": 2}),
         ("paper-coverage", "paper", {"silhouette": "coverage"}),

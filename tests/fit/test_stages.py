@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.config import DirectionsConfig, FitConfig, Stage, Weights
+from hfb.config import DirectionsConfig, FitConfig, SeveralFrames, Stage, Weights
 from hfb.fit import comparison, confidence, descent, loop
 from hfb.fit.clip_person import ClipPerson
 from hfb.fit.loop import FitResult, fit
@@ -32,6 +32,48 @@ def test_a_stage_goes_on_where_the_last_one_ended() -> None:
     losses = run(stage, stage)[0].history["total"]
     assert losses[24] < 0.7 * losses[0]
     assert max(losses[25:]) <= 1.01 * min(losses[:25])
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> None:
+    """But not in the search for directions afterwards: their odds were measured without."""
+    body = load_default_body()
+    scene = moving_scene(body, size_px=48, frames=frames)
+    coarse, whole = Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
+
+    def result(weight: float, factor: float, *stages: Stage) -> FitResult:
+        config = FitConfig(
+            stages=stages, subframes=3, texture_px=16, several=SeveralFrames(image=factor),
+            weights=Weights(image=weight, boundary=0), directions=DirectionsConfig(search=True, limbs=False, refits=0),
+        )  # fmt: skip
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
+
+    plain, more = (result(2, factor, coarse, whole) for factor in (1, 5))
+    losses = plain.history["total"], more.history["total"]
+    assert losses[0][:3] == losses[1][:3]
+    assert (losses[0][3] == losses[1][3]) == (frames == 1)
+    assert result(2, 5, whole, whole).history == result(2 if frames == 1 else 10, 1, whole, whole).history
+    for one in (plain, more):
+        assert one.alternatives is not None
+        scores = one.alternatives.scores
+        assert scores["loss"] == pytest.approx(2 * scores["image"] + scores["matte"], rel=1e-5)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_the_height_of_several_frames_has_a_factor_of_its_own(frames: int) -> None:
+    body = load_default_body()
+    scene = moving_scene(body, size_px=48, frames=frames)
+
+    def losses(height: float, factor: float) -> list[float]:
+        config = FitConfig(
+            stages=(Stage(size_px=48, iterations=2),), subframes=3, texture_px=16, settle=2,
+            weights=Weights(height=height), several=SeveralFrames(height=factor),
+        )  # fmt: skip
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    more = losses(0.5, 3)
+    assert more == losses(0.5 if frames == 1 else 1.5, 1)
+    assert (more == losses(0.5, 1)) == (frames == 1)
 
 
 def test_a_stage_without_gain_ends_by_its_patience() -> None:
