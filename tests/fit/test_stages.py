@@ -26,6 +26,14 @@ def run(*stages: Stage, patience: int = 0) -> tuple[FitResult, list[tuple[int, i
     return result, told
 
 
+def first_losses(frames: int, iterations: int, settle: int, **options: Any) -> list[float]:
+    """Of a fit that settles and has one stage, from the true middle pose."""
+    body = load_default_body()
+    scene, stage = moving_scene(body, size_px=48, frames=frames), Stage(size_px=48, iterations=iterations)
+    config = FitConfig(stages=(stage,), subframes=3, texture_px=16, settle=settle, **options)
+    return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+
 def test_a_stage_goes_on_where_the_last_one_ended() -> None:
     """A fresh optimiser would leave it: its first steps are as large as its rate, wherever the gradient is small."""
     stage = Stage(size_px=48, iterations=25, learning_rate=0.003)
@@ -61,15 +69,8 @@ def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> N
 
 @pytest.mark.parametrize("frames", [1, 2])
 def test_the_height_of_several_frames_has_a_factor_of_its_own(frames: int) -> None:
-    body = load_default_body()
-    scene = moving_scene(body, size_px=48, frames=frames)
-
     def losses(height: float, factor: float) -> list[float]:
-        config = FitConfig(
-            stages=(Stage(size_px=48, iterations=2),), subframes=3, texture_px=16, settle=2,
-            weights=Weights(height=height), several=SeveralFrames(height=factor),
-        )  # fmt: skip
-        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+        return first_losses(frames, 2, 2, weights=Weights(height=height), several=SeveralFrames(height=factor))
 
     more = losses(0.5, 3)
     assert more == losses(0.5 if frames == 1 else 1.5, 1)
@@ -167,15 +168,9 @@ def test_radii_are_told_by_the_mattes_from_before_the_fit(monkeypatch: pytest.Mo
 @pytest.mark.parametrize("frames", [1, 2])
 def test_frames_share_what_holds_their_motion(frames: int) -> None:
     """With w_C shared the motion is held by as much as with a part of it for each, while the skeleton settles, too."""
-    body = load_default_body()
-    scene = moving_scene(body, size_px=48, frames=frames)
 
     def losses(motion: float, shared: bool) -> list[float]:
-        config = FitConfig(
-            stages=(Stage(size_px=48, iterations=3),), subframes=3, texture_px=16, settle=3,
-            weights=Weights(motion=motion), motion_shared=shared,
-        )  # fmt: skip
-        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+        return first_losses(frames, 3, 3, weights=Weights(motion=motion), motion_shared=shared)
 
     shared = losses(0.5, True)
     assert shared == losses(0.5 / frames, False)
