@@ -327,7 +327,7 @@ _BEST = FitConfig(
     several=SeveralFrames(image=33, height=3),
     matte_again=True,
     weights=Weights(
-        image=30, matte=10, pose=0.02, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=1, height=0.04
+        image=30, matte=14, pose=0.014, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=0.4, height=0.04
     ),
 )
 
