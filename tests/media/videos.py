@@ -1,5 +1,9 @@
 """Small videos for tests: numbered pictures that survive any codec, in the given container and codec."""
 
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
@@ -21,6 +25,20 @@ def picture(number: int, size: tuple[int, int] = SIZE) -> np.ndarray:
     return frame
 
 
+@contextmanager
+def _as_urgent_as_before() -> Iterator[None]:
+    """Root's process is of real-time priority once SVT-AV1 has encoded in it; what spins there later (MKL does, when
+    threads end) starves the one that it waits for, and everything else on the machine."""
+    if sys.platform != "linux":
+        yield
+        return
+    policy, urgency = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, urgency)
+
+
 def write_video(
     path: Path,
     frames: list[np.ndarray],
@@ -37,7 +55,7 @@ def write_video(
     `aspect`: width / height of a pixel.
     """
     try:
-        with av.open(str(path), "w", options=container_options or {}) as container:
+        with _as_urgent_as_before(), av.open(str(path), "w", options=container_options or {}) as container:
             stream = container.add_stream(codec, rate=rate, options=options or {})
             stream.height, stream.width = frames[0].shape[:2]
             stream.pix_fmt = pixels
