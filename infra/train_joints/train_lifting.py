@@ -36,7 +36,8 @@ have in common of the errors' variance: 33.8 of the 44.4 mm that 30 pairs were o
 
 _SIZE, _BONE = 0.015, 0.02
 """How far a fit's bones are off, as logarithms: as far as one unit of the window goes, and each by itself (both sides
-alike). Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a piece of the spine 6)."""
+alike). Measured on 48 pairs and 150 single pictures of held-out motions: 1.2 to 2 %, and 1 to 3 % (a piece of the
+spine 6)."""
 
 _ALONE = 0.4
 _OTHER_CAMERAS, _PERSPECTIVE = 0.35, 0.4
