@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 import time
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -34,14 +33,7 @@ _COMMON = 0.7
 """A parent's share in a joint's error; the largest share of the first guess' error that a fit keeps; what two frames
 have in common of the errors' variance: 33.8 of the 44.4 mm that 30 pairs were off is the same in both."""
 
-_SIZE, _BONE = 0.015, 0.02
-"""How far a fit's bones are off, as logarithms: as far as one unit of the window goes, and each by itself (both sides
-alike). Measured on 48 pairs and 150 single pictures of held-out motions: 1.2 to 2 %, and 1 to 3 % (a piece of the
-spine 6)."""
-
 _ALONE = 0.4
-_OTHER_CAMERAS, _PERSPECTIVE = 0.35, 0.4
-"""Share of the people as other cameras see them, from afar (0) to near by (a unit is .4 of the distance)."""
 _PITCH_YAW_ROLL = (0.0, 0.2, 0.15)
 _ASLANT, _PITCH_YAW_ROLL_ASLANT = 0.25, (0.25, 0.2, 0.3)
 """Turns of whole people [rad]; a share as cameras see them that look down or are held aslant."""
@@ -52,46 +44,39 @@ _COORDINATES = (0.5, 0.5, 2.0)
 _CHECK_EVERY = 2000
 
 
-@dataclass(frozen=True)
 class Bank:
-    """N people in two frames each, in their windows' units.
+    """Joints with first guesses in two frames each, several files as one."""
 
-    Attributes:
-        joints, starts: (N, 2, 24, 3), first guesses among the latter. unit_m, perspective: (N, 2), one unit in metres
-            and as a tangent. lengths: (N, 24) of bones [m].
-    """
-
-    joints: torch.Tensor
-    starts: torch.Tensor
-    unit_m: torch.Tensor
-    perspective: torch.Tensor
-    lengths: torch.Tensor
-
-    @staticmethod
-    def read(paths: list[Path]) -> "Bank":
-        """Files of lifting_bank.py."""
-        files = [read_arrays(path) for path in paths]
-        return Bank(*(torch.from_numpy(np.concatenate([file[one.name] for file in files])) for one in fields(Bank)))
+    def __init__(self, paths: list[Path]) -> None:
+        """Read files of lifting_bank.py, and folders of bank.py, whose people stand for two frames, too."""
+        files = [_of_pictures(path) if path.is_dir() else read_arrays(path) for path in paths]
+        self.joints, self.starts, self.unit_m = (
+            torch.from_numpy(np.concatenate([file[name] for file in files])) for name in ("joints", "starts", "unit_m")
+        )
 
     def __len__(self) -> int:
         return len(self.joints)
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """What the network is told of N people in two frames each, and their true joints (N, 2, 24, 3) from the pelvis."""
+def _of_pictures(folder: Path) -> dict[str, np.ndarray]:
+    """The middle and one end of each exposure as two frames: nearer to each other than two exposures are."""
+    file = read_arrays(folder / "joints.npz")
+    done = int(file["done"])
+    truth, starts, unit_m = (file[name][:done] for name in ("truth", "starts", "unit_m"))
+    end = 2 * np.random.default_rng(3).integers(2, size=done)
+    joints = np.stack([truth[:, 1], truth[np.arange(done), end]], 1)
+    return {"joints": joints, "starts": starts, "unit_m": np.repeat(unit_m[:, None], 2, 1)}
 
-    told: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
-    truth: torch.Tensor
 
-
-def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
-    """Joints across the view and bones as a fit would have them, first guesses as large as those.
+def as_fitted(
+    joints: torch.Tensor, starts: torch.Tensor, unit_m: torch.Tensor, levels: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Joints across the view as a fit would have them, first guesses as large as those, and the truth.
 
     Args:
-        levels: (N,) of the errors; 1 is as measured.
+        joints: (N, 2, 24, 3). levels: (N,) of the errors; 1 is as measured.
     """
-    joints, starts = _from_pelvis(people.joints), _from_pelvis(people.starts)
+    joints, starts = _from_pelvis(joints), _from_pelvis(starts)
     limbs = torch.tensor([{"left": 0, "right": 1}.get(name.partition("_")[0], 2) for name in JOINT_NAMES])
     legs = torch.tensor([name.rpartition("_")[2] in ("hip", "knee", "ankle", "foot") for name in JOINT_NAMES])
     steps = torch.tensor([_STEPS_MM[name.rpartition("_")[2]] for name in JOINT_NAMES]) / 1000
@@ -103,17 +88,12 @@ def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
     for joint in range(1, 24):
         off.append(_INHERITED * off[PARENTS[joint]] + step[:, :, joint])
     kept = _TOWARDS_START * torch.rand(len(joints), 1, 1, 1) * (starts - joints)[..., :2]
-    across = joints[..., :2] + torch.stack(off, 2) / people.unit_m[..., None, None] + kept
-    start = as_large(starts.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2))
-    sides = torch.tensor([min(joint, other) for joint, other in enumerate(MIRROR)])
-    wrong = _SIZE * torch.randn(len(joints), 1) + (_BONE * torch.randn(len(joints), 24))[:, sides]
-    lengths = people.lengths * torch.exp(levels[:, None] * wrong)
-    return Fitted((across, start, lengths[:, None] / people.unit_m[..., None], people.perspective), joints)
+    across = joints[..., :2] + torch.stack(off, 2) / unit_m[..., None, None] + kept
+    return across, as_large(starts.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2)), joints
 
 
-def augmented(bank: Bank, count: int) -> Bank:
-    """Some of them: mirrored, turned about the line of sight and the vertical, as other cameras see them; some guesses
-    nearly right."""
+def augmented(bank: Bank, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A batch for `as_fitted`: mirrored, turned about the line of sight and the vertical; some guesses nearly right."""
     rows = torch.randint(len(bank), (count, 1))
     order = torch.tensor([[0, 1], [1, 0]])[torch.randint(2, (count,))]
     joints, starts = _from_pelvis(bank.joints[rows, order]), _from_pelvis(bank.starts[rows, order])
@@ -126,33 +106,17 @@ def augmented(bank: Bank, count: int) -> Bank:
     turn = axis_angle_to_matrix(sizes * torch.randn(count, 3)).mT[:, None]
     tilt = torch.tensor([_LEAN, _LEAN, 0.0]) * torch.randn(count, 3) * (torch.rand(count, 1) < _LEANING)
     leaning = axis_angle_to_matrix(tilt).mT[:, None]
-    seen = bank.perspective[rows, order]
-    other = torch.where(torch.rand(count, 1) < _OTHER_CAMERAS, _PERSPECTIVE * torch.rand(count, 1), seen)
-    joints, starts = (
-        _by_a_camera(_from_afar(one, seen) @ turned, other)
-        for one, turned in ((joints, turn), (starts, turn @ leaning))
-    )
-    return Bank(joints, starts, bank.unit_m[rows, order], other, bank.lengths[rows[:, 0]])
+    return joints @ turn, starts @ turn @ leaning, bank.unit_m[rows, order]
 
 
-def _from_afar(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """Joints (N, 2, 24, 3) from the pelvis without their perspective, but for what hangs on their way to the axis."""
-    return torch.cat([joints[..., :2] * (1 + perspective[..., None, None] * joints[..., 2:]), joints[..., 2:]], -1)
-
-
-def _by_a_camera(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """The way back."""
-    nearer = (1 + perspective[..., None, None] * joints[..., 2:]).clamp_min(0.2)
-    return torch.cat([joints[..., :2] / nearer, joints[..., 2:]], -1)
-
-
-def _looked_at(network: LiftingNetwork, fitted: Fitted, alone: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _looked_at(
+    network: LiftingNetwork, across: torch.Tensor, start: torch.Tensor, alone: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """What the network says of each first frame, some (alone, (N,) bool) without the second."""
-    told = (
-        torch.stack([one[:, 0], torch.where(alone.view(-1, *[1] * (one.ndim - 2)), one[:, 0], one[:, 1])], 1)
-        for one in fitted.told
+    across, start = (
+        torch.stack([one[:, 0], torch.where(alone[:, None, None], one[:, 0], one[:, 1])], 1) for one in (across, start)
     )
-    said: tuple[torch.Tensor, torch.Tensor] = network(*told)
+    said: tuple[torch.Tensor, torch.Tensor] = network(across, start)
     return said
 
 
@@ -163,10 +127,10 @@ def _from_pelvis(joints: torch.Tensor) -> torch.Tensor:
 def measure(network: LiftingNetwork, bank: Bank, level: float, alone: bool) -> dict[str, float]:
     """Errors from the pelvis in millimetres: the first guess', the given joints' across the view, the network's."""
     torch.manual_seed(5)
-    fitted = as_fitted(bank, torch.full((len(bank),), level))
-    across, start, truth = fitted.told[0][:, 0], fitted.told[1][:, 0], fitted.truth[:, 0]
+    across, start, truth = as_fitted(bank.joints, bank.starts, bank.unit_m, torch.full((len(bank),), level))
     with torch.no_grad():
-        off = _looked_at(network, fitted, torch.full((len(bank),), alone))[0] - truth
+        off = _looked_at(network, across, start, torch.full((len(bank),), alone))[0] - truth[:, 0]
+    across, start, truth = across[:, 0], start[:, 0], truth[:, 0]
     mm = 1000 * bank.unit_m[:, :1]
     figures = {
         "start": (start - truth).norm(dim=-1), "given": (across - truth[..., :2]).norm(dim=-1),
@@ -191,7 +155,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
-    bank, held_out = Bank.read(options.bank), Bank.read([options.held_out])
+    bank, held_out = Bank(options.bank), Bank([options.held_out])
     network = LiftingNetwork()
     if options.go_on is not None:
         network.load_state_dict({name: values.float() for name, values in load_file(options.go_on).items()})
@@ -203,10 +167,10 @@ def main() -> None:
             options.rate * min(1, (iteration + 1) / 200) * (1 + math.cos(math.pi * progress)) / 2 + 1e-6
         )
         levels = torch.exp(torch.empty(options.batch).uniform_(math.log(0.5), math.log(1.8)))
-        fitted = as_fitted(augmented(bank, options.batch), levels)
+        across, start, truth = as_fitted(*augmented(bank, options.batch), levels)
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=options.bfloat16):
-            joints, log_scale = _looked_at(network, fitted, torch.rand(options.batch) < _ALONE)
-        error = (joints - fitted.truth[:, 0]).abs()
+            joints, log_scale = _looked_at(network, across, start, torch.rand(options.batch) < _ALONE)
+        error = (joints - truth[:, 0]).abs()
         likelihood = error.detach() * torch.exp(-log_scale) + log_scale
         optimizer.zero_grad()
         ((10 * error + 0.3 * likelihood) * torch.tensor(_COORDINATES)).mean().backward()
@@ -240,7 +204,7 @@ def export(network: LiftingNetwork, held_out: Bank, folder: Path, training: dict
         "motions": "CMU Graphics Lab Motion Capture Database (mocap.cs.cmu.edu, funding from NSF EIA-0196217), "
         f"subjects {', '.join(map(str, TRAINING_SUBJECTS))} without every fourth clip or take, in two "
         "conversions (github DragonForgedTheArtist/IClone-CMU-Mocap; AtelierCircle/CMU-MoCap-01-09 and -10-14, MIT); "
-        f"where the folder holds them also {', '.join(map(str, FURTHER_SUBJECTS))} "
+        f"in the last training also {', '.join(map(str, FURTHER_SUBJECTS))} "
         "(papagina/Auto_Conditioned_RNN_motion, MIT); "
         "limbs lent between clips, joints bent a little; a quarter generated",
         "starts": "drawn by hfb.datasets.network_errors",
