@@ -10,6 +10,9 @@ JOINT_NAMES: tuple[str, ...] = (
 PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 """Parent of every joint; -1 for the root. A parent comes before its children."""
 
+PARENT_OR_SELF: tuple[int, ...] = tuple(max(parent, 0) for parent in PARENTS)
+"""The same with the root as its own parent, whose bone has no length."""
+
 JOINT_COUNT: int = len(PARENTS)
 
 BONES: tuple[tuple[int, int], ...] = tuple((parent, child) for child, parent in enumerate(PARENTS) if parent >= 0)

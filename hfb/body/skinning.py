@@ -6,11 +6,9 @@ from functools import lru_cache
 import torch
 
 from hfb.body.kernels_vector import FEATURES
-from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENTS
+from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENT_OR_SELF
 from hfb.formulas import constant
 from hfb.shapes import Float, Int, Shaped, Tensor
-
-_PARENTS = tuple(max(parent, 0) for parent in PARENTS)
 
 
 @lru_cache
@@ -29,7 +27,7 @@ def place_joints(
         translations: added to everything [m]; the root turns about its own joint, as in SMPL.
     """
     count = rotations.shape[0]
-    parents = constant(chosen(_PARENTS, JOINT_COUNT), rest_joints.dtype, rest_joints.device)
+    parents = constant(chosen(PARENT_OR_SELF, JOINT_COUNT), rest_joints.dtype, rest_joints.device)
     bones = torch.cat([rest_joints[:1], (rest_joints - parents @ rest_joints)[1:]])
     offsets = bones.expand(count, -1, -1)
     offsets = torch.cat([offsets[:, :1] + translations[:, None], offsets[:, 1:]], 1)

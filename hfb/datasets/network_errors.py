@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_OR_SELF, PARENTS
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.shapes import Array, Float, Tensor
@@ -103,7 +103,7 @@ def _draw_turns(rng: np.random.Generator) -> Float[Array, "24 3"]:
 def _turned(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "A T 24 3"]) -> Float[Tensor, "A T 24 3"]:
     """Axis-angle of every joint after each bone was turned in camera axes."""
     rotations = axis_angle_to_matrix(turns) @ _global_rotations(poses)
-    parents = rotations[:, :, [max(parent, 0) for parent in PARENTS]].clone()
+    parents = rotations[:, :, list(PARENT_OR_SELF)].clone()
     parents[:, :, 0] = torch.eye(3)
     return matrix_to_axis_angle(parents.transpose(-1, -2) @ rotations)
 

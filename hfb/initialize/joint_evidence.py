@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from hfb.body.model import Body
-from hfb.body.skeleton import MIRROR
+from hfb.body.skeleton import MIRROR, PARENT_OR_SELF
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
@@ -81,7 +81,10 @@ class JointEvidence:
         Args:
             joints: of the fit at mid-exposure, camera coordinates [m].
         """
-        depth = torch.lerp(self.middle[..., 2], lift(self.units(joints), self.start).to(self.middle), share)
+        perspective = self.lenses[:, 4].to(joints.dtype)
+        lengths = (joints - joints[:, list(PARENT_OR_SELF)]).norm(dim=-1) / (joints[:, :1, 2] * perspective[:, None])
+        told = lift(self.units(joints), self.start, lengths, perspective).to(self.middle)
+        depth = torch.lerp(self.middle[..., 2], told, share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
 
     def of(self, observation: Observation) -> "JointEvidence":

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from hfb.body.skeleton import JOINT_COUNT, PARENTS
+from hfb.body.skeleton import JOINT_COUNT, PARENT_OR_SELF
 from hfb.matting.matting import matte_region
 from hfb.photometry import linear_to_srgb
 from hfb.render.camera import PinholeCamera
@@ -41,7 +41,6 @@ _LOOKS = (
     (0.0, -0.25),
 )
 """Where the map is read around a joint's present place, in the window's units; the finer map at half of it."""
-_PARENT = tuple(max(parent, 0) for parent in PARENTS)
 
 
 @dataclass(frozen=True)
@@ -208,8 +207,8 @@ class JointNetwork(nn.Module):
             places = joints.detach()
             around = places[:, :, None, :2]
             read, near = (_looked(one, around + looks * reach) for one, reach in ((seen, 1.0), (detail, 0.5)))
-            bones = places - places[:, list(_PARENT)]
-            facts = torch.cat([read, places, bones, start, start - start[:, list(_PARENT)]], -1)
+            bones = places - places[:, list(PARENT_OR_SELF)]
+            facts = torch.cat([read, places, bones, start, start - start[:, list(PARENT_OR_SELF)]], -1)
             tokens = tokens + functional.pad(self.read(facts) + self.read_closer(near), (0, 0, 0, 1))
             for exchange in self.exchange:
                 tokens = exchange(tokens)

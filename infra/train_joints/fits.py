@@ -59,9 +59,9 @@ class Gym(Studio):
         watched = self._watched(rng)
         return None if watched is None else self._samples(watched, rng)
 
-    def _watched(self, rng: np.random.Generator) -> Watched | None:
+    def _watched(self, rng: np.random.Generator, pairs: float = _PAIRS) -> Watched | None:
         """Somebody in one or two exposures; nobody where no matte finds him."""
-        exposures = _TWO if rng.random() < _PAIRS else _ONE
+        exposures = _TWO if rng.random() < pairs else _ONE
         shot = self._shot(rng, _SECONDS, _INSTANTS)
         if shot is None:
             return None
@@ -112,14 +112,17 @@ class Gym(Studio):
                 for one in (seen, again)
             ]  # fmt: skip
             middle = (first + last) // 2
-            at_start = self.mean.joints_of(axis_angle_to_matrix(start.pose)[None], start.translation[None])[0]
             fitted = person.joints_of(turns[number], places[number])
             truth = torch.stack([window.to_units(one) for one in (shot.joints[[first, middle, last]], fitted)])
             tall = np.array([float(height_m(self.body, betas)) for betas in (shot.betas, found.betas)])
             unit_m = float(shot.joints[middle, 0, 2]) * window.units_to_tangents()
-            start_units = window.to_units(at_start).numpy()[None]
+            start_units = window.to_units(self._guessed(start)).numpy()[None]
             samples.append(Sample(np.stack(pictures), truth.numpy(), start_units, unit_m, tall))
         return samples
+
+    def _guessed(self, first: FirstBody) -> torch.Tensor:
+        """Joints (24, 3) of a first body [m, camera]."""
+        return self.mean.joints_of(axis_angle_to_matrix(first.pose)[None], first.translation[None])[0]
 
     def _first_bodies(
         self, exposures: tuple[tuple[int, int], ...], shot: Shot, rng: np.random.Generator

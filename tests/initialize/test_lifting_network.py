@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.body.skeleton import MIRROR
+from hfb.body.skeleton import MIRROR, PARENT_OR_SELF
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.network_errors import draw_pose_errors
 from hfb.initialize.joint_evidence import JointEvidence
@@ -22,8 +22,12 @@ CAMERA = PinholeCamera.from_focal(200.0, 120, 160)
 ACROSS = torch.tensor([-1.0, 1.0, 1.0])
 
 
-def people(count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Joints of generated gestures in units of 1.2 m, y down, seen from the front; and guesses that err."""
+FAR = torch.zeros(60)
+"""No perspective."""
+
+
+def people(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Joints of generated gestures in units of 1.2 m, y down, seen from the front; guesses that err; bones' lengths."""
     source = open_motions(None, 3)
     poses = np.concatenate([source.load(number).poses[::9] for number in range(6)])[:count]
     poses = torch.from_numpy(poses).float()
@@ -33,42 +37,60 @@ def people(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     seen, guessed = (
         body.joints_of(axis_angle_to_matrix(one), torch.zeros(len(one), 3)) / 1.2 for one in (poses, erring)
     )
-    return seen - seen[:, :1], guessed - guessed[:, :1]
+    return seen - seen[:, :1], guessed - guessed[:, :1], bones(seen)
+
+
+def bones(joints: torch.Tensor) -> torch.Tensor:
+    """Their lengths (N, 24)."""
+    return (joints - joints[:, list(PARENT_OR_SELF)]).norm(dim=-1)
 
 
 def test_depth_is_nearer_than_the_guess_and_nearest_with_a_neighbour() -> None:
-    truth, start = people(60)
+    truth, start, lengths = people(60)
     noise = 0.01 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
     seen = truth + noise
     guessed = (start - truth)[..., 2].abs().mean()
-    alone = torch.cat([lift(seen[frame : frame + 1], start[frame : frame + 1]) for frame in range(60)])
-    pairs = torch.cat([lift(seen[frame : frame + 2], start[frame : frame + 2]) for frame in range(0, 60, 2)])
+    told = seen, start, lengths, FAR
+    alone = torch.cat([lift(*(one[frame : frame + 1] for one in told)) for frame in range(60)])
+    pairs = torch.cat([lift(*(one[frame : frame + 2] for one in told)) for frame in range(0, 60, 2)])
     off_alone, off_pairs = ((told - truth[..., 2]).abs().mean() for told in (alone, pairs))
     assert off_alone < 0.6 * guessed
     assert off_pairs < 0.97 * off_alone
 
 
+def test_bones_of_the_right_length_tell_more() -> None:
+    truth, start, lengths = people(60)
+
+    def off(factor: float) -> torch.Tensor:
+        return (lift(truth, start, factor * lengths, FAR) - truth[..., 2]).abs().mean()
+
+    assert off(1.0) < 0.9 * min(off(0.9), off(1.1))
+
+
 def test_time_has_no_arrow_and_a_frame_alone_is_its_own_neighbour() -> None:
-    joints, start = people(5)
-    told = lift(joints, start)
-    torch.testing.assert_close(lift(joints.flip(0), start.flip(0)).flip(0), told)
-    alone = lift(joints[:1], start[:1])
-    torch.testing.assert_close(lift(joints[[0, 0]], start[[0, 0]]), alone.expand(2, -1))
+    given = *people(5), FAR[:5]
+    told = lift(*given)
+    torch.testing.assert_close(lift(*(one.flip(0) for one in given)).flip(0), told)
+    alone = lift(*(one[:1] for one in given))
+    torch.testing.assert_close(lift(*(one[[0, 0]] for one in given)), alone.expand(2, -1))
 
 
 def test_it_knows_neither_place_nor_size_nor_side() -> None:
-    joints, start = people(8)
-    told = lift(joints, start)
-    torch.testing.assert_close(lift(joints + torch.tensor([0.3, -0.2, 5.0]), 1.4 * start + 1), told, atol=1e-5, rtol=0)
+    joints, start, lengths = people(8)
+    rest = lengths, torch.full((8,), 0.2)
+    told = lift(joints, start, *rest)
+    moved = joints + torch.tensor([0.3, -0.2, 5.0])
+    torch.testing.assert_close(lift(moved, 1.4 * start + 1, *rest), told, atol=1e-5, rtol=0)
     mirror = list(MIRROR)
-    turned = lift(joints[:, mirror] * ACROSS, start[:, mirror] * ACROSS)
+    turned = lift(joints[:, mirror] * ACROSS, start[:, mirror] * ACROSS, lengths[:, mirror], rest[1])
     torch.testing.assert_close(turned[:, mirror], told, atol=1e-5, rtol=0)
-    torch.testing.assert_close(lift(joints * torch.tensor([1.0, 1.0, 7.0]), start), told)  # its own depth is not read
+    its_own_depth = torch.tensor([1.0, 1.0, 7.0])  # is not read
+    torch.testing.assert_close(lift(joints * its_own_depth, start, *rest), told)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
 def test_a_claims_depth_is_shared(share: float) -> None:
-    joints, start = people(2)
+    joints, start, _ = people(2)
     middle, ones = torch.randn(2, 24, 3), torch.ones(2)
     windows = tuple(Window(20.0, 10.0, 90.0, CAMERA) for _ in range(2))
     evidence = JointEvidence(
@@ -77,7 +99,9 @@ def test_a_claims_depth_is_shared(share: float) -> None:
     metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
     told = evidence.lifted(metres, share)
     across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
-    expected = (1 - share) * middle[..., 2] + share * lift(across, start)
+    perspective = windows[0].units_to_tangents()
+    lengths = bones(metres) / (metres[:, :1, 2] * perspective)
+    expected = (1 - share) * middle[..., 2] + share * lift(across, start, lengths, torch.full((2,), perspective))
     torch.testing.assert_close(told.middle[..., 2], expected)
     assert torch.equal(told.middle[..., :2], middle[..., :2])
     assert torch.equal(told.scale, evidence.scale)
