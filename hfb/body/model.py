@@ -102,11 +102,11 @@ class Body:
 
     def rest_joints(self, betas: Float[Tensor, "K"]) -> Float[Tensor, "24 3"]:
         """Joints of the person with these betas in the rest pose [m]."""
-        return self.joint_template + self.joint_shape_directions @ betas
+        return self.joint_template + _weighed(self.joint_shape_directions, betas)
 
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
         """The person with these betas (unit variance each) in the rest pose."""
-        vertices = self.template + self.shape_directions @ betas
+        vertices = self.template + _weighed(self.shape_directions, betas)
         return ShapedBody(self, vertices, self.rest_joints(betas))
 
 
@@ -174,3 +174,14 @@ class ShapedBody:
             identity = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
             offsets = skinning.blend((rotations[:, 1:] - identity).flatten(1), directions)
         return skinning.skin(T_world_rest, self.vertices, offsets, body.skinning_weights)
+
+
+def _weighed(directions: Float[Tensor, "*n K"], betas: Float[Tensor, "K"]) -> Float[Tensor, "*n"]:
+    """The sum of directions times betas.
+
+    Of many fits at once a processor's matrix product adds the gradient up in an order that hangs on a fit's place among
+    them: there every fit has a sum of its own.
+    """
+    if betas.device.type == "cpu" and not compiled(betas):
+        return (directions * betas).sum(-1)
+    return directions @ betas

@@ -1,9 +1,10 @@
 """A network that never saw a picture: from joints across the view and an erring first guess it says how deep they lie.
 
 The joint network learns from drawn pictures, of which there are never enough; what this one learns from costs next to
-nothing. Once a fit has found the joints across the view it knows their depth better (2D-to-3D lifting: Martinez et al.,
-A simple yet effective baseline for 3d human pose estimation, ICCV 2017; here with an erring first guess beside, and
-with the lengths of the fit's bones: what of a bone is not seen across the view lies in depth).
+nothing, but for some thousand fits. Once a fit has found the joints across the view it knows their depth better
+(2D-to-3D lifting: Martinez et al., A simple yet effective baseline for 3d human pose estimation, ICCV 2017; here with
+an erring first guess beside, and with the lengths of the fit's bones: what of a bone is not seen across the view lies
+in depth).
 """
 
 from functools import lru_cache
