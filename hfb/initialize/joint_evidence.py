@@ -10,11 +10,11 @@ import torch
 from safetensors.torch import load_file
 
 from hfb.body.model import Body
-from hfb.body.skeleton import MIRROR, PARENT_OR_SELF
+from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
-from hfb.initialize.lifting_network import lift
+from hfb.initialize.lifting_network import lengths_in_window, lift
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Bool, Float, Tensor
@@ -82,7 +82,7 @@ class JointEvidence:
             joints: of the fit at mid-exposure, camera coordinates [m].
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
-        lengths = (joints - joints[:, list(PARENT_OR_SELF)]).norm(dim=-1) / (joints[:, :1, 2] * perspective[:, None])
+        lengths = lengths_in_window(joints, perspective)
         told = lift(self.units(joints), self.start, lengths, perspective).to(self.middle)
         depth = torch.lerp(self.middle[..., 2], told, share)
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))

@@ -47,7 +47,7 @@ class LiftingNetwork(nn.Module):
             across: x and y from the pelvis in the units of each frame's window
                 (`hfb.initialize.joint_network.Window`); where there is one frame alone it is its own neighbour.
             start: first guesses in the same units, which seem as large (`as_large`).
-            lengths: of the bones to the joints' parents, in the same units. perspective: `Window.units_to_tangents`.
+            lengths: of bones in the same units (`lengths_in_window`). perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
         joints = torch.cat([across, bones, start, deep], -1)
@@ -82,6 +82,20 @@ class _Block(nn.Module):
 
     def forward(self, values: Float[Tensor, "N W"]) -> Float[Tensor, "N W"]:
         return values + self.layers(values)
+
+
+def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
+    """From every joint to its parent, in the unit of the joints; the pelvis has no bone."""
+    return (joints - joints[..., list(PARENT_OR_SELF), :]).norm(dim=-1)
+
+
+def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tensor, "*n"]) -> Float[Tensor, "*n 24"]:
+    """Lengths of bones in units of windows, as `LiftingNetwork` is told them.
+
+    Args:
+        joints: camera coordinates [m]. perspective: `Window.units_to_tangents`.
+    """
+    return bone_lengths(joints) / (joints[..., 0, 2] * perspective)[..., None]
 
 
 def as_large(start: Float[Tensor, "N 24 3"], across: Float[Tensor, "N 24 2"]) -> Float[Tensor, "N 24 3"]:

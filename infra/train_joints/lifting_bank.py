@@ -10,10 +10,10 @@ import torch
 from bank import SPLITS, split
 from people import INSTANTS, People, draw_amplitude
 
-from hfb.body.skeleton import PARENT_OR_SELF
 from hfb.datasets.network_errors import draw_turns
 from hfb.datasets.viewpoints import PlacedCamera, front_of, in_camera, place
 from hfb.initialize.joint_network import Window
+from hfb.initialize.lifting_network import bone_lengths
 from hfb.rotations import axis_angle_to_matrix
 
 _MATTE_MARGIN = 1.12
@@ -81,7 +81,7 @@ class Skeletons(People):
         seen, translations = in_camera(camera, poses, places, shaped.joints[0].double().numpy())
         rotations = axis_angle_to_matrix(torch.from_numpy(seen).float())
         joints = shaped.joints_of(rotations, torch.from_numpy(translations).float())
-        lengths = (joints[0] - joints[0, list(PARENT_OR_SELF)]).norm(dim=-1)
+        lengths = bone_lengths(joints[0])
         chosen = seen[[rng.choice(exposure) for exposure in _EXPOSURES]]
         return _Person(joints, camera, lengths, chosen, draw_turns(2, rng), draw_amplitude(rng), rng)
 

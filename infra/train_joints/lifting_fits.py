@@ -11,8 +11,8 @@ from bank import parser_of, split
 from fits import Gym
 from pictures import until_found
 
-from hfb.body.skeleton import PARENT_OR_SELF
 from hfb.initialize.joint_network import Window
+from hfb.initialize.lifting_network import bone_lengths, lengths_in_window
 
 _SAVED_EVERY = 100
 
@@ -26,17 +26,15 @@ class JointGym(Gym):
         watched = until_found(lambda: self._watched(rng, pairs=1.0))
         firsts, found = self._fit(watched, rng)
         turns, places = found.trajectory.at(torch.tensor([0.5]))
-        person, parents = self.body.shape(found.betas), list(PARENT_OR_SELF)
-        frames = []
+        person, frames = self.body.shape(found.betas), []
         for number, ((first, last), start) in enumerate(zip(watched.exposures, firsts, strict=True)):
             window = Window.around(watched.seen.mattes[number].numpy(), watched.seen.camera)
-            perspective = window.units_to_tangents()
+            perspective = torch.tensor(window.units_to_tangents())
             truth, fitted = watched.shot.joints[(first + last) // 2], person.joints_of(turns[number], places[number])[0]
-            lengths, true_lengths = ((one - one[parents]).norm(dim=-1) for one in (fitted, truth))
             frames.append({
                 "joints": window.to_units(truth), "starts": window.to_units(self._guessed(start)),
-                "unit_m": truth[0, 2] * perspective, "perspective": torch.tensor(perspective), "lengths": true_lengths,
-                "fitted": window.to_units(fitted), "fitted_lengths": lengths / (fitted[0, 2] * perspective),
+                "unit_m": truth[0, 2] * perspective, "perspective": perspective, "lengths": bone_lengths(truth),
+                "fitted": window.to_units(fitted), "fitted_lengths": lengths_in_window(fitted, perspective),
             })  # fmt: skip
         drawn = {name: torch.stack([frame[name] for frame in frames]).numpy() for name in frames[0]}
         return drawn | {"lengths": drawn["lengths"][0]}

@@ -9,6 +9,7 @@ import torch
 from hfb.body.assets import load_body, load_default_body
 from hfb.body.model import Body
 from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, PARENTS
+from hfb.formulas import readable_formulas
 from hfb.rotations import axis_angle_to_matrix
 from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 
@@ -168,3 +169,17 @@ def test_float32_is_close_to_float64(body: Body) -> None:
     rough = single.pose(axis_angle_to_matrix(axis_angles.float()), translations.float())
     assert rough.vertices.dtype == torch.float32
     torch.testing.assert_close(rough.vertices.double(), exact.vertices, atol=2e-5, rtol=0)
+
+
+def test_a_shape_among_others_has_the_gradient_it_has_anywhere() -> None:
+    """To the bit: from a last one on, fits at once go their own ways."""
+    body = load_default_body()
+    generator = torch.Generator().manual_seed(0)
+    betas = torch.randn(10, generator=generator).expand(3, -1).clone().requires_grad_()
+    wanted = torch.randn(body.template.shape, generator=generator)
+    with readable_formulas():
+        off = torch.func.vmap(lambda one: (body.shape(one).vertices * wanted).sum() + body.rest_joints(one).sum())(
+            betas
+        )
+    first, *others = torch.autograd.grad(off.sum(), betas)[0]
+    assert all(torch.equal(first, other) for other in others)
