@@ -200,6 +200,11 @@ class FitConfig(Record):
         description="share of what the joint network sees to differ between the picture and the fit's own, before "
         "every stage of the last one's size but a first",
     )
+    fuse_depth: bool = Field(
+        False,
+        description="wherever that difference is looked at, depth is what the fusion network makes of it, of both "
+        "networks' words and of the fit",
+    )
     matte_again: bool = Field(
         False, description="find the mattes again, the fit's own picture in sight, before every such stage"
     )
@@ -322,6 +327,7 @@ _BEST = FitConfig(
     lifting=0.75,
     across=0.2,
     compare=0.75,
+    fuse_depth=True,
     size_moves_away=True,
     motion_shared=True,
     several=SeveralFrames(image=33, height=3),

@@ -12,6 +12,7 @@ import torch
 
 from hfb.body.height import height_m
 from hfb.body.model import Body
+from hfb.config import FitConfig
 from hfb.fit.variables import Variables
 from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
@@ -35,10 +36,11 @@ def beside_the_fit(
     variables: Variables,
     objective: Objective,
     blurred: Float[Tensor, "T H W 4"],
-    share: float,
+    config: FitConfig,
 ) -> JointEvidence:
     """The evidence, moved by a share of what the network sees to differ between the picture and the fit's own.
 
+    With ``config.fuse_depth`` its depth is what the fusion network makes of that difference and of all else.
     Its height becomes the fit's, changed by the whole of what the network sees to differ; of a single frame at the
     first comparison alone: one picture tells so little of proportions that further ones add but their own errors.
 
@@ -49,7 +51,11 @@ def beside_the_fit(
     """
     body = objective.body
     told = claimed.of(shown(blurred, objective.observation))
-    moved = replace(evidence, middle=evidence.middle + share * (claimed.middle - told.middle))
+    difference = config.compare * (claimed.middle - told.middle)
+    if config.fuse_depth:
+        evidence = claimed.fused(told, variables.joints_at_middle(body))
+        difference = difference * difference.new_tensor([1.0, 1.0, 0.0])
+    moved = replace(evidence, middle=evidence.middle + difference)
     before = objective.evidence
     if before is not None and before.height_compared and len(before.windows) == 1:
         return replace(moved, log_height=before.log_height, height_scale=before.height_scale, height_compared=True)

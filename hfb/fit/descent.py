@@ -85,7 +85,7 @@ def looked_again(
         return replace(everywhere, evidence=evidence)
     blurred = drawn(variables, seen.camera, everywhere.body, everywhere.rasterizer, everywhere.subframes)
     if first.evidence is not None and evidence is not None and config.compare > 0:
-        evidence = beside_the_fit(evidence, first.evidence, variables, everywhere, blurred, config.compare)
+        evidence = beside_the_fit(evidence, first.evidence, variables, everywhere, blurred, config)
     if config.matte_again:
         seen = matted_again(blurred, first.observation)
     return replace(everywhere, evidence=evidence, observation=seen)

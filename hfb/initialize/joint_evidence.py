@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
+from hfb.initialize.depth_fusion import DepthCues, fuse
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
 from hfb.initialize.lifting_network import lengths_in_window, lift
@@ -84,8 +85,23 @@ class JointEvidence:
         perspective = self.lenses[:, 4].to(joints.dtype)
         lengths = lengths_in_window(joints, perspective)
         told = lift(self.units(joints), self.start, lengths, perspective).to(self.middle)
-        depth = torch.lerp(self.middle[..., 2], told, share)
-        return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None]], -1))
+        return self._as_deep(torch.lerp(self.middle[..., 2], told, share))
+
+    def fused(self, shown: "JointEvidence", joints: Float[Tensor, "T 24 3"]) -> "JointEvidence":
+        """The claim with its depth from the fusion network, which weighs it against all else that is told of depth.
+
+        Args:
+            shown: what the joint network says about a fit's own pictures. joints: as of `lifted`.
+        """
+        perspective = self.lenses[:, 4].to(joints.dtype)
+        cues = DepthCues(
+            self.units(joints), self.start, lengths_in_window(joints, perspective), perspective,
+            joints[:, 0, 2] * perspective, self.middle, self.scale, shown.middle,
+        )  # fmt: skip
+        return self._as_deep(fuse(cues))
+
+    def _as_deep(self, depth: Float[Tensor, "T 24"]) -> "JointEvidence":
+        return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None].to(self.middle)], -1))
 
     def of(self, observation: Observation) -> "JointEvidence":
         """What the network says about other pictures in the same windows, beginning at the same first bodies.

@@ -30,6 +30,7 @@ _ONE, _TWO = ((0, 22),), ((0, 10), (12, 22))
 _PAIRS = 0.5
 _SECONDS = (0.02, 0.7)
 _HASTE, _SUBFRAMES = (0.25, 0.7), 4
+_HASTE_WHOLE, _SUBFRAMES_WHOLE = (0.3, 0.8), 5
 """Share of the iterations that ship, and how many sub-frames: other fits of a picture are as good to learn from."""
 
 
@@ -50,6 +51,7 @@ class Gym(Studio):
         """Read the named clips and make the scenes."""
         super().__init__(mocap, backgrounds, clips, seed, frame_px)
         self.prior = load_pose_prior(None)
+        self.hasty = hasty
 
     def rows(self, rng: np.random.Generator) -> list[Sample]:
         """One or two frames of one person; draws in which nobody is found are drawn again."""
@@ -89,7 +91,7 @@ class Gym(Studio):
     def _fit(self, watched: Watched, rng: np.random.Generator) -> tuple[list[FirstBody], Variables]:
         """Where a fit begins, and what it has found before its stages of full size."""
         firsts = self._first_bodies(watched.exposures, watched.shot, rng)
-        result = fit(watched.seen, firsts, self.body, _hasty(rng), int(rng.integers(1 << 30)), self.prior)
+        result = fit(watched.seen, firsts, self.body, self.hasty(rng), int(rng.integers(1 << 30)), self.prior)
         betas = torch.from_numpy(result.motion.betas).float()
         return firsts, Variables(result.trajectory, betas, result.texture)
 
@@ -145,22 +147,32 @@ class Gym(Studio):
         return bodies
 
 
-def _hasty(rng: np.random.Generator) -> FitConfig:
+def hasty(rng: np.random.Generator) -> FitConfig:
     """What ships, up to before the stages of full size and in some haste."""
-    config = preset("best").fit
-    haste = rng.uniform(*_HASTE)
-    stages = tuple(
-        Stage(**(stage.model_dump() | {"iterations": round(haste * stage.iterations)}))
-        for stage in config.stages
-        if stage.size_px < config.stages[-1].size_px
-    )
+    config, haste = preset("best").fit, rng.uniform(*_HASTE)
+    few = tuple(stage for stage in config.stages if stage.size_px < config.stages[-1].size_px)
     changed = {
-        "stages": stages,
         "several": config.several.model_copy(update={"image": 1.0}),  # that of the stages left out
-        "directions": config.directions.model_copy(update={"search": False}),
         "compare": 0.0,
         "matte_again": False,  # as before the first stage of full size
         "subframes": _SUBFRAMES,
+    }
+    return _in_haste(config.model_copy(update=changed | {"stages": few}), haste)
+
+
+def hasty_whole(rng: np.random.Generator) -> FitConfig:
+    """What ships, in some haste."""
+    config, haste = preset("best").fit, rng.uniform(*_HASTE_WHOLE)
+    return _in_haste(config.model_copy(update={"subframes": _SUBFRAMES_WHOLE}), haste)
+
+
+def _in_haste(config: FitConfig, haste: float) -> FitConfig:
+    stages = tuple(
+        Stage(**(stage.model_dump() | {"iterations": round(haste * stage.iterations)})) for stage in config.stages
+    )
+    changed = {
+        "stages": stages,
+        "directions": config.directions.model_copy(update={"search": False}),
         "settle": round(max(haste, 0.5) * config.settle),
     }
     return config.model_copy(update=changed)

@@ -9,7 +9,7 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
-from hfb.config import preset
+from hfb.config import FitConfig, preset
 from hfb.datasets.backgrounds import room_background
 from hfb.datasets.textures import clothes_texture
 from hfb.fit.comparison import beside_the_fit, drawn, matted_again, shown
@@ -27,6 +27,12 @@ from tests.scenes import Scene, moving_scene
 
 BODY = load_default_body()
 CONFIG = preset("best").fit
+SHARES = CONFIG.model_copy(update={"fuse_depth": False})
+"""Depth by fixed shares."""
+
+
+def sharing(compare: float) -> FitConfig:
+    return SHARES.model_copy(update={"compare": compare})
 
 
 def at_rest(first: FirstBody, seen: Observation) -> Variables:
@@ -57,7 +63,9 @@ def test_a_fit_that_shows_the_picture_is_left_alone() -> None:
     fitted = at_rest(scene.middle[0], seen)
     blurred = blurred_of(fitted, seen)
     there = shown(blurred, seen)
-    told = beside_the_fit(evidence, evidence.of(there), fitted, objective_of(there, scene.middle[0]), blurred, 0.7)
+    told = beside_the_fit(
+        evidence, evidence.of(there), fitted, objective_of(there, scene.middle[0]), blurred, sharing(0.7)
+    )
     assert torch.equal(told.middle, evidence.middle)
     torch.testing.assert_close(told.log_height, height_m(BODY, fitted.betas.detach()).log())
     assert float(told.height_scale) < float(evidence.height_scale)
@@ -69,12 +77,30 @@ def test_what_differs_points_at_the_picture() -> None:
     evidence = look_for_joints(seen, [wrong], BODY)
     fitted = at_rest(wrong, seen)
     blurred = blurred_of(fitted, seen)
-    told = beside_the_fit(evidence, evidence, fitted, objective_of(seen, wrong), blurred, 1.0)
+    told = beside_the_fit(evidence, evidence, fitted, objective_of(seen, wrong), blurred, sharing(1.0))
     moved = told.middle - evidence.middle
     window, true = evidence.windows[0], at_rest(scene.middle[0], seen)
     missing = window.to_units(true.joints_at_middle(BODY)[0]) - window.to_units(fitted.joints_at_middle(BODY)[0])
     assert float(torch.cosine_similarity(moved.flatten(), missing.flatten(), dim=0)) > 0.6
     assert float((moved[0] - missing).norm()) < 0.9 * float(missing.norm())
+
+
+def test_what_differs_across_the_view_is_moved_by_its_share_and_depth_is_fused() -> None:
+    scene = moving_scene(BODY, size_px=96)
+    seen, wrong = scene.observation, raised_arm(scene)
+    evidence = look_for_joints(seen, [wrong], BODY)
+    fitted = at_rest(wrong, seen)
+    blurred = blurred_of(fitted, seen)
+    objective = objective_of(seen, wrong)
+    lifted = evidence.lifted(fitted.joints_at_middle(BODY), CONFIG.lifting)
+    fused, shared = (
+        beside_the_fit(lifted, evidence, fitted, objective, blurred, config) for config in (CONFIG, SHARES)
+    )
+    again = evidence.of(shown(blurred, seen))
+    assert torch.equal(fused.middle[..., :2], shared.middle[..., :2])
+    assert torch.equal(fused.middle[..., 2], evidence.fused(again, fitted.joints_at_middle(BODY)).middle[..., 2])
+    assert not torch.equal(fused.middle[..., 2], shared.middle[..., 2])
+    assert torch.equal(fused.scale, evidence.scale)
 
 
 def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at_each() -> None:
@@ -86,8 +112,8 @@ def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at
         fits = [start_variables([one] * frames, seen, CONFIG, torch.Generator()) for one in (smaller, first[0])]
         objective = replace(objective_of(seen, first[0]), evidence=evidence)
         blurred = [blurred_of(one, seen) for one in fits]
-        once = beside_the_fit(evidence, evidence, fits[0], objective, blurred[0], 0.7)
-        twice = beside_the_fit(evidence, evidence, fits[1], replace(objective, evidence=once), blurred[1], 0.7)
+        once = beside_the_fit(evidence, evidence, fits[0], objective, blurred[0], CONFIG)
+        twice = beside_the_fit(evidence, evidence, fits[1], replace(objective, evidence=once), blurred[1], CONFIG)
         assert torch.equal(twice.log_height, once.log_height) == (frames == 1)
         assert torch.equal(twice.height_scale, once.height_scale)
         assert not torch.equal(twice.middle, once.middle)
