@@ -49,7 +49,7 @@ class DepthFusion(nn.Module):
         nn.init.zeros_(self.leave.bias)
 
     def forward(self, facts: Float[Tensor, "*n 24 f"]) -> Float[Tensor, "*n 24"]:
-        """By how much each joint lies deeper than the lifting network says, in its window's units; see `facts_of`."""
+        """By how much each joint lies deeper than the lifting network says [units]; see `DepthCues.facts`."""
         values = nn.functional.gelu(self.enter((facts - self.mean) / self.spread) + self.joint)
         values = self.forget(nn.functional.gelu(self.hidden(values)))
         corrections: Tensor = _OUTPUT_SCALE * self.leave(values)[..., 0]

@@ -11,8 +11,6 @@ from hfb.body.skeleton import MIRROR
 from hfb.initialize.depth_fusion import DepthCues, fuse, shipped_depth_fusion
 from tests.initialize.test_lifting_network import people
 
-ACROSS = torch.tensor([-1.0, 1.0, 1.0])
-
 
 def cues(frames: slice, seed: int = 0) -> tuple[DepthCues, torch.Tensor]:
     """Generated gestures of which everything errs by a hand's width: what is told, and the true joints."""
