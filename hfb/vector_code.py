@@ -92,7 +92,8 @@ def _operator(symbol, operation):
     infer_global(symbol)(type("_", (ConcreteTemplate,), {"cases": cases}))
 
 
-for _symbol, _operation in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+_ARITHMETIC = ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv"))
+for _symbol, _operation in _ARITHMETIC:
     _operator(_symbol, _operation)
 
 
@@ -205,15 +206,55 @@ if_equal = intrinsic(_choice("=="))
 """As `if_less`, where left and right are equal."""
 
 
+def _extreme(comparison):
+    def choose(typingctx, left, right):
+        def codegen(context, builder, signature, arguments):
+            given = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one) for one in given)
+            return builder.select(builder.fcmp_ordered(comparison, left, right), left, right)
+
+        return _lanes(left, right), codegen
+
+    return choose
+
+
+smaller = intrinsic(_extreme("<"))
+"""The smaller number in every lane; the second where one is not a number: of (left, right), lanes or numbers."""
+
+larger = intrinsic(_extreme(">"))
+"""As `smaller`, the larger number."""
+
+
+def _bits(comparison):
+    def compare(typingctx, left, right):
+        def codegen(context, builder, signature, arguments):
+            given = zip(signature.args, arguments, strict=True)
+            left, right = (_widened(context, builder, *one) for one in given)
+            found = builder.bitcast(builder.fcmp_ordered(comparison, left, right), ir.IntType(LANES))
+            return builder.zext(found, ir.IntType(64))
+
+        return types.int64(left, right), codegen
+
+    return compare
+
+
+where_more = intrinsic(_bits(">"))
+"""A bit per lane, the lowest the first: whether left > right: of (left, right), lanes or numbers."""
+
+where_no_less = intrinsic(_bits(">="))
+"""As `where_more`, whether left >= right."""
+
+
 @intrinsic
-def smaller(typingctx, left, right):
-    """The smaller number in every lane; the second where one is not a number."""
+def floor_lanes(typingctx, value):
+    """The largest whole number not above, in every lane."""
 
     def codegen(context, builder, signature, arguments):
-        left, right = (_widened(context, builder, *one) for one in zip(signature.args, arguments, strict=True))
-        return builder.select(builder.fcmp_ordered("<", left, right), left, right)
+        kind = ir.FunctionType(_lanes.vector, [_lanes.vector])
+        floor = cgutils.get_or_insert_function(builder.module, kind, f"llvm.floor.v{LANES}f64")
+        return builder.call(floor, arguments)
 
-    return _lanes(left, right), codegen
+    return _lanes(value), codegen
 
 
 @intrinsic
@@ -246,3 +287,14 @@ def prefetch(typingctx, array, position):
         return context.get_dummy_value()
 
     return types.void(array, position), codegen
+
+
+@intrinsic
+def wide_registers(typingctx):
+    """Let the function it is called in use the widest registers there are: compilers shun them on some processors."""
+
+    def codegen(context, builder, signature, arguments):
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # one that llvmlite does not know
+        return context.get_dummy_value()
+
+    return types.void(), codegen

@@ -13,7 +13,7 @@ from numba import njit
 from hfb.body.kernels_skinning import add_lanes, ask, ask_point, gather, pull, spread
 from hfb.body.kernels_vector import BLOCK, FEATURES, add_block
 from hfb.compilation import LOOP, SUM_INLINE, entry
-from hfb.vector_code import LANES, prefetch
+from hfb.vector_code import LANES, prefetch, wide_registers
 
 AHEAD = 4  # vertices whose directions are asked for before they are needed
 _LINE = 32  # 16-bit numbers that memory hands over at once
@@ -45,6 +45,7 @@ def _displace(feature, rest, directions, steps, v, points):
 
     Three directions times four poses at once are twelve sums that do not wait for each other, and load little for it.
     """
+    wide_registers()
     kind = feature.dtype.type
     for s in range(0, LANES, 4):
         x0, x1, x2, x3 = kind(0), kind(0), kind(0), kind(0)
@@ -98,6 +99,7 @@ def blend_and_skin(transforms, rotations, rest, directions, steps, starts, joint
 
     directions: (V, 3, FEATURES) in `steps` (V, 3). starts: (V + 1), where each vertex's joints and weights begin.
     """
+    wide_registers()
     table, feature = np.empty((transforms.shape[1], 12 * LANES), rest.dtype), np.zeros((LANES, FEATURES), rest.dtype)
     rows, moved = np.empty(9 * LANES, rest.dtype), np.empty(3 * LANES, rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
@@ -132,6 +134,7 @@ def _gradient_block(
     table, directions, steps, starts, joints, weights, points, given, first, n, asking, count, rows, asked, turned,
     of_point, pulls, of_rest, of_feature,
 ):  # fmt: skip
+    wide_registers()
     for number in range(count):
         v = asking[number]
         _read_ahead(directions, asking[min(number + AHEAD, count - 1)])
@@ -154,6 +157,7 @@ def blend_and_skin_gradient(
 ):
     """Fill `of_transforms` and, but for the root, `of_rotations`; add to `of_rest`. What the camera does not see asks
     for nothing and is passed over, half of the work."""
+    wide_registers()
     kind = transforms.dtype
     table, of_feature = np.empty((transforms.shape[1], 12 * LANES), kind), np.empty((LANES, FEATURES), kind)
     rows, turned, of_point = np.empty(9 * LANES, kind), np.empty(9 * LANES, kind), np.empty(3 * LANES, kind)

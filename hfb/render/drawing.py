@@ -12,6 +12,7 @@ import torch
 from hfb.render import kernels, kernels_dibr
 from hfb.render.threads import run_tasks
 from hfb.shapes import Array, Tensor
+from hfb.vector_code import LANES
 
 TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
 
@@ -49,16 +50,27 @@ class Setting:
         """DIB-R's mask instead of exact coverage."""
         return bool(self.soft[0] > 0)
 
-    def draw(self, vertices: Array, texels: Array) -> tuple[Array, ...]:
-        """One body: the seven parts of its trace, and of a coloured one codes and colours."""
-        if self.is_soft and len(texels):
-            return kernels_dibr.draw_body_softly(vertices, self.lens, self.soft, self.faces, self.uv, texels)
+    def draw(self, vertices: Array, texels: Array) -> list[tuple[Array, ...]]:
+        """Each of up to LANES bodies: the seven parts of its trace, and of a coloured one codes and colours."""
+        coloured = len(texels) > 0
+        if self.is_soft and coloured:
+            given = self.lens, self.soft, self.faces, self.uv, texels
+            return [kernels_dibr.draw_body_softly(one, *given) for one in vertices]
         if self.is_soft:
-            return kernels_dibr.cover_body_softly(vertices, self.lens, self.soft, self.faces)
-        edges = self.edge_vertices, self.edge_faces
-        if len(texels):
-            return kernels.draw_body(vertices, self.lens, self.faces, self.uv, *edges, texels)
-        return kernels.cover_body(vertices, self.lens, self.faces, *edges)
+            return [kernels_dibr.cover_body_softly(one, self.lens, self.soft, self.faces) for one in vertices]
+        projected, boxes, candidates, n_candidates, sides, n_sides = kernels.survey(
+            vertices, self.lens, self.faces, self.edge_faces, coloured
+        )
+        edges, width, bodies = (self.edge_vertices, self.edge_faces), int(self.lens[5]), []
+        for s in range(len(vertices)):
+            there, outlined = (projected[s], boxes[s]), sides[s, : n_sides[s]]
+            if coloured:
+                shown = candidates[s, : n_candidates[s]]
+                body = kernels.draw_body(*there, shown, outlined, self.faces, self.uv, *edges, width, texels)
+            else:
+                body = kernels.cover_body(*there, outlined, *edges, width)
+            bodies.append((projected[s], *body))
+        return bodies
 
     def pull(
         self,
@@ -88,7 +100,14 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
     # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
     kernels.widen(texture, texels)
-    found = run_tasks(lambda s: setting.draw(vertices[s], texels), count, setting.threads)
+    # As many at once as kernels take, but something for every thread. A body does not depend on who is beside it.
+    at_once = min(LANES, max(-(-count // setting.threads), 1))
+    blocks = range(0, count, at_once)
+    drawn = run_tasks(
+        lambda block: setting.draw(vertices[blocks[block] : blocks[block] + at_once], texels),
+        len(blocks), setting.threads,
+    )  # fmt: skip
+    found = [body for block in drawn for body in block]
     pictures = np.zeros(
         (1 if setting.mean else count, int(lens[6]), int(lens[5]), 4 if len(texels) else 1), vertices.dtype
     )

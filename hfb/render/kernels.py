@@ -13,9 +13,25 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import JIT, LOOP, entry, loop_entry
-from hfb.render.kernels_outline import collect, count_pieces, pull_outline, weigh_pieces, wind_outline
+from hfb.render.kernels_outline import (
+    FOUND as CUT,
+    collect,
+    count_pieces,
+    cut_outline,
+    pull_outline,
+    weigh_pieces,
+    wind_outline,
+)
 from hfb.render.kernels_overlap import chain_pieces, resolve
-from hfb.render.kernels_screen import find_front, find_outline, mask_for, project, see_faces, to_metres
+from hfb.render.kernels_screen import (
+    find_outline,
+    look_at_faces,
+    mask_for,
+    project,
+    see_faces,
+    to_metres,
+    trace_outline,
+)
 from hfb.render.kernels_shading import FOUND, GATHERED, PLACES, shade, shade_gradient
 from hfb.render.kernels_vector import add_scaled
 from hfb.vector_code import LANES
@@ -50,19 +66,20 @@ def _trace(outline, projected, box, width, seen, mask):
     height, breadth = box[3] - box[1], box[2] - box[0]
     winding, marks = np.zeros((height, breadth + 1), np.float64), np.zeros((height, breadth), np.uint8)
     first, last = np.full(height, breadth, np.int64), np.full(height, -1, np.int64)
-    most = count_pieces(outline, projected, box)
-    piece_pixel, piece_edge = np.empty(most, np.int32), np.empty(most, np.int32)
-    piece_span = np.empty((most, 2), np.float64)
+    most = count_pieces(outline, projected, box) + 1  # and one that is written to and not kept
+    piece_pixel, piece_edge, piece_row = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32)
+    piece_span, piece_mark, amounts = np.empty((most, 2), np.float64), np.empty(most, np.uint8), np.empty((most, 3))
+    pieces = (piece_pixel, piece_edge, piece_span, piece_row, piece_mark, amounts)
     longest = 2 * (height + breadth) + 8  # an edge crosses each border between rows and columns at most twice
-    total = wind_outline(
-        outline, projected, box, winding, marks, first, last, seen, mask,
-        np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(longest, np.float64),
-        piece_pixel, piece_edge, piece_span,
+    total = cut_outline(
+        outline, projected, box, np.empty(CUT, np.float64),
+        np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(longest, np.float64), pieces,
     )  # fmt: skip
-    room = height * breadth
+    wind_outline(total, pieces, breadth, winding, marks, first, last, seen, mask)
+    room = height * breadth + 1  # again one that is not kept
     pixels, coverage = np.empty(room, np.int32), np.empty(room, np.float64)
     codes = np.empty(room if seen.shape[0] > 0 else 0, np.int32)
-    place, unsure = np.zeros(room, np.int32), np.empty(room, np.int32)
+    place, unsure = np.empty(room, np.int32), np.empty(room, np.int32)
     n, n_unsure = collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, coverage, place, unsure)
     piece_pixel, unsure = piece_pixel[:total], unsure[:n_unsure]
     weights = _resolve_overlaps(
@@ -76,41 +93,51 @@ def _trace(outline, projected, box, width, seen, mask):
     )  # fmt: skip
 
 
+@entry
+def survey(vertices, lens, faces, edge_faces, coloured):
+    """What of up to LANES bodies (n, V, 3) is found at once: projected vertices, boxes, and for each body the faces
+    that may be seen, their number, its outline's sides, their number (see `kernels_screen`).
+
+    coloured: the faces are wanted.
+    """
+    count = vertices.shape[0]
+    boxes, projected = np.empty((count, 4), np.int64), np.empty((count, vertices.shape[1], 4), np.float64)
+    for s in range(count):
+        project(vertices[s], lens, 0.0, projected[s], boxes[s])
+    front, candidates, n_candidates = look_at_faces(projected, faces, boxes, coloured)
+    sides, n_sides = np.empty((count, edge_faces.shape[0] + 1), np.uint32), np.zeros(count, np.int64)
+    find_outline(front, edge_faces, sides, n_sides)
+    return projected, boxes, candidates, n_candidates, sides, n_sides
+
+
 @njit(**JIT)
-def _outline(front, edge_vertices, edge_faces):
-    outline = np.empty((edge_vertices.shape[0], 3), np.uint32)
-    return outline[: find_outline(front, edge_vertices, edge_faces, outline)].copy()
+def _outline(sides, box, edge_vertices, edge_faces):
+    outline = np.empty((sides.shape[0] if box[0] < box[2] else 0, 3), np.uint32)
+    trace_outline(sides[: outline.shape[0]], edge_vertices, edge_faces, outline)
+    return outline
 
 
 @entry
-def cover_body(vertices, lens, faces, edge_vertices, edge_faces):
-    """Silhouette of one body: its trace."""
-    box = np.empty(4, np.int64)
-    projected, front = np.empty((vertices.shape[0], 4), np.float64), np.zeros(faces.shape[0], np.bool_)
-    project(vertices, lens, 0.0, projected, box)
-    if box[0] < box[2]:
-        find_front(projected, faces, front)
-    outline = _outline(front, edge_vertices, edge_faces)
-    seen = np.empty((0, 0), np.int64)[:, :]  # of the type of a region's view, so that the rest is compiled once
-    pixels, _, coverage, owner, edge, shares = _trace(outline, projected, box, np.int64(lens[5]), seen, 0)
-    return projected, outline, pixels, coverage, owner, edge, shares
+def cover_body(projected, box, sides, edge_vertices, edge_faces, width):
+    """Silhouette of one body: its trace but for the projected vertices."""
+    outline = _outline(sides, box, edge_vertices, edge_faces)
+    pixels, _, coverage, owner, edge, shares = _trace(outline, projected, box, width, np.empty((0, 0), np.int64), 0)
+    return outline, pixels, coverage, owner, edge, shares
 
 
 @entry
-def draw_body(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
-    """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
-    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 4), np.float64)
-    project(vertices, lens, 0.0, projected, box)
+def draw_body(projected, box, candidates, sides, faces, uv, edge_vertices, edge_faces, width, texture):
+    """One body: its trace but for the projected vertices, then the pixels' codes and premultiplied colours. The
+    texture's 4th channel is 1."""
     mask = mask_for(faces, edge_faces)
-    seen, front = see_faces(projected, faces, box, mask)
-    outline = _outline(front, edge_vertices, edge_faces)
-    width = np.int64(lens[5])
+    seen = see_faces(projected, faces, candidates, box, mask)
+    outline = _outline(sides, box, edge_vertices, edge_faces)
     pixels, codes, coverage, owner, edge, shares = _trace(outline, projected, box, width, seen, mask)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
-    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
-    places = np.empty(PLACES, np.int32)
-    shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, near, table, places, colours)
-    return projected, outline, pixels, coverage, owner, edge, shares, codes, colours
+    near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
+    places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
+    shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, near, table, places, rim, colours)
+    return outline, pixels, coverage, owner, edge, shares, codes, colours
 
 
 @loop_entry
@@ -173,11 +200,11 @@ def draw_body_gradient(
     """
     projected, outline, pixels, coverage, owner, edge, shares = trace
     on_screen, of_coverage = np.zeros((gradient.shape[0], 4), np.float64), np.empty(pixels.shape[0], np.float64)
-    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
-    places = np.empty(PLACES, np.int32)
+    near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
+    places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade_gradient(
         np.int64(lens[5]), faces, uv, texture, projected, outline, pixels, coverage, codes,
-        picture_gradient, scale, near, table, places, of_coverage, on_screen, texture_gradient,
+        picture_gradient, scale, near, table, places, rim, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:
         pull_outline(outline, projected, owner, edge, shares, of_coverage, on_screen)

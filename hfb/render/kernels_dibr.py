@@ -16,7 +16,7 @@ from numba import njit
 from hfb.compilation import INLINE, JIT, LOOP, entry
 from hfb.render.kernels import take
 from hfb.render.kernels_outline import closest_parameter
-from hfb.render.kernels_screen import code_of, mask_for, project, see_faces, to_metres
+from hfb.render.kernels_screen import code_of, mask_for, project, see_body, to_metres
 from hfb.render.kernels_shading import FOUND, GATHERED, PLACES, shade, shade_gradient
 
 TIE = 1e-9
@@ -209,7 +209,7 @@ def _soften(vertices, lens, soft, faces):
     box = np.empty(4, np.int64)
     projected, mask = np.empty((vertices.shape[0], 4), np.float64), mask_for(faces, faces)
     project(vertices, lens, soft[1], projected, box)
-    seen, _ = see_faces(projected, faces, box, mask)
+    seen = see_body(projected, faces, box, mask)[: box[3] - box[1], : box[2] - box[0]]
     return projected, _trace(projected, faces, box, np.int64(lens[5]), seen, mask, soft)
 
 
@@ -225,10 +225,23 @@ def draw_body_softly(vertices, lens, soft, faces, uv, texture):
     """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
     projected, (outline, pixels, coverage, owner, of_side, weights, codes) = _soften(vertices, lens, soft, faces)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
-    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
-    places = np.empty(PLACES, np.int32)
+    near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
+    places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade(
-        pixels, codes, coverage, np.int64(lens[5]), outline, projected, faces, uv, texture, near, table, places, colours
+        pixels,
+        codes,
+        coverage,
+        np.int64(lens[5]),
+        outline,
+        projected,
+        faces,
+        uv,
+        texture,
+        near,
+        table,
+        places,
+        rim,
+        colours,
     )
     return projected, outline, pixels, coverage, owner, of_side, weights, codes, colours
 
@@ -276,11 +289,11 @@ def draw_body_softly_gradient(
     projected, outline, pixels, coverage, owner, of_side, weights = trace
     width = np.int64(lens[5])
     on_screen, of_coverage = np.zeros((gradient.shape[0], 4), np.float64), np.empty(pixels.shape[0], np.float64)
-    near, table = np.empty(GATHERED, np.float64), np.empty(FOUND, np.float64)
-    places = np.empty(PLACES, np.int32)
+    near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
+    places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade_gradient(
         width, faces, uv, texture, projected, outline, pixels, coverage, codes,
-        picture_gradient, scale, near, table, places, of_coverage, on_screen, texture_gradient,
+        picture_gradient, scale, near, table, places, rim, of_coverage, on_screen, texture_gradient,
     )  # fmt: skip
     if gradient.shape[0] > 0:
         _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)

@@ -15,8 +15,22 @@ from numba import njit
 
 from hfb.compilation import INLINE, LOOP
 from hfb.render.kernels_screen import code_of, pack
+from hfb.vector_code import (
+    LANES,
+    floor_lanes,
+    if_less,
+    lane_numbers,
+    lanes,
+    larger,
+    load_lanes,
+    smaller,
+    store_lanes,
+)
 
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
+# Rows of what is found of LANES edges.
+X0, Y0, DX, DY, WITHIN, STEPS, COLUMN, ROW, FROM, TO, MARK, LEFT, RIGHT, NEAR = (LANES * row for row in range(14))
+FOUND = 14 * LANES
 GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8, 16, 32)  # what a pixel's outline does
 
 
@@ -120,55 +134,157 @@ def count_pieces(outline, projected, box):
     return n
 
 
+@njit(**INLINE)
+def _put_piece(pieces, n, k, row, column, breadth, t, t_end, mark, left, right, near):
+    """Write piece n: of edge k from t to t_end, in a pixel of the region; `_add_pieces` tells what the rest is."""
+    pixel, edge, span, places, marks, amounts = pieces
+    pixel[n], edge[n], places[n] = row * breadth + column, k, row
+    span[n, 0], span[n, 1], marks[n] = t, t_end, mark
+    amounts[n, 0], amounts[n, 1], amounts[n, 2] = left, right, near
+
+
 @njit(**LOOP)
-def wind_outline(
-    outline, projected, box, winding, marks, first, last, seen, mask, columns, rows, ends,
-    piece_pixel, piece_edge, piece_span,
-):  # fmt: skip
-    """Add every outline edge to `winding` (region rows, columns + 1), whose running row sums are mean winding.
+def _cut_far(k, x0, y0, dx, dy, box, columns, rows, ends, pieces, n):
+    """Append the pieces of an edge that the box cuts; returns the new number."""
+    count, t = cut_edge(x0, y0, dx, dy, box, columns, rows, ends)
+    heading = (GOES_RIGHT if dx > 0.0 else GOES_LEFT) | (GOES_DOWN if dy > 0.0 else GOES_UP)
+    for p in range(count):
+        row, t_end = rows[p] - box[1], ends[p]
+        cover = (t_end - t) * dy
+        if columns[p] < 0:
+            _put_piece(pieces, n, k, row, 0, box[2] - box[0], t, t_end, 0, cover, 0.0, 0.0)
+            pieces[0][n] = -1
+        else:
+            share = x0 + dx * 0.5 * (t + t_end) - columns[p]  # of the pixel left of the piece
+            near = 4.0 - squared_distance(columns[p] + 0.5, rows[p] + 0.5, x0, y0, dx, dy)
+            mark, column = heading | (ENTERED if t > 0.0 else 0), columns[p] - box[0]
+            left, right = cover * (1.0 - share), cover * share
+            _put_piece(pieces, n, k, row, column, box[2] - box[0], t, t_end, mark, left, right, near)
+        n += 1
+        t = t_end
+    return n
+
+
+@njit(**LOOP)
+def _cut_near(first, n_edges, box, found, pieces, n):
+    """Append the pieces of up to LANES edges, a step to the next pixel of all of them at a time; returns their number.
+
+    What edges do differs from one to the next, and no processor predicts it: here nothing is asked that decides what
+    comes next. found: rows of LANES numbers, the first four x0, y0, dx, dy [px]. Edges that the box cuts are left out
+    and have a zero in row FAR, others a one.
+    """
+    x0, y0 = load_lanes(found, X0), load_lanes(found, Y0)
+    dx, dy = load_lanes(found, DX), load_lanes(found, DY)
+    x1, y1 = x0 + dx, y0 + dy
+    left, top, right, bottom = (np.float64(box[0]), np.float64(box[1]), np.float64(box[2]), np.float64(box[3]))
+    c = smaller(floor_lanes(x0), right - 1.0)
+    r = smaller(floor_lanes(y0), bottom - 1.0)
+    c_end, r_end = smaller(floor_lanes(x1), right - 1.0), smaller(floor_lanes(y1), bottom - 1.0)
+    within = if_less(smaller(x0, x1), left, 0.0, if_less(right, larger(x0, x1), 0.0, 1.0))
+    within = within * if_less(smaller(y0, y1), top, 0.0, if_less(bottom, larger(y0, y1), 0.0, 1.0))
+    within = if_less(lane_numbers(), np.float64(n_edges), within, 0.0)
+    store_lanes(found, WITHIN, within)
+    along, down = if_less(c, c_end, 1.0, -1.0), if_less(r, r_end, 1.0, -1.0)
+    steps_c, steps_r = (c_end - c) * along, (r_end - r) * down
+    steps = if_less(0.5, within, steps_c + steps_r, -1.0)
+    store_lanes(found, STEPS, steps)
+    most = 0
+    for lane in range(LANES):
+        most = max(most, int(found[STEPS + lane]))
+    # Where an edge leaves its pixel sideways, up or down; a whole number of steps farther each time.
+    of_c, of_r = lanes(1.0) / dx, lanes(1.0) / dy
+    ahead_c, ahead_r = if_less(0.0, along, 1.0, 0.0) - x0, if_less(0.0, down, 1.0, 0.0) - y0
+    heading = if_less(0.0, dx, np.float64(GOES_RIGHT), np.float64(GOES_LEFT))
+    heading = heading + if_less(0.0, dy, np.float64(GOES_DOWN), np.float64(GOES_UP))
+    squared = dx * dx + dy * dy
+    inverse = if_less(0.0, squared, lanes(1.0) / squared, 0.0)
+    t = lanes(0.0)
+    for _ in range(most + 1):
+        t_c = if_less(0.5, steps_c, (c + ahead_c) * of_c, np.inf)
+        t_r = if_less(0.5, steps_r, (r + ahead_r) * of_r, np.inf)
+        t_end = larger(t, smaller(smaller(t_c, t_r), 1.0))
+        cover, share = (t_end - t) * dy, x0 + dx * (0.5 * (t + t_end)) - c
+        px, py = c + 0.5 - x0, r + 0.5 - y0
+        nearest = larger(smaller((px * dx + py * dy) * inverse, 1.0), 0.0)
+        off_x, off_y = nearest * dx - px, nearest * dy - py
+        store_lanes(found, COLUMN, c - left)
+        store_lanes(found, ROW, r - top)
+        store_lanes(found, FROM, t)
+        store_lanes(found, TO, t_end)
+        store_lanes(found, MARK, heading + if_less(0.0, t, np.float64(ENTERED), 0.0))
+        store_lanes(found, LEFT, cover - cover * share)
+        store_lanes(found, RIGHT, cover * share)
+        store_lanes(found, NEAR, 4.0 - (off_x * off_x + off_y * off_y))
+        store_lanes(found, STEPS, steps)
+        for lane in range(LANES):
+            _put_piece(
+                pieces, n, first + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]), box[2] - box[0],
+                found[FROM + lane], found[TO + lane], np.uint8(np.int32(found[MARK + lane])), found[LEFT + lane],
+                found[RIGHT + lane], found[NEAR + lane],
+            )  # fmt: skip
+            n += found[STEPS + lane] >= 0.0
+        sideways = if_less(t_r, t_c, 0.0, 1.0)
+        c, r = c + along * sideways, r + down * (1.0 - sideways)
+        steps_c, steps_r = steps_c - sideways, steps_r - (1.0 - sideways)
+        steps = steps - 1.0
+        t = t_end
+    return n
+
+
+@njit(**LOOP)
+def cut_outline(outline, projected, box, found, columns, rows, ends, pieces):
+    """Cut the outline at the pixel borders; returns the number of pieces.
+
+    found: room for FOUND numbers. columns, rows, ends: room for the pieces of one edge. pieces: for every piece its
+    region pixel (-1: left of the region), edge, span on it, region row, what it does there, and as amounts: what it
+    adds to the mean winding of its pixel and of the next one, 4 - squared distance of the pixel's centre from the edge.
+    """
+    n, left, top, right, bottom = 0, box[0], box[1], box[2], box[3]
+    for first in range(0, outline.shape[0], LANES):
+        n_edges = min(LANES, outline.shape[0] - first)
+        for lane in range(LANES):
+            k = first + min(lane, n_edges - 1)
+            i, j = outline[k, 0], outline[k, 1]
+            x0, y0 = projected[i, 0], projected[i, 1]
+            found[X0 + lane], found[Y0 + lane] = x0, y0
+            found[DX + lane], found[DY + lane] = projected[j, 0] - x0, projected[j, 1] - y0
+        n = _cut_near(first, n_edges, box, found, pieces, n)
+        for lane in range(n_edges):
+            if found[WITHIN + lane] == 0.0:
+                x0, y0, dx, dy = found[X0 + lane], found[Y0 + lane], found[DX + lane], found[DY + lane]
+                n = _cut_far(first + lane, x0, y0, dx, dy, box, columns, rows, ends, pieces, n)
+    return n
+
+
+@njit(**LOOP)
+def wind_outline(n, pieces, breadth, winding, marks, first, last, seen, mask):
+    """Add n pieces of outline to `winding` (region rows, columns + 1), whose running row sums are mean winding.
 
     marks: what the outline does in each pixel. first, last: per region row the columns touched. seen: where no face
     is seen at the pixel's centre (<= 0) it receives the closest outline edge k, as -pack(4 - squared distance,
-    mask - k): of equals the first; an empty `seen` leaves that out. columns, rows, ends: room for the pieces of one
-    edge. piece_*: every piece's region pixel (-1: none), edge, and span on it; returns their number.
+    mask - k): of equals the first; an empty `seen` leaves that out.
     """
-    left, top = box[0], box[1]
+    piece_pixel, piece_edge, _, piece_row, piece_mark, amounts = pieces
     coloured = seen.shape[0] > 0
-    total = 0
-    breadth = box[2] - left
-    for k in range(outline.shape[0]):
-        i, j = outline[k, 0], outline[k, 1]
-        x0, y0 = projected[i, 0], projected[i, 1]
-        dx, dy = projected[j, 0] - x0, projected[j, 1] - y0
-        pieces, t = cut_edge(x0, y0, dx, dy, box, columns, rows, ends)
-        heading = (GOES_RIGHT if dx > 0.0 else GOES_LEFT) | (GOES_DOWN if dy > 0.0 else GOES_UP)
-        for p in range(pieces):
-            row, t_end = rows[p] - top, ends[p]
-            cover = (t_end - t) * dy
-            piece_pixel[total] = -1
-            piece_edge[total], piece_span[total, 0], piece_span[total, 1] = k, t, t_end
-            if columns[p] < 0:
-                winding[row, 0] += cover
-                first[row] = 0
-                last[row] = max(last[row], 0)
-            else:
-                column = columns[p] - left
-                piece_pixel[total] = row * breadth + column
-                share = x0 + dx * 0.5 * (t + t_end) - columns[p]  # of the pixel left of the piece
-                winding[row, column] += cover * (1.0 - share)
-                winding[row, column + 1] += cover * share
-                first[row] = min(first[row], column)
-                last[row] = max(last[row], column)
-                mark = marks[row, column] | heading
-                if t > 0.0:
-                    mark |= ENTERED_AGAIN if mark & ENTERED else ENTERED
-                marks[row, column] = mark
-                if coloured and seen[row, column] <= 0:
-                    squared = squared_distance(columns[p] + 0.5, rows[p] + 0.5, x0, y0, dx, dy)
-                    seen[row, column] = min(seen[row, column], -pack(4.0 - squared, mask - k, mask))
-            total += 1
-            t = t_end
-    return total
+    for p in range(n):
+        row = np.uint32(piece_row[p])
+        if piece_pixel[p] < 0:
+            winding[row, 0] += amounts[p, 0]
+            first[row] = 0
+            last[row] = max(last[row], 0)
+            continue
+        column = np.uint32(piece_pixel[p] - np.int64(row) * breadth)
+        winding[row, column] += amounts[p, 0]
+        winding[row, column + 1] += amounts[p, 1]
+        first[row] = min(first[row], column)
+        last[row] = max(last[row], column)
+        mark = marks[row, column]
+        entered = piece_mark[p] & ENTERED
+        marks[row, column] = mark | piece_mark[p] | ((mark & entered) << 1)  # ENTERED_AGAIN is the next bit
+        if coloured:
+            held = seen[row, column]
+            mine = -pack(amounts[p, 2], mask - piece_edge[p], mask)
+            seen[row, column] = mine if (held <= 0) & (mine < held) else held
 
 
 @njit(**INLINE)
@@ -177,8 +293,8 @@ def may_overlap(mark):
 
     A strand that never turns back in x, or never in y, cannot cross itself.
     """
-    turns_back = (mark & (GOES_RIGHT | GOES_LEFT)) == 3 and (mark & (GOES_DOWN | GOES_UP)) == 12
-    return (mark & ENTERED_AGAIN) != 0 or turns_back
+    turns_back = (mark & (GOES_RIGHT | GOES_LEFT | GOES_DOWN | GOES_UP)) == 15
+    return (mark >= ENTERED_AGAIN) | turns_back
 
 
 @njit(**LOOP)
@@ -186,31 +302,45 @@ def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, 
     """List the pixels with any coverage, row by row: index, code, mean winding. Returns their number and that of
     the unsure ones, where layers may overlap.
 
-    unsure: their places in the list. place (region): 1 + place in the list of a pixel that the outline crosses,
-    - 1 - place in `unsure` of an unsure one, 0 elsewhere. An empty `seen` (silhouette only) leaves the codes out.
+    unsure: their places in the list. place (region), where the outline passes: 1 + place in the list of a pixel that it
+    crosses, - 1 - place in `unsure` of an unsure one, 0 of others. An empty `seen` (silhouette only) leaves the codes
+    out.
     """
     n, n_unsure = 0, 0
     coloured = seen.shape[0] > 0
     breadth = box[2] - box[0]
     for row in range(box[3] - box[1]):
-        total = 0.0
-        for column in range(first[row], breadth):
-            if column <= last[row] + 1:
-                total += winding[row, column]
-            elif total <= TINY:  # past the last edge nothing changes any more
-                break
-            if total > TINY:
-                pixels[n] = (row + box[1]) * width + column + box[0]
-                windings[n] = total
+        total, column, end = 0.0, first[row], min(last[row] + 2, breadth)
+        from_pixel = (row + box[1]) * width + box[0]
+        while column < breadth:
+            # A pixel of the outline or the one after it, written to the end of the lists whether it is kept or not.
+            mark = marks[row, column]
+            total += winding[row, column]
+            kept = total > TINY
+            doubted = kept & may_overlap(mark)
+            pixels[n], windings[n], unsure[n_unsure] = from_pixel + column, total, n
+            if coloured:
+                codes[n] = code_of(seen[row, column], mask)
+            crossed = n + 1 if kept & (total < 1.0 - TINY) else 0
+            place[row * breadth + column] = -1 - n_unsure if doubted else crossed
+            n += kept
+            n_unsure += doubted
+            column += 1
+            if mark != 0:
+                continue
+            # From here to the outline's next pixel nothing changes.
+            until = column
+            while until < end and marks[row, until] == 0:
+                until += 1
+            until = until if until < end else breadth
+            if kept:
+                for k in range(until - column):
+                    pixels[n + k], windings[n + k] = from_pixel + column + k, total
                 if coloured:
-                    codes[n] = code_of(seen[row, column], mask)
-                if may_overlap(marks[row, column]):
-                    unsure[n_unsure] = n
-                    n_unsure += 1
-                    place[row * breadth + column] = -n_unsure
-                elif total < 1.0 - TINY:
-                    place[row * breadth + column] = n + 1
-                n += 1
+                    for k in range(until - column):
+                        codes[n + k] = code_of(seen[row, column + k], mask)
+                n += until - column
+            column = until
     return n, n_unsure
 
 

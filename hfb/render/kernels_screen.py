@@ -11,8 +11,18 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import INLINE, JIT, LOOP
-from hfb.render.kernels_vector import keep_nearest
-from hfb.vector_code import if_less, lane_numbers, smaller
+from hfb.render.kernels_vector import keep_nearest, side_by_side
+from hfb.vector_code import (
+    LANES,
+    floor_lanes,
+    if_less,
+    lane_numbers,
+    larger,
+    load_lanes,
+    smaller,
+    where_more,
+    where_no_less,
+)
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 TILE_COLUMNS, TILE_ROWS = 4, 2  # most faces' centres lie in one such tile
@@ -37,9 +47,8 @@ def pack(value, index, mask):
 @njit(**INLINE)
 def code_of(seen, mask):
     """What a pixel shows: a face f as f, the outline edge k as ~k."""
-    if seen > 0:
-        return seen & mask
-    return ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
+    edge = ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
+    return seen & mask if seen > 0 else edge
 
 
 @njit(**LOOP)
@@ -85,56 +94,82 @@ def to_metres(projected, vertices, lens, on_screen, gradient):
 
 
 @njit(**LOOP)
-def find_front(projected, faces, front):
-    """Mark the faces that look at the camera: negative signed area in (x right, y down)."""
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = (projected[j, 0] - projected[i, 0]) * (projected[k, 1] - projected[i, 1]) - (
-            projected[k, 0] - projected[i, 0]
-        ) * (projected[j, 1] - projected[i, 1])
-        usable = projected[i, 2] > 0.0 and projected[j, 2] > 0.0 and projected[k, 2] > 0.0
-        front[f] = usable and area < 0.0
+def _line_up(projected, screen):
+    """Fill `screen` (V, 3 x LANES): x, y and 1/z of up to LANES bodies side by side; lanes beyond repeat the last."""
+    count, vertices = projected.shape[0], projected.shape[1]
+    if count == LANES:
+        for v in range(vertices):
+            side_by_side(screen, 3 * LANES * v, projected, 4 * v, 4 * vertices)
+        return
+    for v in range(vertices):
+        for s in range(LANES):
+            body = min(s, count - 1)
+            for q in range(3):
+                screen[v, q * LANES + s] = projected[body, v, q]
 
 
 @njit(**LOOP)
-def find_outline(front, edge_vertices, edge_faces, outline):
-    """Fill rows (from, to, front face), directed as the front face traverses the edge; returns their number."""
-    n = 0
+def find_front(projected, faces, boxes, screen, bounds, front, candidates, counts):
+    """Mark the faces that look at the camera, negative signed area in (x right, y down), in `front` (F), a bit per
+    body, and list, for each body, those with a pixel's centre in their bounding box; their number goes into `counts`.
+
+    All of up to LANES bodies at once, without a question for one of them: most faces are smaller than a pixel, and
+    whether one holds a centre is a coin flip that no processor predicts. screen: room for (V, 3 x LANES), bounds: for
+    4 LANES numbers. Empty `candidates` leave the lists out.
+    """
+    _line_up(projected, screen)
+    for s in range(LANES):
+        body = min(s, projected.shape[0] - 1)
+        bounds[s], bounds[LANES + s] = boxes[body, 0], boxes[body, 1]
+        bounds[2 * LANES + s], bounds[3 * LANES + s] = boxes[body, 2] - 1.0, boxes[body, 3] - 1.0
+    left, top = load_lanes(bounds, 0), load_lanes(bounds, LANES)
+    right, bottom = load_lanes(bounds, 2 * LANES), load_lanes(bounds, 3 * LANES)
+    for f in range(faces.shape[0]):
+        i, j, k = (
+            3 * LANES * np.int64(faces[f, 0]),
+            3 * LANES * np.int64(faces[f, 1]),
+            3 * LANES * np.int64(faces[f, 2]),
+        )
+        x0, x1, x2 = load_lanes(screen, i), load_lanes(screen, j), load_lanes(screen, k)
+        y0, y1, y2 = load_lanes(screen, i + LANES), load_lanes(screen, j + LANES), load_lanes(screen, k + LANES)
+        q0, q1 = load_lanes(screen, i + 2 * LANES), load_lanes(screen, j + 2 * LANES)
+        q2 = load_lanes(screen, k + 2 * LANES)
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        looks = where_more(0.0, area) & where_more(smaller(q0, smaller(q1, q2)), 0.0)
+        front[f] = looks
+        if looks != 0 and candidates.shape[0] > 0:
+            # The first and the last centre between the bounds.
+            c_from = larger(smaller(x0, smaller(x1, x2)) - 0.5, left)
+            c_to = smaller(larger(x0, larger(x1, x2)) - 0.5, right)
+            r_from = larger(smaller(y0, smaller(y1, y2)) - 0.5, top)
+            r_to = smaller(larger(y0, larger(y1, y2)) - 0.5, bottom)
+            looks &= where_no_less(floor_lanes(c_to), c_from) & where_no_less(floor_lanes(r_to), r_from)
+            for s in range(projected.shape[0]):
+                candidates[s, counts[s]] = f
+                counts[s] += (looks >> s) & 1
+
+
+@njit(**LOOP)
+def find_outline(front, edge_faces, sides, counts):
+    """List, for each of n bodies, the edges at which its front faces end, as 2 e where the first face of edge e is in
+    front, 2 e + 1 where the second is; their number goes into `counts`."""
     for e in range(edge_faces.shape[0]):
         first, second = edge_faces[e, 0], edge_faces[e, 1]
         is_first = front[first]
-        is_second = front[second] if second < front.shape[0] else False
-        if is_first != is_second:
-            if is_first:
-                outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 0], edge_vertices[e, 1], first
-            else:
-                outline[n, 0], outline[n, 1], outline[n, 2] = edge_vertices[e, 1], edge_vertices[e, 0], second
-            n += 1
-    return n
+        differ = is_first ^ (front[second] if second < front.shape[0] else 0)
+        if differ != 0:
+            for s in range(counts.shape[0]):
+                sides[s, counts[s]] = 2 * e + 1 - ((is_first >> s) & 1)
+                counts[s] += (differ >> s) & 1
 
 
 @njit(**LOOP)
-def find_candidates(projected, faces, front, box, candidates):
-    """Mark the faces that look at the camera (as `find_front`) and list those with a pixel's centre in their bounding
-    box; returns the number of these.
-
-    Without branches: most faces are smaller than a pixel, and whether one holds a centre is a coin flip that no
-    processor predicts.
-    """
-    n = 0
-    left, top, right, bottom = box[0], box[1], box[2] - 1.0, box[3] - 1.0
-    for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
-        x2, y2 = projected[k, 0], projected[k, 1]
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        usable = (projected[i, 2] > 0.0) & (projected[j, 2] > 0.0) & (projected[k, 2] > 0.0)
-        front[f] = usable & (area < 0.0)
-        across = np.ceil(max(min(x0, x1, x2) - 0.5, left)) <= min(max(x0, x1, x2) - 0.5, right)
-        down = np.ceil(max(min(y0, y1, y2) - 0.5, top)) <= min(max(y0, y1, y2) - 0.5, bottom)
-        candidates[n] = f
-        n += front[f] & across & down
-    return n
+def trace_outline(sides, edge_vertices, edge_faces, outline):
+    """Fill rows (from, to, front face), directed as the front face traverses the edge."""
+    for n in range(sides.shape[0]):
+        e, side = np.uint32(sides[n] >> 1), np.uint32(sides[n] & 1)
+        outline[n, 0], outline[n, 1] = edge_vertices[e, side], edge_vertices[e, 1 - side]
+        outline[n, 2] = edge_faces[e, side]
 
 
 @njit(**LOOP)
@@ -172,13 +207,28 @@ def fill_depth(projected, faces, candidates, box, mask, tiles):
 
 
 @njit(**JIT)
-def see_faces(projected, faces, box, mask):
-    """Which face that looks at the camera is seen at each pixel's centre: (`seen` of the region, which look at it)."""
-    front = np.zeros(faces.shape[0], np.bool_)
+def see_faces(projected, faces, candidates, box, mask):
+    """Which of the faces listed is seen at each pixel's centre, of the region and of what tiles stand out of it."""
     height, width = box[3] - box[1], box[2] - box[0]
     tiles = np.zeros((height + TILE_ROWS - 1, width + TILE_COLUMNS - 1), np.int64)
-    if height > 0:
-        candidates = np.empty(faces.shape[0], np.uint32)
-        n = find_candidates(projected, faces, front, box, candidates)
-        fill_depth(projected, faces, candidates[:n], box, mask, tiles)
-    return tiles[:height, :width], front
+    fill_depth(projected, faces, candidates, box, mask, tiles)
+    return tiles
+
+
+@njit(**JIT)
+def look_at_faces(projected, faces, boxes, wants_candidates):
+    """Which faces of up to LANES bodies (n, V, 4) look at the camera: see `find_front`; (front, candidates, counts)."""
+    count = projected.shape[0]
+    front, counts = np.empty(faces.shape[0], np.uint8), np.zeros(count, np.int64)
+    candidates = np.empty((count if wants_candidates else 0, faces.shape[0] + 1), np.uint32)
+    screen, bounds = np.empty((projected.shape[1], 3 * LANES), np.float64), np.empty(4 * LANES, np.float64)
+    find_front(projected, faces, boxes, screen, bounds, front, candidates, counts)
+    return front, candidates, counts
+
+
+@njit(**JIT)
+def see_body(projected, faces, box, mask):
+    """`see_faces` of one body by itself."""
+    whole = projected.reshape(1, projected.shape[0], 4)
+    _, candidates, counts = look_at_faces(whole, faces, box.reshape(1, 4), True)
+    return see_faces(projected, faces, candidates[0, : counts[0]], box, mask)

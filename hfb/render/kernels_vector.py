@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from hfb.vector_code import address, fma, load, positions, shuffle, splat
+from hfb.vector_code import LANES, address, fma, load, positions, shuffle, splat
 
 _LANES = range(4)
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
@@ -100,7 +100,7 @@ def add_scaled(typingctx, picture, pixel, colours, at, scale):
 @intrinsic
 def add_corner(typingctx, gradient, at, weight, x, y, z):
     """Add weight times (x, y, z, 0) to four numbers of `gradient`."""
-    signature = types.void(gradient, at, weight, x, y, z)
+    signature = types.void(gradient, at, *[gradient.dtype] * 4)
 
     def codegen(context, builder, signature, arguments):
         (to,) = positions(context, builder, signature, arguments, (1,))
@@ -117,13 +117,13 @@ def add_corner(typingctx, gradient, at, weight, x, y, z):
 
 
 @intrinsic
-def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alpha):
-    """Write 12 numbers of a face to number `to` of the table on: its second and third corner as seen from the first
-    (x, y, 1/z, 0), and (pixel_x, pixel_y, 0, alpha) as seen from there.
+def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v):
+    """Write 12 numbers of a face to number `to` of the table on: its second and third corner as seen from the first,
+    (x, y, 1/z, u) and (x, y, 1/z, v), and (pixel_x, pixel_y, 0, alpha) as seen from there.
 
     projected: (V, 4), the last one 0; i, j, k: positions of the three corners in it.
     """
-    signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha)
+    signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v)
 
     def codegen(context, builder, signature, arguments):
         at, *corners = positions(context, builder, signature, arguments, (1, 3, 4, 5))
@@ -137,6 +137,10 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
             position = builder.add(at, ir.Constant(at.type, 4 * number * BATCH))
             pointer, four, align = address(context, builder, signature.args[0], arguments[0], position, 4)
             value = _convert(context, builder, builder.fsub(vector, first), four.element)
+            if number < 2:
+                given, kind = arguments[9 + number], signature.args[9 + number]
+                given = context.cast(builder, given, kind, signature.args[0].dtype)
+                value = builder.insert_element(value, given, ir.Constant(ir.IntType(32), 3))
             builder.store(value, pointer).align = align
         return context.get_dummy_value()
 
@@ -182,6 +186,46 @@ def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
             mine = shuffle(builder, bits, bits, range(first, first + 4))
             larger = builder.select(builder.icmp_signed(">", mine, held), mine, held)
             builder.store(larger, pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def untangle(typingctx, table, to, source, at):
+    """Write eight times four numbers that lie side by side to four rows of the table, BATCH apart."""
+    signature = types.void(table, to, source, at)
+
+    def codegen(context, builder, signature, arguments):
+        here, there = positions(context, builder, signature, arguments, (1, 3))
+        mixed = load(context, builder, signature.args[2], arguments[2], there, 32)
+        for row in _LANES:
+            position = builder.add(here, ir.Constant(here.type, row * BATCH))
+            pointer, _, align = address(context, builder, signature.args[0], arguments[0], position, 8)
+            builder.store(shuffle(builder, mixed, mixed, range(row, 32, 4)), pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen
+
+
+@intrinsic
+def side_by_side(typingctx, screen, to, projected, at, stride):
+    """Write x, y and 1/z of LANES bodies' vertices, `stride` apart in `projected`, as three times LANES numbers."""
+    signature = types.void(screen, to, projected, at, stride)
+
+    def codegen(context, builder, signature, arguments):
+        here, there, stride = positions(context, builder, signature, arguments, (1, 3, 4))
+        four = []
+        for body in range(LANES):
+            position = builder.add(there, builder.mul(stride, ir.Constant(there.type, body)))
+            four.append(load(context, builder, signature.args[2], arguments[2], position, 4))
+        while len(four) > 1:
+            halves = zip(four[::2], four[1::2], strict=True)
+            four = [shuffle(builder, *pair, range(2 * pair[0].type.count)) for pair in halves]
+        for row in range(3):
+            position = builder.add(here, ir.Constant(here.type, row * LANES))
+            pointer, _, align = address(context, builder, signature.args[0], arguments[0], position, LANES)
+            builder.store(shuffle(builder, four[0], four[0], range(row, 4 * LANES, 4)), pointer).align = align
         return context.get_dummy_value()
 
     return signature, codegen
