@@ -68,7 +68,8 @@ class Objective:
         """The unweighted terms with a positive weight, named as in `Weights`."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
-        vertices = self._posed(shaped, course).unbind()
+        posed = self._posed(shaped, course)
+        vertices = (posed.squeeze(0),) if len(posed) == 1 else posed.unbind()  # whose way back copies all of them
         per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
         terms = mean_of_frames(per_frame) | self.surface_terms(texture)
         return terms | self.body_terms(trajectory, betas, shaped, course)

@@ -77,6 +77,11 @@ class Body:
         return skinning.sparse_weights(self.skinning_weights)
 
     @cached_property
+    def shape_rows(self) -> Float[Tensor, "K n"]:
+        """`shape_directions`, the coordinates of all vertices in one row per beta: as matrix products like them best."""
+        return self.shape_directions.flatten(0, 1).T.contiguous()
+
+    @cached_property
     def pose_rows(self) -> tuple[Float[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
         """The pose blend shapes, see `hfb.body.skinning.padded`; of no vertices where the model has none."""
         none = self.template.new_empty(0, 3, 207)
@@ -106,7 +111,10 @@ class Body:
 
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
         """The person with these betas (unit variance each) in the rest pose."""
-        vertices = self.template + _weighed(self.shape_directions, betas)
+        if compiled(betas):
+            vertices = torch.addmv(self.template.flatten(), self.shape_rows.T, betas).view(-1, 3)
+        else:
+            vertices = self.template + _weighed(self.shape_directions, betas)
         return ShapedBody(self, vertices, self.rest_joints(betas))
 
 

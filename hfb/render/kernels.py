@@ -15,6 +15,8 @@ from numba import njit
 from hfb.compilation import JIT, LOOP, entry, loop_entry
 from hfb.render.kernels_outline import (
     FOUND as CUT,
+)
+from hfb.render.kernels_outline import (
     collect,
     count_pieces,
     cut_outline,

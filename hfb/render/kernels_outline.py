@@ -15,6 +15,7 @@ from numba import njit
 
 from hfb.compilation import INLINE, LOOP
 from hfb.render.kernels_screen import code_of, pack
+from hfb.render.kernels_vector import BATCH
 from hfb.vector_code import (
     LANES,
     floor_lanes,
@@ -28,9 +29,10 @@ from hfb.vector_code import (
 )
 
 TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding of the running sums
-# Rows of what is found of LANES edges.
-X0, Y0, DX, DY, WITHIN, STEPS, COLUMN, ROW, FROM, TO, MARK, LEFT, RIGHT, NEAR = (LANES * row for row in range(14))
-FOUND = 14 * LANES
+# Rows of what is found of a batch of edges, then of the piece that LANES of them have in a pixel.
+X0, Y0, DX, DY, WITHIN, STEPS = (BATCH * row for row in range(6))
+COLUMN, ROW, FROM, TO, MARK, LEFT, RIGHT, NEAR = (6 * BATCH + LANES * row for row in range(8))
+FOUND = 6 * BATCH + 8 * LANES
 GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8, 16, 32)  # what a pixel's outline does
 
 
@@ -166,15 +168,15 @@ def _cut_far(k, x0, y0, dx, dy, box, columns, rows, ends, pieces, n):
 
 
 @njit(**LOOP)
-def _cut_near(first, n_edges, box, found, pieces, n):
+def _cut_near(first, at, n_edges, box, found, pieces, n):
     """Append the pieces of up to LANES edges, a step to the next pixel of all of them at a time; returns their number.
 
     What edges do differs from one to the next, and no processor predicts it: here nothing is asked that decides what
-    comes next. found: rows of LANES numbers, the first four x0, y0, dx, dy [px]. Edges that the box cuts are left out
-    and have a zero in row FAR, others a one.
+    comes next. first: the batch's first edge, at: the first of these in the batch. Edges that the box cuts are left out
+    and have a zero in row WITHIN, others a one.
     """
-    x0, y0 = load_lanes(found, X0), load_lanes(found, Y0)
-    dx, dy = load_lanes(found, DX), load_lanes(found, DY)
+    x0, y0 = load_lanes(found, X0 + at), load_lanes(found, Y0 + at)
+    dx, dy = load_lanes(found, DX + at), load_lanes(found, DY + at)
     x1, y1 = x0 + dx, y0 + dy
     left, top, right, bottom = (np.float64(box[0]), np.float64(box[1]), np.float64(box[2]), np.float64(box[3]))
     c = smaller(floor_lanes(x0), right - 1.0)
@@ -183,14 +185,14 @@ def _cut_near(first, n_edges, box, found, pieces, n):
     within = if_less(smaller(x0, x1), left, 0.0, if_less(right, larger(x0, x1), 0.0, 1.0))
     within = within * if_less(smaller(y0, y1), top, 0.0, if_less(bottom, larger(y0, y1), 0.0, 1.0))
     within = if_less(lane_numbers(), np.float64(n_edges), within, 0.0)
-    store_lanes(found, WITHIN, within)
+    store_lanes(found, WITHIN + at, within)
     along, down = if_less(c, c_end, 1.0, -1.0), if_less(r, r_end, 1.0, -1.0)
     steps_c, steps_r = (c_end - c) * along, (r_end - r) * down
     steps = if_less(0.5, within, steps_c + steps_r, -1.0)
-    store_lanes(found, STEPS, steps)
+    store_lanes(found, STEPS + at, steps)
     most = 0
     for lane in range(LANES):
-        most = max(most, int(found[STEPS + lane]))
+        most = max(most, int(found[STEPS + at + lane]))
     # Where an edge leaves its pixel sideways, up or down; a whole number of steps farther each time.
     of_c, of_r = lanes(1.0) / dx, lanes(1.0) / dy
     ahead_c, ahead_r = if_less(0.0, along, 1.0, 0.0) - x0, if_less(0.0, down, 1.0, 0.0) - y0
@@ -215,14 +217,14 @@ def _cut_near(first, n_edges, box, found, pieces, n):
         store_lanes(found, LEFT, cover - cover * share)
         store_lanes(found, RIGHT, cover * share)
         store_lanes(found, NEAR, 4.0 - (off_x * off_x + off_y * off_y))
-        store_lanes(found, STEPS, steps)
+        store_lanes(found, STEPS + at, steps)
         for lane in range(LANES):
             _put_piece(
-                pieces, n, first + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]), box[2] - box[0],
+                pieces, n, first + at + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]), box[2] - box[0],
                 found[FROM + lane], found[TO + lane], np.uint8(np.int32(found[MARK + lane])), found[LEFT + lane],
                 found[RIGHT + lane], found[NEAR + lane],
             )  # fmt: skip
-            n += found[STEPS + lane] >= 0.0
+            n += found[STEPS + at + lane] >= 0.0
         sideways = if_less(t_r, t_c, 0.0, 1.0)
         c, r = c + along * sideways, r + down * (1.0 - sideways)
         steps_c, steps_r = steps_c - sideways, steps_r - (1.0 - sideways)
@@ -239,20 +241,20 @@ def cut_outline(outline, projected, box, found, columns, rows, ends, pieces):
     region pixel (-1: left of the region), edge, span on it, region row, what it does there, and as amounts: what it
     adds to the mean winding of its pixel and of the next one, 4 - squared distance of the pixel's centre from the edge.
     """
-    n, left, top, right, bottom = 0, box[0], box[1], box[2], box[3]
-    for first in range(0, outline.shape[0], LANES):
-        n_edges = min(LANES, outline.shape[0] - first)
-        for lane in range(LANES):
-            k = first + min(lane, n_edges - 1)
-            i, j = outline[k, 0], outline[k, 1]
+    n = 0
+    for first in range(0, outline.shape[0], BATCH):
+        n_edges = min(BATCH, outline.shape[0] - first)
+        for q in range(n_edges):
+            i, j = outline[first + q, 0], outline[first + q, 1]
             x0, y0 = projected[i, 0], projected[i, 1]
-            found[X0 + lane], found[Y0 + lane] = x0, y0
-            found[DX + lane], found[DY + lane] = projected[j, 0] - x0, projected[j, 1] - y0
-        n = _cut_near(first, n_edges, box, found, pieces, n)
-        for lane in range(n_edges):
-            if found[WITHIN + lane] == 0.0:
-                x0, y0, dx, dy = found[X0 + lane], found[Y0 + lane], found[DX + lane], found[DY + lane]
-                n = _cut_far(first + lane, x0, y0, dx, dy, box, columns, rows, ends, pieces, n)
+            found[X0 + q], found[Y0 + q] = x0, y0
+            found[DX + q], found[DY + q] = projected[j, 0] - x0, projected[j, 1] - y0
+        for at in range(0, n_edges, LANES):
+            n = _cut_near(first, at, n_edges - at, box, found, pieces, n)
+        for q in range(n_edges):
+            if found[WITHIN + q] == 0.0:
+                x0, y0, dx, dy = found[X0 + q], found[Y0 + q], found[DX + q], found[DY + q]
+                n = _cut_far(first + q, x0, y0, dx, dy, box, columns, rows, ends, pieces, n)
     return n
 
 

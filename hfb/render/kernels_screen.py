@@ -11,21 +11,28 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import INLINE, JIT, LOOP
-from hfb.render.kernels_vector import keep_nearest, side_by_side
+from hfb.render.kernels_vector import BATCH, keep_nearest, side_by_side
 from hfb.vector_code import (
     LANES,
     floor_lanes,
     if_less,
     lane_numbers,
+    lanes,
     larger,
     load_lanes,
     smaller,
+    store_lanes,
     where_more,
     where_no_less,
 )
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
 TILE_COLUMNS, TILE_ROWS = 4, 2  # most faces' centres lie in one such tile
+# Rows of what is found of a batch of faces.
+X0, Y0, Z0, X1, Y1, Z1, X2, Y2, Z2, B1_X, B1_Y, B2_X, B2_Y, C_FROM, C_TO, R_FROM, R_TO = (
+    BATCH * row for row in range(17)
+)
+SET_UP = 17 * BATCH
 FAR_PX = 1e9  # a corner projected farther out than this is not used
 
 
@@ -173,37 +180,61 @@ def trace_outline(sides, edge_vertices, edge_faces, outline):
 
 
 @njit(**LOOP)
-def fill_depth(projected, faces, candidates, box, mask, tiles):
+def _set_up(projected, faces, candidates, box, found):
+    """Fill `found`, rows of BATCH numbers, for the faces listed, at most BATCH: the first corner, by how much 1/z of
+    the others differs, the slopes of their weights, and the first and the last column and row of centres in the face's
+    bounds."""
+    for n in range(candidates.shape[0]):
+        f = candidates[n]
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        found[X0 + n], found[Y0 + n], found[Z0 + n] = projected[i, 0], projected[i, 1], projected[i, 2]
+        found[X1 + n], found[Y1 + n], found[Z1 + n] = projected[j, 0], projected[j, 1], projected[j, 2]
+        found[X2 + n], found[Y2 + n], found[Z2 + n] = projected[k, 0], projected[k, 1], projected[k, 2]
+    left, top, right, bottom = np.float64(box[0]), np.float64(box[1]), np.float64(box[2]), np.float64(box[3])
+    for n in range(0, candidates.shape[0], LANES):
+        x0, y0, z0 = load_lanes(found, X0 + n), load_lanes(found, Y0 + n), load_lanes(found, Z0 + n)
+        x1, y1, x2, y2 = (
+            load_lanes(found, X1 + n), load_lanes(found, Y1 + n), load_lanes(found, X2 + n), load_lanes(found, Y2 + n)
+        )  # fmt: skip
+        store_lanes(found, Z1 + n, load_lanes(found, Z1 + n) - z0)
+        store_lanes(found, Z2 + n, load_lanes(found, Z2 + n) - z0)
+        inverse = lanes(1.0) / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
+        store_lanes(found, B1_X + n, (y2 - y0) * inverse)
+        store_lanes(found, B1_Y + n, (x0 - x2) * inverse)
+        store_lanes(found, B2_X + n, (y0 - y1) * inverse)
+        store_lanes(found, B2_Y + n, (x1 - x0) * inverse)
+        # The whole number not below a is minus the one not above -a.
+        store_lanes(found, C_FROM + n, 0.0 - floor_lanes(0.0 - larger(smaller(x0, smaller(x1, x2)) - 0.5, left)))
+        store_lanes(found, C_TO + n, floor_lanes(smaller(larger(x0, larger(x1, x2)) - 0.5, right - 1.0)))
+        store_lanes(found, R_FROM + n, 0.0 - floor_lanes(0.0 - larger(smaller(y0, smaller(y1, y2)) - 0.5, top)))
+        store_lanes(found, R_TO + n, floor_lanes(smaller(larger(y0, larger(y1, y2)) - 0.5, bottom - 1.0)))
+
+
+@njit(**LOOP)
+def fill_depth(projected, faces, candidates, box, mask, found, tiles):
     """Let the faces listed compete for the pixels' centres: `tiles` (the region, and what tiles stand out of it) keeps
     the largest 1/z, and the face in the bits of the mask. One number for both, as the larger of two numbers can be
-    taken without a branch."""
-    left, top, right, bottom = box[0], box[1], box[2], box[3]
+    taken without a branch. found: room for SET_UP numbers."""
+    left, top = box[0], box[1]
     stride, lane = tiles.shape[1], lane_numbers()
     below = if_less(lane, np.float64(TILE_COLUMNS), 0.0, 1.0)
     right_of = lane - np.float64(TILE_COLUMNS) * below
-    for m in range(candidates.shape[0]):
-        f = candidates[m]
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0, x1, y1 = projected[i, 0], projected[i, 1], projected[j, 0], projected[j, 1]
-        x2, y2 = projected[k, 0], projected[k, 1]
-        z0, z1, z2 = projected[i, 2], projected[j, 2], projected[k, 2]
-        inverse = 1.0 / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))
-        b1_x, b1_y = (y2 - y0) * inverse, (x0 - x2) * inverse
-        b2_x, b2_y = (y0 - y1) * inverse, (x1 - x0) * inverse
-        c_from = int(np.ceil(max(min(x0, x1, x2) - 0.5, left)))
-        c_to = int(np.floor(min(max(x0, x1, x2) - 0.5, right - 1.0)))
-        r_from = int(np.ceil(max(min(y0, y1, y2) - 0.5, top)))
-        r_to = int(np.floor(min(max(y0, y1, y2) - 0.5, bottom - 1.0)))
-        # What stands out of a face's bounds is outside of it; what stands out of the box is nobody's.
-        for r in range(r_from, r_to + 1, TILE_ROWS):
-            py = below + (r + 0.5 - y0)
-            for c in range(c_from, c_to + 1, TILE_COLUMNS):
-                px = right_of + (c + 0.5 - x0)
-                b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
-                b0 = 1.0 - b1 - b2
-                least = smaller(b0, smaller(b1, b2))
-                at = (r - top) * stride + c - left
-                keep_nearest(tiles, at, at + stride, b0 * z0 + b1 * z1 + b2 * z2, least, np.int64(f), mask)
+    for first in range(0, candidates.shape[0], BATCH):
+        batch = candidates[first : first + BATCH]
+        _set_up(projected, faces, batch, box, found)
+        for n in range(batch.shape[0]):
+            x0, y0, z0, z1, z2 = found[X0 + n], found[Y0 + n], found[Z0 + n], found[Z1 + n], found[Z2 + n]
+            b1_x, b1_y, b2_x, b2_y = found[B1_X + n], found[B1_Y + n], found[B2_X + n], found[B2_Y + n]
+            f, c_from, c_to = np.int64(batch[n]), int(found[C_FROM + n]), int(found[C_TO + n])
+            # What stands out of a face's bounds is outside of it; what stands out of the box is nobody's.
+            for r in range(int(found[R_FROM + n]), int(found[R_TO + n]) + 1, TILE_ROWS):
+                py = below + (r + 0.5 - y0)
+                for c in range(c_from, c_to + 1, TILE_COLUMNS):
+                    px = right_of + (c + 0.5 - x0)
+                    b1, b2 = px * b1_x + py * b1_y, px * b2_x + py * b2_y
+                    least = smaller(1.0 - b1 - b2, smaller(b1, b2))
+                    at = (r - top) * stride + c - left
+                    keep_nearest(tiles, at, at + stride, b1 * z1 + b2 * z2 + z0, least, f, mask)
 
 
 @njit(**JIT)
@@ -211,7 +242,7 @@ def see_faces(projected, faces, candidates, box, mask):
     """Which of the faces listed is seen at each pixel's centre, of the region and of what tiles stand out of it."""
     height, width = box[3] - box[1], box[2] - box[0]
     tiles = np.zeros((height + TILE_ROWS - 1, width + TILE_COLUMNS - 1), np.int64)
-    fill_depth(projected, faces, candidates, box, mask, tiles)
+    fill_depth(projected, faces, candidates, box, mask, np.empty(SET_UP, np.float64), tiles)
     return tiles
 
 
