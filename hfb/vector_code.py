@@ -61,7 +61,9 @@ class _Lanes(types.Type):
 
 
 LANES = 8
-_lanes = _Lanes(types.float64, LANES)
+_eight = {number: _Lanes(number, LANES) for number in (types.float32, types.float64)}
+_lanes = _eight[types.float64]
+lanes_of = _eight.__getitem__
 _four = {number: _Lanes(number, 4) for number in (types.float32, types.float64)}
 register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind, kind.vector))
 
@@ -88,7 +90,7 @@ def _operator(symbol, operation):
             lower_builtin(symbol, *pair)(lower)
         return [signature(kind, *pair) for pair in pairs]
 
-    cases = [case for kind in (_lanes, *_four.values()) for case in allow(kind)]
+    cases = [case for kind in (*_eight.values(), *_four.values()) for case in allow(kind)]
     infer_global(symbol)(type("_", (ConcreteTemplate,), {"cases": cases}))
 
 
@@ -99,12 +101,13 @@ for _symbol, _operation in _ARITHMETIC:
 
 @intrinsic
 def lanes(typingctx, number):
-    """A number in every lane."""
+    """A number in every lane, of its own precision if that is single."""
+    kind = _eight.get(number, _lanes)
 
     def codegen(context, builder, signature, arguments):
-        return _widened(context, builder, signature.args[0], arguments[0])
+        return _widened(context, builder, signature.args[0], arguments[0], kind)
 
-    return _lanes(number), codegen
+    return kind(number), codegen
 
 
 @intrinsic
@@ -130,8 +133,8 @@ def _loading(kind_of):
     return load_from
 
 
-load_lanes = intrinsic(_loading(lambda number: _lanes))
-"""Eight numbers of a float64 array from a position on: of (array, position)."""
+load_lanes = intrinsic(_loading(_eight.__getitem__))
+"""Eight numbers of an array from a position on, of either precision: of (array, position)."""
 
 load_four = intrinsic(_loading(_four.__getitem__))
 """Four numbers of an array from a position on, of either precision: of (array, position)."""
@@ -162,6 +165,64 @@ def store_lanes(typingctx, array, position, value):
         return context.get_dummy_value()
 
     return types.void(array, position, value), codegen
+
+
+@intrinsic
+def load_apart(typingctx, array, position, stride):
+    """Eight numbers of an array, `stride` apart from a position on, of either precision."""
+    kind = _eight[array.dtype]
+
+    def codegen(context, builder, signature, arguments):
+        at, stride = positions(context, builder, signature, arguments, (1, 2))
+        value = ir.Constant(kind.vector, ir.Undefined)
+        for lane in range(LANES):
+            pointer, _, _ = address(context, builder, signature.args[0], arguments[0], at, 1)
+            number = builder.load(builder.bitcast(pointer, kind.vector.element.as_pointer()))
+            value = builder.insert_element(value, number, ir.Constant(ir.IntType(32), lane))
+            at = builder.add(at, stride)
+        return value
+
+    return kind(array, position, stride), codegen
+
+
+@intrinsic
+def store_apart(typingctx, array, position, stride, value):
+    """Write all lanes to an array of their precision, `stride` apart."""
+
+    def codegen(context, builder, signature, arguments):
+        at, stride = positions(context, builder, signature, arguments, (1, 2))
+        element = signature.args[3].vector.element
+        for lane in range(LANES):
+            pointer, _, _ = address(context, builder, signature.args[0], arguments[0], at, 1)
+            number = builder.extract_element(arguments[3], ir.Constant(ir.IntType(32), lane))
+            builder.store(number, builder.bitcast(pointer, element.as_pointer()))
+            at = builder.add(at, stride)
+        return context.get_dummy_value()
+
+    return types.void(array, position, stride, value), codegen
+
+
+@intrinsic
+def multiply_add(typingctx, left, right, added):
+    """left times right plus added, in every lane: lanes, the second may be a number of their precision."""
+
+    def codegen(context, builder, signature, arguments):
+        right = _widened(context, builder, signature.args[1], arguments[1], left)
+        return fma(builder, arguments[0], right, arguments[2])
+
+    return left(left, right if isinstance(right, _Lanes) else left.number, added), codegen
+
+
+@intrinsic
+def some_lane(typingctx, value):
+    """Whether any lane is not zero."""
+
+    def codegen(context, builder, signature, arguments):
+        zero = ir.Constant(arguments[0].type, [0.0] * LANES)
+        found = builder.bitcast(builder.fcmp_unordered("!=", arguments[0], zero), ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", found, ir.Constant(found.type, 0))
+
+    return types.boolean(value), codegen
 
 
 @intrinsic
@@ -269,7 +330,7 @@ def sum_lanes(typingctx, value):
             total = builder.fadd(*halves)
         return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
 
-    return types.float64(value), codegen
+    return value.number(value), codegen
 
 
 @intrinsic
@@ -287,14 +348,3 @@ def prefetch(typingctx, array, position):
         return context.get_dummy_value()
 
     return types.void(array, position), codegen
-
-
-@intrinsic
-def wide_registers(typingctx):
-    """Let the function it is called in use the widest registers there are: compilers shun them on some processors."""
-
-    def codegen(context, builder, signature, arguments):
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')  # one that llvmlite does not know
-        return context.get_dummy_value()
-
-    return types.void(), codegen

@@ -11,8 +11,18 @@ knows; nested ones it leaves slow.
 import numpy as np
 from numba import njit
 
-from hfb.compilation import LOOP, SUM_INLINE, entry, loop_entry
-from hfb.vector_code import LANES  # instants at once: a number that the compiler knows
+from hfb.compilation import INLINE, JIT, LOOP, entry, loop_entry
+from hfb.vector_code import (
+    LANES,  # instants at once: a number that the compiler knows
+    lanes,
+    load_apart,
+    load_lanes,
+    multiply_add,
+    some_lane,
+    store_apart,
+    store_lanes,
+    sum_lanes,
+)
 
 
 @loop_entry
@@ -98,23 +108,39 @@ def spread(transforms, first, n, table):
                     table[j, (3 * c + r) * LANES + s] = transforms[first + s, j, r, c] if s < n else 0.0
 
 
+@njit(**INLINE)
+def move_point(x, y, z, table, starts, joints, weights, v):
+    """A point of every instant, turned by the transforms that hold vertex v."""
+    zero = lanes(table.dtype.type(0.0))
+    moved_x, moved_y, moved_z = zero, zero, zero
+    for k in range(starts[v], starts[v + 1]):
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        x_here, y_here, z_here = x * weight, y * weight, z * weight
+        moved_x = _row_of(table, at, x_here, y_here, z_here, weight, moved_x)
+        moved_y = _row_of(table, at + LANES, x_here, y_here, z_here, weight, moved_y)
+        moved_z = _row_of(table, at + 2 * LANES, x_here, y_here, z_here, weight, moved_z)
+    return moved_x, moved_y, moved_z
+
+
+@njit(**INLINE)
+def _row_of(table, at, x, y, z, weight, added):
+    """A row of a joint's transforms times a weighed point."""
+    added = multiply_add(load_lanes(table, at + 9 * LANES), weight, added)
+    added = multiply_add(load_lanes(table, at), x, added)
+    added = multiply_add(load_lanes(table, at + 3 * LANES), y, added)
+    return multiply_add(load_lanes(table, at + 6 * LANES), z, added)
+
+
 @njit(**LOOP)
-def _skin_block(table, rest, starts, joints, weights, first, n, moved, vertices):
+def _skin_block(table, rest, starts, joints, weights, to, vertices):
+    """Fill LANES bodies of `vertices`, from number `to` on."""
+    stride = 3 * rest.shape[0]
     for v in range(rest.shape[0]):
-        for q in range(3 * LANES):
-            moved[q] = 0.0
-        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
-        for k in range(starts[v], starts[v + 1]):
-            j, weight = np.uint32(joints[k]), weights[k]
-            wx, wy, wz = weight * x, weight * y, weight * z
-            for q in range(3 * LANES):
-                moved[q] += (
-                    wx * table[j, q] + wy * table[j, 3 * LANES + q]
-                    + (wz * table[j, 6 * LANES + q] + weight * table[j, 9 * LANES + q])
-                )  # fmt: skip
-        for s in range(n):
-            for r in range(3):
-                vertices[first + s, v, r] = moved[r * LANES + s]
+        point = lanes(rest[v, 0]), lanes(rest[v, 1]), lanes(rest[v, 2])
+        x, y, z = move_point(*point, table, starts, joints, weights, v)
+        store_apart(vertices, to + 3 * v, stride, x)
+        store_apart(vertices, to + 3 * v + 1, stride, y)
+        store_apart(vertices, to + 3 * v + 2, stride, z)
 
 
 @entry
@@ -123,64 +149,78 @@ def skin(transforms, rest, starts, joints, weights, vertices):
 
     starts: (V + 1), where each vertex's joints and weights begin in their lists.
     """
-    table, moved = np.empty((transforms.shape[1], 12 * LANES), rest.dtype), np.empty(3 * LANES, rest.dtype)
+    table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
         n = min(LANES, transforms.shape[0] - first)
         spread(transforms, first, n, table)
-        _skin_block(table, rest, starts, joints, weights, first, n, moved, vertices)
+        if n == LANES:
+            _skin_block(table, rest, starts, joints, weights, first * rest.size, vertices)
+        else:
+            block = np.empty((LANES, rest.shape[0], 3), rest.dtype)
+            _skin_block(table, rest, starts, joints, weights, 0, block)
+            vertices[first:] = block[:n]
 
 
-@njit(**LOOP)
-def ask(given, v, first, n, asked):
-    """Load one vertex's gradient, (3 rows x LANES); returns whether any is not zero: what the camera does not see asks
-    for nothing."""
-    some = False
-    for s in range(n):
-        for r in range(3):
-            value = given[first + s, v, r]
-            asked[r * LANES + s] = value
-            some |= value != 0.0
-    return some
+@njit(**JIT)
+def whole_block(given, first):
+    """LANES bodies' gradients from the first on, zeros where there are fewer: an array, and where in it they begin."""
+    if given.shape[0] - first >= LANES:
+        return given, first * given.shape[1] * 3
+    block = np.zeros((LANES, given.shape[1], 3), given.dtype)
+    block[: given.shape[0] - first] = given[first:]
+    return block, 0
 
 
-@njit(**LOOP)
-def pull(starts, joints, weights, v, asked, points, pulls):
-    """Add what vertex v asks of the transforms that hold it: outer products of `asked` and the point."""
+@njit(**INLINE)
+def ask(given, at, stride):
+    """What every instant asks of the vertex at a position, and whether any asks for something: what the camera does not
+    see does not."""
+    x, y, z = load_apart(given, at, stride), load_apart(given, at + 1, stride), load_apart(given, at + 2, stride)
+    return x, y, z, some_lane(x) | some_lane(y) | some_lane(z)
+
+
+@njit(**INLINE)
+def pull(starts, joints, weights, v, asked, point, pulls):
+    """Add what vertex v asks of the transforms that hold it: outer products of what is asked and the point."""
     for k in range(starts[v], starts[v + 1]):
-        j, weight = np.uint32(joints[k]), weights[k]
-        for q in range(3 * LANES):
-            value = weight * asked[q]
-            pulls[j, q] += points[q] * value
-            pulls[j, 3 * LANES + q] += points[3 * LANES + q] * value
-            pulls[j, 6 * LANES + q] += points[6 * LANES + q] * value
-            pulls[j, 9 * LANES + q] += value
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        x, y, z = asked[0] * weight, asked[1] * weight, asked[2] * weight
+        _pull_column(pulls, at, x, y, z, point[0])
+        _pull_column(pulls, at + 3 * LANES, x, y, z, point[1])
+        _pull_column(pulls, at + 6 * LANES, x, y, z, point[2])
+        at += 9 * LANES
+        store_lanes(pulls, at, load_lanes(pulls, at) + x)
+        store_lanes(pulls, at + LANES, load_lanes(pulls, at + LANES) + y)
+        store_lanes(pulls, at + 2 * LANES, load_lanes(pulls, at + 2 * LANES) + z)
 
 
-@njit(**LOOP)
-def ask_point(table, starts, joints, weights, v, asked, turned, of_point):
-    """What is asked of the point: `of_point` (3 x LANES) receives the blended rotation's transpose times `asked`."""
-    for q in range(9 * LANES):
-        turned[q] = 0.0
+@njit(**INLINE)
+def _pull_column(pulls, at, x, y, z, coordinate):
+    store_lanes(pulls, at, multiply_add(x, coordinate, load_lanes(pulls, at)))
+    store_lanes(pulls, at + LANES, multiply_add(y, coordinate, load_lanes(pulls, at + LANES)))
+    store_lanes(pulls, at + 2 * LANES, multiply_add(z, coordinate, load_lanes(pulls, at + 2 * LANES)))
+
+
+@njit(**INLINE)
+def ask_point(table, starts, joints, weights, v, asked):
+    """What every instant asks of the point: the blended rotation's transpose times what is asked of the vertex."""
+    zero = lanes(table.dtype.type(0.0))
+    x, y, z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
-        j, weight = np.uint32(joints[k]), weights[k]
-        for q in range(9 * LANES):
-            turned[q] += weight * table[j, q]
-    for s in range(LANES):
-        x, y, z = asked[s], asked[LANES + s], asked[2 * LANES + s]
-        of_point[s] = turned[s] * x + turned[LANES + s] * y + turned[2 * LANES + s] * z
-        of_point[LANES + s] = turned[3 * LANES + s] * x + turned[4 * LANES + s] * y + turned[5 * LANES + s] * z
-        of_point[2 * LANES + s] = turned[6 * LANES + s] * x + turned[7 * LANES + s] * y + turned[8 * LANES + s] * z
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        along_x, along_y, along_z = asked[0] * weight, asked[1] * weight, asked[2] * weight
+        x = _column_of(table, at, along_x, along_y, along_z, x)
+        y = _column_of(table, at + 3 * LANES, along_x, along_y, along_z, y)
+        z = _column_of(table, at + 6 * LANES, along_x, along_y, along_z, z)
+    return x, y, z
 
 
-@njit(**SUM_INLINE)
-def add_lanes(of_point, of_rest, v):
-    """Add what all instants ask of the rest vertex."""
-    x, y, z = of_rest[v, 0], of_rest[v, 1], of_rest[v, 2]
-    for s in range(LANES):
-        x += of_point[s]
-        y += of_point[LANES + s]
-        z += of_point[2 * LANES + s]
-    of_rest[v, 0], of_rest[v, 1], of_rest[v, 2] = x, y, z
+@njit(**INLINE)
+def _column_of(table, at, x, y, z, added):
+    """A column of a joint's transforms times what is asked."""
+    added = multiply_add(load_lanes(table, at), x, added)
+    added = multiply_add(load_lanes(table, at + LANES), y, added)
+    return multiply_add(load_lanes(table, at + 2 * LANES), z, added)
 
 
 @njit(**LOOP)
@@ -194,32 +234,28 @@ def gather(pulls, first, n, of_transforms):
 
 
 @njit(**LOOP)
-def _skin_gradient_block(
-    table, rest, starts, joints, weights, given, first, n, points, asked, turned, of_point, pulls, of_rest
-):
+def _skin_gradient_block(table, rest, starts, joints, weights, given, first, pulls, of_rest):
+    stride = 3 * rest.shape[0]
     for v in range(rest.shape[0]):
-        if not ask(given, v, first, n, asked):
+        x, y, z, some = ask(given, first + 3 * v, stride)
+        if not some:
             continue
-        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
-        for q in range(3 * LANES):
-            points[q], points[3 * LANES + q], points[6 * LANES + q] = x, y, z
-        pull(starts, joints, weights, v, asked, points, pulls)
+        asked = x, y, z
+        pull(starts, joints, weights, v, asked, (rest[v, 0], rest[v, 1], rest[v, 2]), pulls)
         if of_rest.shape[0] > 0:
-            ask_point(table, starts, joints, weights, v, asked, turned, of_point)
-            add_lanes(of_point, of_rest, v)
+            x, y, z = ask_point(table, starts, joints, weights, v, asked)
+            of_rest[v, 0] += sum_lanes(x)
+            of_rest[v, 1] += sum_lanes(y)
+            of_rest[v, 2] += sum_lanes(z)
 
 
 @entry
 def skin_gradient(transforms, rest, starts, joints, weights, given, of_transforms, of_rest):
     """Fill `of_transforms` and add to `of_rest`, which is left out where it is empty."""
     table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
-    points, turned = np.empty(9 * LANES, rest.dtype), np.empty(9 * LANES, rest.dtype)
-    of_point = np.empty(3 * LANES, rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
-        n = min(LANES, transforms.shape[0] - first)
-        pulls, asked = np.zeros(table.shape, rest.dtype), np.zeros(3 * LANES, rest.dtype)
+        n, pulls = min(LANES, transforms.shape[0] - first), np.zeros(table.shape, rest.dtype)
         spread(transforms, first, n, table)
-        _skin_gradient_block(
-            table, rest, starts, joints, weights, given, first, n, points, asked, turned, of_point, pulls, of_rest
-        )
+        block, at = whole_block(given, first)
+        _skin_gradient_block(table, rest, starts, joints, weights, block, at, pulls, of_rest)
         gather(pulls, first, n, of_transforms)
