@@ -78,7 +78,7 @@ class Body:
 
     @cached_property
     def shape_rows(self) -> Float[Tensor, "K n"]:
-        """`shape_directions`, the coordinates of all vertices in one row per beta: as matrix products like them best."""
+        """`shape_directions`, all coordinates of all vertices in one row per beta: what matrix products like best."""
         return self.shape_directions.flatten(0, 1).T.contiguous()
 
     @cached_property

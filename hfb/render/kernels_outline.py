@@ -138,7 +138,7 @@ def count_pieces(outline, projected, box):
 
 @njit(**INLINE)
 def _put_piece(pieces, n, k, row, column, breadth, t, t_end, mark, left, right, near):
-    """Write piece n: of edge k from t to t_end, in a pixel of the region; `_add_pieces` tells what the rest is."""
+    """Write piece n: of edge k from t to t_end, in a pixel of the region; `cut_outline` tells what the rest is."""
     pixel, edge, span, places, marks, amounts = pieces
     pixel[n], edge[n], places[n] = row * breadth + column, k, row
     span[n, 0], span[n, 1], marks[n] = t, t_end, mark
@@ -178,7 +178,7 @@ def _cut_near(first, at, n_edges, box, found, pieces, n):
     x0, y0 = load_lanes(found, X0 + at), load_lanes(found, Y0 + at)
     dx, dy = load_lanes(found, DX + at), load_lanes(found, DY + at)
     x1, y1 = x0 + dx, y0 + dy
-    left, top, right, bottom = (np.float64(box[0]), np.float64(box[1]), np.float64(box[2]), np.float64(box[3]))
+    left, top, right, bottom = np.float64(box[0]), np.float64(box[1]), np.float64(box[2]), np.float64(box[3])
     c = smaller(floor_lanes(x0), right - 1.0)
     r = smaller(floor_lanes(y0), bottom - 1.0)
     c_end, r_end = smaller(floor_lanes(x1), right - 1.0), smaller(floor_lanes(y1), bottom - 1.0)
@@ -220,9 +220,9 @@ def _cut_near(first, at, n_edges, box, found, pieces, n):
         store_lanes(found, STEPS + at, steps)
         for lane in range(LANES):
             _put_piece(
-                pieces, n, first + at + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]), box[2] - box[0],
-                found[FROM + lane], found[TO + lane], np.uint8(np.int32(found[MARK + lane])), found[LEFT + lane],
-                found[RIGHT + lane], found[NEAR + lane],
+                pieces, n, first + at + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]),
+                box[2] - box[0], found[FROM + lane], found[TO + lane], np.uint8(np.int32(found[MARK + lane])),
+                found[LEFT + lane], found[RIGHT + lane], found[NEAR + lane],
             )  # fmt: skip
             n += found[STEPS + at + lane] >= 0.0
         sideways = if_less(t_r, t_c, 0.0, 1.0)

@@ -48,6 +48,24 @@ def test_one_colour_everywhere_means_no_dark_rim(rasterizer: Rasterizer) -> None
     torch.testing.assert_close(picture[..., :3], picture[..., 3:] * colour, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("width_m", [1e-5, 1e-7, 1e-8])
+def test_a_sliver_has_a_colour_of_the_texture(width_m: float) -> None:
+    """A board on edge, around a column of centres, thinner than single precision tells its corners apart."""
+    vertices, mesh = box((width_m, 0.6, 0.1), torch.float32)
+    body = at(vertices, 0.5 / 70.0 * 2.0, 0.004, 2.0).requires_grad_()
+    texture = (0.2 + 0.6 * smooth_texture(dtype=torch.float32)).clamp(0.2, 0.8).requires_grad_()
+    picture = make_rasterizer("coverage", "cpu", 1).render_mean(body, texture, CAMERA, mesh)
+    shown = picture[..., 3] > 0
+    assert shown.sum() >= 15
+    colours = picture[shown][:, :3] / picture[shown][:, 3:]
+    assert 0.2 - 1e-4 <= colours.min() <= colours.max() <= 0.8 + 1e-4
+    picture.sum().backward()
+    assert body.grad is not None
+    assert texture.grad is not None
+    assert torch.isfinite(body.grad).all()
+    assert torch.isfinite(texture.grad).all()
+
+
 @pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
 def test_a_crop_of_the_view_is_a_crop_of_the_picture(silhouette: str) -> None:
     """Bodies cut by any border of the picture, and the picture moved by whole pixels."""

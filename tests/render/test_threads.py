@@ -39,6 +39,22 @@ def test_any_number_of_threads_gives_the_same_bits(silhouette: str) -> None:
         assert same(bits(threads, silhouette), expected)
 
 
+@pytest.mark.parametrize("textured", [True, False])
+def test_a_body_has_the_bits_it_has_alone(textured: bool) -> None:
+    """Eight are looked at together, then three: one reaches behind the camera, one is there."""
+    vertices, mesh = people(11, dtype=torch.float32), person_mesh(torch.float32)
+    vertices[2, :, 2] -= 3.0  # much of it beside the picture, some behind
+    vertices[4, :, 2] -= 9.0
+    vertices[9, :, 0] += 0.5
+    texture = smooth_texture(64, dtype=torch.float32) if textured else None
+    rasterizer = make_rasterizer("coverage", "cpu", 1)
+    together = rasterizer.render(vertices, texture, CAMERA, mesh)
+    alone = [rasterizer.render(one[None], texture, CAMERA, mesh) for one in vertices]
+    assert same(list(together), [one[0] for one in alone])
+    assert together[4].abs().max() == 0
+    assert all(together[k].abs().max() > 0 for k in range(11) if k != 4)
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_fits_beside_each_other_do_not_disturb_each_other(threads: int) -> None:
     expected = [bits(1, seed=seed) for seed in range(3)]
