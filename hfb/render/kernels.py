@@ -1,7 +1,8 @@
 """Compiled entry points: one body's picture as a list of its pixels, and the way back to its vertices.
 
-Every function works on one body and on memory of its own or of its caller, releases Python's lock and adds in
-a fixed order: bodies may be drawn by any number of threads with the same bits as the result.
+Every function works on one body, or on a few that do not know of each other, and on memory of its own or of its caller,
+releases Python's lock and adds in a fixed order: bodies may be drawn by any number of threads with the same bits as the
+result.
 
 A body's *trace* is what the way back needs of its way forth: (projected vertices, outline edges, pixels,
 coverage, owners, edges, shares), the last three for every piece of outline that can change a pixel's coverage.
@@ -14,9 +15,7 @@ from numba import njit
 
 from hfb.compilation import JIT, LOOP, entry, loop_entry
 from hfb.render.kernels_outline import (
-    FOUND as CUT,
-)
-from hfb.render.kernels_outline import (
+    CUT,
     collect,
     count_pieces,
     cut_outline,

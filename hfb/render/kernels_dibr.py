@@ -228,21 +228,9 @@ def draw_body_softly(vertices, lens, soft, faces, uv, texture):
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
     places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade(
-        pixels,
-        codes,
-        coverage,
-        np.int64(lens[5]),
-        outline,
-        projected,
-        faces,
-        uv,
-        texture,
-        near,
-        table,
-        places,
-        rim,
+        pixels, codes, coverage, np.int64(lens[5]), outline, projected, faces, uv, texture, near, table, places, rim,
         colours,
-    )
+    )  # fmt: skip
     return projected, outline, pixels, coverage, owner, of_side, weights, codes, colours
 
 

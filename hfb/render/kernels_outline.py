@@ -32,7 +32,7 @@ TINY = 1e-9  # coverage below this is none, above 1 minus this is full: rounding
 # Rows of what is found of a batch of edges, then of the piece that LANES of them have in a pixel.
 X0, Y0, DX, DY, WITHIN, STEPS = (BATCH * row for row in range(6))
 COLUMN, ROW, FROM, TO, MARK, LEFT, RIGHT, NEAR = (6 * BATCH + LANES * row for row in range(8))
-FOUND = 6 * BATCH + 8 * LANES
+CUT = 6 * BATCH + 8 * LANES
 GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8, 16, 32)  # what a pixel's outline does
 
 
@@ -237,7 +237,7 @@ def _cut_near(first, at, n_edges, box, found, pieces, n):
 def cut_outline(outline, projected, box, found, columns, rows, ends, pieces):
     """Cut the outline at the pixel borders; returns the number of pieces.
 
-    found: room for FOUND numbers. columns, rows, ends: room for the pieces of one edge. pieces: for every piece its
+    found: room for CUT numbers. columns, rows, ends: room for the pieces of one edge. pieces: for every piece its
     region pixel (-1: left of the region), edge, span on it, region row, what it does there, and as amounts: what it
     adds to the mean winding of its pixel and of the next one, 4 - squared distance of the pixel's centre from the edge.
     """

@@ -132,11 +132,8 @@ def find_front(projected, faces, boxes, screen, bounds, front, candidates, count
     left, top = load_lanes(bounds, 0), load_lanes(bounds, LANES)
     right, bottom = load_lanes(bounds, 2 * LANES), load_lanes(bounds, 3 * LANES)
     for f in range(faces.shape[0]):
-        i, j, k = (
-            3 * LANES * np.int64(faces[f, 0]),
-            3 * LANES * np.int64(faces[f, 1]),
-            3 * LANES * np.int64(faces[f, 2]),
-        )
+        first, second, third = np.int64(faces[f, 0]), np.int64(faces[f, 1]), np.int64(faces[f, 2])
+        i, j, k = 3 * LANES * first, 3 * LANES * second, 3 * LANES * third
         x0, x1, x2 = load_lanes(screen, i), load_lanes(screen, j), load_lanes(screen, k)
         y0, y1, y2 = load_lanes(screen, i + LANES), load_lanes(screen, j + LANES), load_lanes(screen, k + LANES)
         q0, q1 = load_lanes(screen, i + 2 * LANES), load_lanes(screen, j + 2 * LANES)
