@@ -13,7 +13,7 @@ from numba import njit
 from hfb.body.kernels_skinning import ask, ask_point, gather, move_point, pull, spread, whole_block
 from hfb.body.kernels_vector import FEATURES, add_features, displacements
 from hfb.compilation import LOOP, entry
-from hfb.vector_code import LANES, lanes, load_lanes, multiply_add, prefetch, store_apart, store_lanes, sum_lanes
+from hfb.vector_code import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
 
 AHEAD = 4  # vertices whose directions are asked for before they are needed
 _LINE = 32  # 16-bit numbers that memory hands over at once
@@ -53,10 +53,7 @@ def _blend_and_skin_block(table, feature, rest, directions, steps, starts, joint
         store_lanes(points, at, x)
         store_lanes(points, at + LANES, y)
         store_lanes(points, at + 2 * LANES, z)
-        x, y, z = move_point(x, y, z, table, starts, joints, weights, v)
-        store_apart(vertices, to + 3 * v, stride, x)
-        store_apart(vertices, to + 3 * v + 1, stride, y)
-        store_apart(vertices, to + 3 * v + 2, stride, z)
+        move_point(x, y, z, table, starts, joints, weights, v, to + 3 * v, stride, vertices)
 
 
 @entry
@@ -104,10 +101,7 @@ def _gradient_block(
         asked, at = (x, y, z), 3 * LANES * v
         point = load_lanes(points, at), load_lanes(points, at + LANES), load_lanes(points, at + 2 * LANES)
         pull(starts, joints, weights, v, asked, point, pulls)
-        x, y, z = ask_point(table, starts, joints, weights, v, asked)
-        of_rest[v, 0] += sum_lanes(x)
-        of_rest[v, 1] += sum_lanes(y)
-        of_rest[v, 2] += sum_lanes(z)
+        x, y, z = ask_point(table, starts, joints, weights, v, asked, of_rest)
         x, y, z = x * steps[v, 0], y * steps[v, 1], z * steps[v, 2]
         add_features(of_feature, directions, 3 * v * FEATURES, x, y, z)
 

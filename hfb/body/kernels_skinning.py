@@ -109,8 +109,9 @@ def spread(transforms, first, n, table):
 
 
 @njit(**INLINE)
-def move_point(x, y, z, table, starts, joints, weights, v):
-    """A point of every instant, turned by the transforms that hold vertex v."""
+def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices):
+    """Write a point of every instant, turned by the transforms that hold vertex v, to number `to` of the first body's
+    `vertices` on and so for every body, `stride` apart."""
     zero = lanes(table.dtype.type(0.0))
     moved_x, moved_y, moved_z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
@@ -119,7 +120,9 @@ def move_point(x, y, z, table, starts, joints, weights, v):
         moved_x = _row_of(table, at, x_here, y_here, z_here, weight, moved_x)
         moved_y = _row_of(table, at + LANES, x_here, y_here, z_here, weight, moved_y)
         moved_z = _row_of(table, at + 2 * LANES, x_here, y_here, z_here, weight, moved_z)
-    return moved_x, moved_y, moved_z
+    store_apart(vertices, to, stride, moved_x)
+    store_apart(vertices, to + 1, stride, moved_y)
+    store_apart(vertices, to + 2, stride, moved_z)
 
 
 @njit(**INLINE)
@@ -136,11 +139,8 @@ def _skin_block(table, rest, starts, joints, weights, to, vertices):
     """Fill LANES bodies of `vertices`, from number `to` on."""
     stride = 3 * rest.shape[0]
     for v in range(rest.shape[0]):
-        point = lanes(rest[v, 0]), lanes(rest[v, 1]), lanes(rest[v, 2])
-        x, y, z = move_point(*point, table, starts, joints, weights, v)
-        store_apart(vertices, to + 3 * v, stride, x)
-        store_apart(vertices, to + 3 * v + 1, stride, y)
-        store_apart(vertices, to + 3 * v + 2, stride, z)
+        x, y, z = lanes(rest[v, 0]), lanes(rest[v, 1]), lanes(rest[v, 2])
+        move_point(x, y, z, table, starts, joints, weights, v, to + 3 * v, stride, vertices)
 
 
 @entry
@@ -202,8 +202,9 @@ def _pull_column(pulls, at, x, y, z, coordinate):
 
 
 @njit(**INLINE)
-def ask_point(table, starts, joints, weights, v, asked):
-    """What every instant asks of the point: the blended rotation's transpose times what is asked of the vertex."""
+def ask_point(table, starts, joints, weights, v, asked, of_rest):
+    """What every instant asks of the point: the blended rotation's transpose times what is asked of the vertex. Adds
+    their sum to the rest vertex's gradient."""
     zero = lanes(table.dtype.type(0.0))
     x, y, z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
@@ -212,6 +213,9 @@ def ask_point(table, starts, joints, weights, v, asked):
         x = _column_of(table, at, along_x, along_y, along_z, x)
         y = _column_of(table, at + 3 * LANES, along_x, along_y, along_z, y)
         z = _column_of(table, at + 6 * LANES, along_x, along_y, along_z, z)
+    of_rest[v, 0] += sum_lanes(x)
+    of_rest[v, 1] += sum_lanes(y)
+    of_rest[v, 2] += sum_lanes(z)
     return x, y, z
 
 
@@ -243,10 +247,7 @@ def _skin_gradient_block(table, rest, starts, joints, weights, given, first, pul
         asked = x, y, z
         pull(starts, joints, weights, v, asked, (rest[v, 0], rest[v, 1], rest[v, 2]), pulls)
         if of_rest.shape[0] > 0:
-            x, y, z = ask_point(table, starts, joints, weights, v, asked)
-            of_rest[v, 0] += sum_lanes(x)
-            of_rest[v, 1] += sum_lanes(y)
-            of_rest[v, 2] += sum_lanes(z)
+            ask_point(table, starts, joints, weights, v, asked, of_rest)
 
 
 @entry

@@ -17,24 +17,16 @@ def corner_of(faces, f, vertex):
 
 
 @njit(**INLINE)
-def face_point(px, py, projected, i, j, k):
-    """Barycentric coordinates of a pixel position in face (i, j, k) on the screen, and the slopes of the last two."""
+def uv_of_face(px, py, projected, faces, uv, f):
+    """Texture coordinates seen at a pixel position of face f: perspective-correct."""
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     x0, y0 = projected[i, 0], projected[i, 1]
     ax, ay = projected[j, 0] - x0, projected[j, 1] - y0
     bx, by = projected[k, 0] - x0, projected[k, 1] - y0
     inverse = 1.0 / (ax * by - bx * ay)
-    b1_x, b1_y, b2_x, b2_y = by * inverse, -bx * inverse, -ay * inverse, ax * inverse
-    b1 = (px - x0) * b1_x + (py - y0) * b1_y
-    b2 = (px - x0) * b2_x + (py - y0) * b2_y
-    return 1.0 - b1 - b2, b1, b2, b1_x, b1_y, b2_x, b2_y
-
-
-@njit(**INLINE)
-def uv_of_face(px, py, projected, faces, uv, f):
-    """Texture coordinates seen at a pixel position of face f: perspective-correct."""
-    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-    b0, b1, b2, _, _, _, _ = face_point(px, py, projected, i, j, k)
-    w0, w1, w2 = b0 * projected[i, 2], b1 * projected[j, 2], b2 * projected[k, 2]
+    b1 = ((px - x0) * by - (py - y0) * bx) * inverse
+    b2 = ((py - y0) * ax - (px - x0) * ay) * inverse
+    w0, w1, w2 = (1.0 - b1 - b2) * projected[i, 2], b1 * projected[j, 2], b2 * projected[k, 2]
     scale = 1.0 / (w0 + w1 + w2)
     return (
         (w0 * uv[f, 0, 0] + w1 * uv[f, 1, 0] + w2 * uv[f, 2, 0]) * scale,
@@ -43,10 +35,7 @@ def uv_of_face(px, py, projected, faces, uv, f):
 
 
 @njit(**INLINE)
-def texel_cell(coordinate, size):
-    """First texel, share of the next one, and whether the coordinate lies between texel centres (not clamped)."""
-    position = coordinate * size - 0.5
-    inside = 0.0 < position < size - 1.0
-    position = min(max(position, 0.0), size - 1.0)
-    texel = min(np.uint32(position), np.uint32(max(size, 2) - 2))
-    return texel, position - texel, inside
+def first_texel(coordinate, size):
+    """The first of the two texels, along one axis, that a coordinate takes its colour from."""
+    position = min(max(coordinate * size - 0.5, 0.0), size - 1.0)
+    return min(np.uint32(position), np.uint32(max(size, 2) - 2))

@@ -6,7 +6,7 @@ import numpy as np
 
 from hfb.compilation import entry
 from hfb.render.kernels_screen import code_of, mask_for, project, see_body
-from hfb.render.kernels_surface import texel_cell, uv_of_face
+from hfb.render.kernels_surface import first_texel, uv_of_face
 
 
 @entry
@@ -41,8 +41,7 @@ def mark_seen(vertices, lens, faces, uv, seen):
             if nearest[r, c] > 0:
                 f = np.uint32(code_of(nearest[r, c], mask))
                 u, v = uv_of_face(c + box[0] + 0.5, r + box[1] + 0.5, projected, faces, uv, f)
-                column, _, _ = texel_cell(u, size)
-                row, _, _ = texel_cell(v, size)
+                column, row = first_texel(u, size), first_texel(v, size)
                 after_column, after_row = min(column + 1, size - 1), min(row + 1, size - 1)
                 seen[row, column] = seen[row, after_column] = True
                 seen[after_row, column] = seen[after_row, after_column] = True
