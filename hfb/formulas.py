@@ -32,8 +32,8 @@ def readable_formulas() -> Iterator[None]:
 
 
 @lru_cache(maxsize=256)
-def constant(values: tuple, dtype: torch.dtype, device: torch.device) -> Shaped[Tensor, "..."]:
-    """A tensor of these numbers, made once: to copy them to a device makes the processor wait for it.
+def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) -> Shaped[Tensor, "..."]:
+    """A tensor of these numbers, or of one, made once: to copy them to a device makes the processor wait for it.
 
     Not to be changed.
     """

@@ -5,6 +5,7 @@ A term with weight zero is not computed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 
@@ -69,7 +70,8 @@ class Objective:
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed = self._posed(shaped, course)
-        vertices = (posed.squeeze(0),) if len(posed) == 1 else posed.unbind()  # whose way back copies all of them
+        # Not split where there is but one: the way back of that copies.
+        vertices = posed.split(self.subframes) if len(course[0]) > 1 else (posed,)
         per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
         terms = mean_of_frames(per_frame) | self.surface_terms(texture)
         return terms | self.body_terms(trajectory, betas, shaped, course)
@@ -80,15 +82,15 @@ class Objective:
         """What is to be drawn, camera coordinates [m], and the terms of body and motion."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
-        return self._posed(shaped, course), self.body_terms(trajectory, betas, shaped, course)
+        vertices = self._posed(shaped, course).unflatten(0, (-1, self.subframes))
+        return vertices, self.body_terms(trajectory, betas, shaped, course)
 
     def _posed(
         self, shaped: ShapedBody, course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"]]
-    ) -> Float[Tensor, "T S V 3"]:
-        """The body at every sub-frame."""
+    ) -> Float[Tensor, "n V 3"]:
+        """The body at every sub-frame of every frame."""
         rotations, translations = course
-        posed = shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1))
-        return posed.vertices.unflatten(0, (rotations.shape[0], self.subframes))
+        return shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1)).vertices
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
         """The term of the texture alone."""
@@ -98,8 +100,7 @@ class Objective:
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
         """The sub-frames' times, and last the middle of the exposure."""
-        clock = *subframe_clock(self.subframes, dtype).tolist(), 0.5
-        return constant(clock, dtype, self.first.device)
+        return _instants(self.subframes, dtype, self.first.device)
 
     def body_terms(
         self,
@@ -185,6 +186,21 @@ class Objective:
         values = torch.stack(tuple(terms.values()))
         weights = constant(tuple(getattr(self.weights, name) for name in terms), values.dtype, values.device)
         return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
+
+    def weighed(self, values: dict[str, float]) -> float:
+        """`total` of terms whose values are known."""
+        return sum(getattr(self.weights, name) * value for name, value in values.items())
+
+    def pull(self, terms: dict[str, Float[Tensor, ""]]) -> None:
+        """The way back of `total`, straight from the terms: what is free gets its gradient."""
+        free = {name: term for name, term in terms.items() if term.requires_grad}
+        weights = [constant(getattr(self.weights, name), one.dtype, one.device) for name, one in free.items()]
+        torch.autograd.backward(tuple(free.values()), weights)
+
+
+@lru_cache
+def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
+    return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 
 def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:

@@ -203,6 +203,16 @@ def store_apart(typingctx, array, position, stride, value):
 
 
 @intrinsic
+def widen_lanes(typingctx, value):
+    """Lanes in double precision."""
+
+    def codegen(context, builder, signature, arguments):
+        return arguments[0] if signature.args[0] is _lanes else builder.fpext(arguments[0], _lanes.vector)
+
+    return _lanes(value), codegen
+
+
+@intrinsic
 def multiply_add(typingctx, left, right, added):
     """left times right plus added, in every lane: lanes, the second may be a number of their precision."""
 
@@ -329,6 +339,31 @@ def sum_lanes(typingctx, value):
             halves = (shuffle(builder, total, total, range(at, at + count)) for at in (0, count))
             total = builder.fadd(*halves)
         return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
+
+    return value.number(value), codegen
+
+
+@intrinsic
+def insert_sorted(typingctx, sorted_lanes, number):
+    """Lanes that rise, with a number put where it belongs; the largest falls out."""
+
+    def codegen(context, builder, signature, arguments):
+        held = arguments[0]
+        wide = splat(builder, arguments[1], held.type)
+        # What comes before each lane, or the number where that is less: the smaller of it and the lane.
+        before = shuffle(builder, wide, held, [0, *range(LANES, 2 * LANES - 1)])
+        most = builder.select(builder.fcmp_ordered(">", before, wide), before, wide)
+        return builder.select(builder.fcmp_ordered("<", most, held), most, held)
+
+    return sorted_lanes(sorted_lanes, sorted_lanes.number), codegen
+
+
+@intrinsic
+def last_lane(typingctx, value):
+    """The number in the last lane."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), LANES - 1))
 
     return value.number(value), codegen
 

@@ -8,8 +8,10 @@ from hfb.vector_code import (
     LANES,
     if_equal,
     if_less,
+    insert_sorted,
     lane_numbers,
     lanes,
+    last_lane,
     load_four,
     load_lanes,
     load_three,
@@ -80,3 +82,25 @@ def test_four_lanes_do_what_numpy_does(dtype: type) -> None:
     expected = [a + b, a - b, a * b, number * a - (b - number), np.append(a[:3], number)]
     np.testing.assert_array_equal(results, np.array(expected, dtype))
     assert total == left[1] + left[2] + left[3]
+
+
+@njit
+def insert_all(numbers, largest, fallen):
+    held = lanes(largest)
+    for n in range(numbers.shape[0]):
+        fallen[n] = max(last_lane(held), numbers[n])
+        held = insert_sorted(held, numbers[n])
+    result = np.empty(LANES)
+    store_lanes(result, 0, held)
+    return result
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 30])
+def test_the_smallest_numbers_stay_sorted_and_the_others_fall_out(count: int) -> None:
+    """Equal ones among them; what falls out is the largest of all that were there."""
+    numbers = np.random.default_rng(count).integers(0, 12, count) / 12
+    fallen = np.empty(count)
+    found = insert_all(numbers, 1.0, fallen)
+    everything = np.sort(np.append(numbers, np.ones(LANES)))
+    np.testing.assert_array_equal(found, everything[:LANES])
+    np.testing.assert_array_equal(np.sort(fallen), everything[LANES:])

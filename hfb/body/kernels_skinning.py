@@ -26,6 +26,45 @@ from hfb.vector_code import (
 
 
 @loop_entry
+def add_shape(betas, template, rows, shaped):
+    """Fill `shaped` (n) with the template plus every beta times its row (K, n): SMPL's eq. 8."""
+    whole = template.shape[0] - template.shape[0] % LANES
+    for n in range(0, whole, LANES):
+        total = load_lanes(template, n)
+        for k in range(betas.shape[0]):
+            total = multiply_add(load_lanes(rows, k * template.shape[0] + n), betas[k], total)
+        store_lanes(shaped, n, total)
+    for n in range(whole, template.shape[0]):
+        shaped[n] = template[n]
+        for k in range(betas.shape[0]):
+            shaped[n] += betas[k] * rows[k, n]
+
+
+@njit(**INLINE)
+def _inner_product(rows, k, given):
+    """Of a row and as many numbers."""
+    zero, count = lanes(given.dtype.type(0.0)), given.shape[0]
+    one, two, three, four = zero, zero, zero, zero
+    whole, at = count - count % (4 * LANES), k * count
+    for n in range(0, whole, 4 * LANES):
+        one = one + load_lanes(rows, at + n) * load_lanes(given, n)
+        two = two + load_lanes(rows, at + n + LANES) * load_lanes(given, n + LANES)
+        three = three + load_lanes(rows, at + n + 2 * LANES) * load_lanes(given, n + 2 * LANES)
+        four = four + load_lanes(rows, at + n + 3 * LANES) * load_lanes(given, n + 3 * LANES)
+    total = sum_lanes((one + two) + (three + four))
+    for n in range(whole, count):
+        total += rows[k, n] * given[n]
+    return total
+
+
+@loop_entry
+def add_shape_gradient(rows, joint_rows, of_vertices, of_joints, of_betas):
+    """Way back of `add_shape` from vertices and joints: fills `of_betas`."""
+    for k in range(of_betas.shape[0]):
+        of_betas[k] = _inner_product(rows, k, of_vertices) + _inner_product(joint_rows, k, of_joints)
+
+
+@loop_entry
 def place(rotations, translations, rest, parents, transforms, joints):
     """Fill `transforms` (N, 24, 3, 4), rest body to world, and `joints` (N, 24, 3): SMPL's eq. 4 along every chain."""
     for n in range(rotations.shape[0]):

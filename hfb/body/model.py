@@ -77,9 +77,10 @@ class Body:
         return skinning.sparse_weights(self.skinning_weights)
 
     @cached_property
-    def shape_rows(self) -> Float[Tensor, "K n"]:
-        """`shape_directions`, all coordinates of all vertices in one row per beta: what matrix products like best."""
-        return self.shape_directions.flatten(0, 1).T.contiguous()
+    def shape_rows(self) -> tuple[Float[Tensor, "K n"], Float[Tensor, "K m"]]:
+        """`shape_directions` and `joint_shape_directions`, all coordinates in one row per beta."""
+        vertices, joints = self.shape_directions, self.joint_shape_directions
+        return vertices.flatten(0, 1).T.contiguous(), joints.flatten(0, 1).T.contiguous()
 
     @cached_property
     def pose_rows(self) -> tuple[Float[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
@@ -112,9 +113,9 @@ class Body:
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
         """The person with these betas (unit variance each) in the rest pose."""
         if compiled(betas):
-            vertices = torch.addmv(self.template.flatten(), self.shape_rows.T, betas).view(-1, 3)
-        else:
-            vertices = self.template + _weighed(self.shape_directions, betas)
+            places = operators.add_shape(betas, self.template, self.joint_template, *self.shape_rows)
+            return ShapedBody(self, *places)
+        vertices = self.template + _weighed(self.shape_directions, betas)
         return ShapedBody(self, vertices, self.rest_joints(betas))
 
 

@@ -13,6 +13,54 @@ def _arrays(*tensors: Tensor) -> list[Array]:
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
+@operator("hfb::add_shape")
+def add_shape(
+    betas: Tensor, template: Tensor, joint_template: Tensor, rows: Tensor, joint_rows: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Vertices (V, 3) and joints (24, 3) [m] of the person with these betas (K) in the rest pose (SMPL's eq. 8).
+
+    Args:
+        template, joint_template: where they are with betas of zero [m]. rows: (K, 3 V), displacements per unit of each
+            beta, joint_rows: (K, 72), of the joints; all four are constants.
+    """
+    vertices, joints = template.new_empty(template.shape), joint_template.new_empty(joint_template.shape)
+    for start, directions, place in ((template, rows, vertices), (joint_template, joint_rows, joints)):
+        kernels_skinning.add_shape(*_arrays(betas, start.flatten(), directions), place.view(-1).numpy())
+    return vertices, joints
+
+
+@add_shape.register_fake
+def _(
+    betas: Tensor, template: Tensor, joint_template: Tensor, rows: Tensor, joint_rows: Tensor
+) -> tuple[Tensor, Tensor]:
+    return template.new_empty(template.shape), joint_template.new_empty(joint_template.shape)
+
+
+@operator("hfb::add_shape_gradient")
+def add_shape_gradient(rows: Tensor, joint_rows: Tensor, of_vertices: Tensor, of_joints: Tensor) -> Tensor:
+    """Gradient of the betas."""
+    of_betas = rows.new_empty(rows.shape[0])
+    given = _arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
+    kernels_skinning.add_shape_gradient(*given, of_betas.numpy())
+    return of_betas
+
+
+@add_shape_gradient.register_fake
+def _(rows: Tensor, joint_rows: Tensor, of_vertices: Tensor, of_joints: Tensor) -> Tensor:
+    return rows.new_empty(rows.shape[0])
+
+
+def _keep_shape(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    ctx.save_for_backward(*inputs[3:])
+
+
+def _shape_backward(ctx, of_vertices, of_joints):  # type: ignore[no-untyped-def]
+    return add_shape_gradient(*ctx.saved_tensors, of_vertices, of_joints), None, None, None, None
+
+
+add_shape.register_autograd(_shape_backward, _keep_shape)
+
+
 @operator("hfb::place_joints")
 def place_joints(
     rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Tensor

@@ -4,12 +4,11 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-import torch
-
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
+from hfb.fit.adam import Adam
 from hfb.fit.comparison import beside_the_fit, drawn, matted_again
-from hfb.fit.variables import Variables, falling
+from hfb.fit.variables import Variables, falling, rates
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.render.texture import visible_texels
@@ -43,7 +42,7 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
     history: dict[str, list[float]] = {}
     best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
     # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
-    optimizer = torch.optim.Adam(variables.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
+    optimizer = Adam(variables.leaves(), config.adam_epsilon)
     first = everywhere
     for number, stage in enumerate(stages):
         if number > 0:
@@ -53,11 +52,12 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
         objective = everywhere.of_stage(seen, visible, picture_factor(everywhere, config, stage))
         best_loss = told_loss = math.inf  # losses of different picture sizes do not compare
         waited, ends = 0, done + stage.iterations
-        for loss, terms, iterate in _iterations(objective, variables, optimizer, config, stage):
+        for loss, terms in _iterations(objective, variables, optimizer, config, stage):
             for name, value in {"total": loss, **terms}.items():
                 history.setdefault(name, []).append(value)
             if loss < best_loss:
-                best, best_loss, best_iteration = iterate(), loss, done
+                best.take(variables)
+                best_loss, best_iteration = loss, done
             done += 1
             if on_progress:
                 on_progress(done + skipped, total, loss)
@@ -65,7 +65,7 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
             if 0 < config.patience <= waited:
                 skipped += ends - done
                 break
-        _restore(variables, best)
+        variables.take(best)
     return Descent(best, best_iteration, history, objective, everywhere.observation)
 
 
@@ -103,34 +103,21 @@ def of_full_size(stage: Stage, config: FitConfig) -> bool:
 
 
 def _iterations(
-    objective: Objective, variables: Variables, optimizer: torch.optim.Adam, config: FitConfig, stage: Stage
-) -> Iterator[tuple[float, dict[str, float], Callable[[], Variables]]]:
-    """One stage of Adam; yields the loss, its terms and a way to copy the iterate they belong to."""
+    objective: Objective, variables: Variables, optimizer: Adam, config: FitConfig, stage: Stage
+) -> Iterator[tuple[float, dict[str, float]]]:
+    """One stage of Adam; yields the loss and its terms before the step away from where they were found."""
     for iteration in range(stage.iterations):
         share = falling(iteration, stage.iterations) if stage.cosine else 1.0
-        for group, now in zip(
-            optimizer.param_groups, variables.groups(config, stage.learning_rate * share), strict=True
-        ):
-            group["lr"] = now["lr"]
-        optimizer.zero_grad()
         terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)
-        loss = objective.total(terms)
         values = {name: value.item() for name, value in terms.items()}
-        if not math.isfinite(loss.item()):
+        loss = objective.weighed(values)
+        if not math.isfinite(loss):
             broken = [name for name, value in values.items() if not math.isfinite(value)]
             raise FloatingPointError(f"the loss is not a number any more at iteration {iteration}: {broken}")
-        yield loss.item(), values, variables.copy
-        loss.backward()
-        optimizer.step()
+        yield loss, values
+        objective.pull(terms)
+        optimizer.step(rates(config, stage.learning_rate * share))
         variables.keep_within(config, objective.body)
-
-
-def _restore(variables: Variables, best: Variables) -> None:
-    with torch.no_grad():
-        variables.trajectory.rotation.copy_(best.trajectory.rotation)
-        variables.trajectory.translation.copy_(best.trajectory.translation)
-        variables.betas.copy_(best.betas)
-        variables.texture.copy_(best.texture)
 
 
 def visible_at(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:

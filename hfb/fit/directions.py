@@ -15,6 +15,7 @@ import torch
 
 from hfb.body.model import ShapedBody
 from hfb.config import DirectionsConfig
+from hfb.fit.adam import Adam
 from hfb.fit.alternatives import LIMB_JOINTS, MOVES_M, Alternatives
 from hfb.fit.direction_odds import EVIDENCE, LARGEST_EXCESS, probabilities
 from hfb.fit.reversal import limb_columns, reverse_columns
@@ -190,7 +191,7 @@ def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterat
     given = start.trajectory
     rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
     free = given.with_coefficients(rotation, translation)
-    optimizer = torch.optim.Adam([rotation, translation], lr=rate, eps=_ADAM_EPSILON, fused=True)
+    optimizer = Adam([rotation, translation], _ADAM_EPSILON)
     best = replace(start, loss=math.inf)  # the start's own loss may be of another picture size
     for iteration in range(iterations + 1):
         terms = _terms(free, found, objective)
@@ -200,11 +201,8 @@ def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterat
             best = _Hypothesis(start.reversed_limbs, motion, _values(terms), total.item())
         if iteration == iterations:
             break
-        for group in optimizer.param_groups:
-            group["lr"] = rate * (0.1 + 0.45 * (1 + math.cos(math.pi * iteration / iterations)))
-        optimizer.zero_grad()
         total.backward()
-        optimizer.step()
+        optimizer.step([rate * (0.1 + 0.45 * (1 + math.cos(math.pi * iteration / iterations)))] * 2)
     return best if math.isfinite(best.loss) else start
 
 

@@ -22,7 +22,7 @@ from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
 from hfb.fit.descent import GAIN, Descent, Progress, looked_again, of_full_size, picture_factor, visible_at
 from hfb.fit.settle import settle_by, settling
-from hfb.fit.variables import Variables, falling, parameter_groups
+from hfb.fit.variables import Variables, falling, rates
 from hfb.formulas import readable_formulas
 from hfb.losses.regularizers import background_loss
 from hfb.motion.trajectory import Trajectory
@@ -71,8 +71,9 @@ class Leaves:
                     place.copy_(value)
 
     def groups(self, config: FitConfig, rate: float) -> list[dict]:
-        """Adam's parameter groups."""
-        return parameter_groups([self.rotation, self.translation], self.betas, self.texture, config, rate)
+        """Adam's parameter groups with their learning rates, where motion has this one."""
+        leaves = self.rotation, self.translation, self.betas, self.texture
+        return [{"params": [leaf], "lr": one} for leaf, one in zip(leaves, rates(config, rate), strict=True)]
 
     def copy_where(self, better: Bool[Tensor, "N"], into: "Leaves") -> None:
         """Copy the fits that are marked."""

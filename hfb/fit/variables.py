@@ -67,10 +67,15 @@ class Variables:
         with torch.no_grad():
             return Variables(self.motion(body), self.betas, self.texture).copy()
 
-    def groups(self, config: FitConfig, rate: float) -> list[dict]:
-        """Adam's parameter groups with their learning rates, where motion has this one."""
-        moving = [self.trajectory.rotation, self.trajectory.translation]
-        return parameter_groups(moving, self.betas, self.texture, config, rate)
+    def leaves(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What an optimiser changes: rotation, translation, betas and texture."""
+        return self.trajectory.rotation, self.trajectory.translation, self.betas, self.texture
+
+    def take(self, other: "Variables") -> None:
+        """Copy another's numbers into these."""
+        with torch.no_grad():
+            for mine, its in zip(self.leaves(), other.leaves(), strict=True):
+                mine.copy_(its)
 
     def copy(self) -> "Variables":
         """A snapshot that later steps leave alone."""
@@ -85,15 +90,9 @@ def falling(iteration: int, iterations: int) -> float:
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
 
-def parameter_groups(
-    moving: Sequence[Tensor], betas: Tensor, texture: Tensor, config: FitConfig, rate: float
-) -> list[dict]:
-    """Adam's parameter groups with their learning rates, where motion has this one; of one fit or of many."""
-    return [
-        {"params": list(moving), "lr": rate},
-        {"params": [betas], "lr": rate * config.shape_rate},
-        {"params": [texture], "lr": rate * config.texture_rate},
-    ]
+def rates(config: FitConfig, rate: float) -> tuple[float, float, float, float]:
+    """Learning rates of rotation, translation, betas and texture, where motion has this one."""
+    return rate, rate, rate * config.shape_rate, rate * config.texture_rate
 
 
 def start_variables(

@@ -3,6 +3,9 @@
 The readable formulas that it is tested against are in `hfb.losses.scales`.
 """
 
+from functools import lru_cache
+
+import numpy as np
 import torch
 
 from hfb.formulas import compiled
@@ -14,8 +17,12 @@ from hfb.torch_operator import operator
 
 def _pixels(picture: Tensor) -> Array:
     """(H W, channels) of (H, W, channels) or (H, W)."""
-    flat = picture.detach().contiguous().flatten(0, 1)
-    return (flat if flat.ndim == 2 else flat[:, None]).numpy()
+    channels = picture.shape[2] if picture.ndim == 3 else 1
+    return picture.detach().contiguous().numpy().reshape(-1, channels)
+
+
+_levels = lru_cache(kernels.levels)
+"""Of a picture's size and a number of scales; not to be changed."""
 
 
 @operator("hfb::compare_pictures")
@@ -26,24 +33,20 @@ def _compare(
 
     A loss at no scale is zero.
     """
-    size, image, overlap, slopes = mean.shape[:2], 0.0, 0.0, [0.0, 0.0, 0.0]
+    size, image, overlap, slopes = mean.shape[:2], 0.0, 0.0, np.zeros(3)
     of_image, of_matte = mean.new_empty(0, 4), mean.new_empty(0, 1)
+    drawn, told = _pixels(mean), _pixels(matte)
     if image_scales > 0:
-        table = kernels.levels(*size, image_scales)
+        table = _levels(*size, image_scales)
         of_image = mean.new_empty(int(table[-1, 0]), 4)
-        pictures = _pixels(mean), _pixels(plate), _pixels(frame), _pixels(matte)
+        pictures = drawn, _pixels(plate), _pixels(frame), told
         image, slopes[0] = kernels.compare_images(*pictures, *size, table, of_image.numpy())
     if matte_scales > 0:
-        table = kernels.levels(*size, matte_scales)
+        table = _levels(*size, matte_scales)
         of_matte = mean.new_empty(int(table[-1, 0]), 1)
-        overlap, *slopes[1:] = kernels.compare_mattes(_pixels(mean), _pixels(matte), *size, table, of_matte.numpy())
-    return (
-        mean.new_tensor(image),
-        mean.new_tensor(overlap),
-        of_image,
-        of_matte,
-        torch.tensor(slopes, dtype=torch.float64),
-    )
+        overlap, slopes[1], slopes[2] = kernels.compare_mattes(drawn, told, *size, table, of_matte.numpy())
+    loss_of_image, loss_of_matte = (torch.from_numpy(np.asarray(value, drawn.dtype)) for value in (image, overlap))
+    return loss_of_image, loss_of_matte, of_image, of_matte, torch.from_numpy(slopes)
 
 
 @_compare.register_fake

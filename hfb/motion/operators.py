@@ -6,46 +6,58 @@ from hfb.shapes import Tensor
 from hfb.torch_operator import operator
 
 
-@operator("hfb::turn")
-def turn(coefficients: Tensor, powers: Tensor) -> Tensor:
-    """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials.
+@operator("hfb::move")
+def move(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
+    """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
 
     Args:
-        coefficients: (T, D1, 24, 4), (w, x, y, z). powers: (S, D1), the instants to the power of 0 ... D.
+        rotation: coefficients (T, D1, 24, 4), (w, x, y, z). translation: (T, D1, 4) [m], the last column unused.
+        clock: (S), the instants u. origin: polynomials are in u - origin.
     """
-    matrices = coefficients.new_empty(len(coefficients), len(powers), coefficients.shape[2], 3, 3)
-    kernels.turn(coefficients.detach().contiguous().numpy(), powers.contiguous().numpy(), matrices.numpy())
-    return matrices
+    frames, instants = len(rotation), len(clock)
+    matrices = rotation.new_empty(frames, instants, rotation.shape[2], 3, 3)
+    path = rotation.new_empty(frames, instants, 3)
+    arrays = (tensor.detach().contiguous().numpy() for tensor in (rotation, translation, clock))
+    kernels.move(*arrays, origin, matrices.numpy(), path.numpy())
+    return matrices, path
 
 
-@turn.register_fake
-def _(coefficients: Tensor, powers: Tensor) -> Tensor:
-    return coefficients.new_empty(coefficients.shape[0], powers.shape[0], coefficients.shape[2], 3, 3)
+@move.register_fake
+def _(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
+    size = rotation.shape[0], clock.shape[0]
+    return rotation.new_empty(*size, rotation.shape[2], 3, 3), rotation.new_empty(*size, 3)
 
 
-@operator("hfb::turn_gradient")
-def turn_gradient(coefficients: Tensor, powers: Tensor, given: Tensor) -> Tensor:
-    """Gradient of the coefficients."""
-    gradient = coefficients.new_zeros(coefficients.shape)
-    arrays = (tensor.detach().contiguous().numpy() for tensor in (coefficients, powers, given))
-    kernels.turn_gradient(*arrays, gradient.numpy())
-    return gradient
+@operator("hfb::move_gradient")
+def move_gradient(
+    rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
+) -> tuple[Tensor, Tensor]:
+    """Gradients of the coefficients."""
+    of_rotation, of_translation = rotation.new_zeros(rotation.shape), translation.new_zeros(translation.shape)
+    polynomials, instants, *given = (
+        tensor.detach().contiguous().numpy() for tensor in (rotation, clock, of_matrices, of_path)
+    )
+    kernels.move_gradient(polynomials, instants, origin, *given, of_rotation.numpy(), of_translation.numpy())
+    return of_rotation, of_translation
 
 
-@turn_gradient.register_fake
-def _(coefficients: Tensor, powers: Tensor, given: Tensor) -> Tensor:
-    return coefficients.new_empty(coefficients.shape)
+@move_gradient.register_fake
+def _(
+    rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
+) -> tuple[Tensor, Tensor]:
+    return rotation.new_empty(rotation.shape), translation.new_empty(translation.shape)
 
 
 def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs)
+    *tensors, ctx.origin = inputs
+    ctx.save_for_backward(*tensors)
 
 
-def _backward(ctx, given):  # type: ignore[no-untyped-def]
-    return turn_gradient(*ctx.saved_tensors, given), None
+def _backward(ctx, of_matrices, of_path):  # type: ignore[no-untyped-def]
+    return *move_gradient(*ctx.saved_tensors, of_matrices, of_path, ctx.origin), None, None
 
 
-turn.register_autograd(_backward, _keep)
+move.register_autograd(_backward, _keep)
 
 
 @operator("hfb::rotation_vectors")

@@ -6,7 +6,7 @@ from typing import Literal
 import torch
 
 from hfb.formulas import compiled
-from hfb.motion.operators import turn
+from hfb.motion.operators import move
 from hfb.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,
@@ -51,10 +51,10 @@ class Trajectory:
 
     def at(self, u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
         """Rotations (root: body to camera; joints: relative to their parents) and translations [m] at u."""
+        if self.kind == "quaternion" and compiled(u):
+            return move(self.rotation, self.translation, u, self.origin)
         powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype, device=u.device)
         path = powers @ self.translation
-        if self.kind == "quaternion" and compiled(u):
-            return turn(self.rotation, powers), path[..., :3]
         curve = torch.einsum("sd,tdjc->tsjc", powers, self.rotation)
         if self.kind == "quaternion":
             return quaternion_to_matrix(normalize_quaternion(curve)), path[..., :3]

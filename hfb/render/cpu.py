@@ -6,7 +6,8 @@ import torch
 
 from hfb.body.mesh import Mesh
 from hfb.render.camera import PinholeCamera
-from hfb.render.operators import pictures
+from hfb.render.drawing import Setting
+from hfb.render.operators import draw, pictures
 from hfb.render.rasterizer import NEAR_M
 from hfb.render.reference_dibr import dibr_constants
 from hfb.render.texture import corner_uv
@@ -20,6 +21,7 @@ class CpuRasterizer:
         self.silhouette = silhouette
         self.threads = threads
         self._tables: tuple[Mesh, Tensor, list[Tensor]] | None = None
+        self._kept: tuple[Mesh, PinholeCamera, bool, Setting] | None = None
 
     def _of_mesh(self, mesh: Mesh) -> tuple[Tensor, list[Tensor]]:
         """Texture coordinates of corners, and index tables as narrow as can be: they are read for every body, and what
@@ -32,6 +34,22 @@ class CpuRasterizer:
             tables = self._tables = (mesh, corner_uv(mesh).contiguous(), whole)
         return tables[1], tables[2]
 
+    def _same(
+        self, camera: PinholeCamera, mesh: Mesh, mean: bool
+    ) -> tuple[Tensor, list[Tensor], list[float], list[float], bool, int]:
+        """What is the same whatever the bodies and the texture."""
+        lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
+        soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
+        numbers = [float(value) for value in lens], [float(value) for value in soft]
+        return *self._of_mesh(mesh), *numbers, mean, self.threads
+
+    def _setting(self, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Setting:
+        """Kept for the mesh and the camera used last."""
+        kept = self._kept
+        if kept is None or kept[0] is not mesh or kept[1:3] != (camera, mean):
+            kept = self._kept = (mesh, camera, mean, Setting.of(*self._same(camera, mesh, mean)))
+        return kept[3]
+
     def arguments(
         self,
         vertices: Float[Tensor, "S V 3"],
@@ -41,12 +59,19 @@ class CpuRasterizer:
         mean: bool,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
         """What `operators.draw` takes."""
-        uv, topology = self._of_mesh(mesh)
-        lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
-        soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
-        texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
-        numbers = [float(value) for value in lens], [float(value) for value in soft]
-        return (vertices.contiguous(), texels.contiguous(), uv, topology, *numbers, mean, self.threads)
+        return *_whole(vertices, texture), *self._same(camera, mesh, mean)
+
+    def _drawn(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+        mean: bool,
+    ) -> Float[Tensor, "P H W C"]:
+        if torch.compiler.is_compiling():
+            return draw(*self.arguments(vertices, texture, camera, mesh, mean))[0]
+        return pictures(*_whole(vertices, texture), self._setting(camera, mesh, mean))
 
     def _pictures(
         self,
@@ -56,7 +81,7 @@ class CpuRasterizer:
         mesh: Mesh,
         mean: bool,
     ) -> Float[Tensor, "P H W 4"]:
-        drawn = pictures(*self.arguments(vertices, texture, camera, mesh, mean))
+        drawn = self._drawn(vertices, texture, camera, mesh, mean)
         return drawn if texture is not None else torch.nn.functional.pad(drawn, (3, 0))
 
     def render(
@@ -84,4 +109,12 @@ class CpuRasterizer:
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
         """Mean of R_S over the sub-frames."""
-        return pictures(*self.arguments(vertices, None, camera, mesh, True)).squeeze((0, -1))
+        return self._drawn(vertices, None, camera, mesh, True).squeeze((0, -1))
+
+
+def _whole(
+    vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None
+) -> tuple[Float[Tensor, "S V 3"], Float[Tensor, "A A 3"]]:
+    """Both as the operators take them: an empty texture for none."""
+    texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
+    return vertices.contiguous(), texels.contiguous()

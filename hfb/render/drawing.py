@@ -16,8 +16,8 @@ from hfb.vector_code import LANES
 
 TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
 
-Body = tuple[tuple[Array, ...], Array]
-"""One body's trace (see `kernels`) and its pixels' codes, empty for a silhouette."""
+Block = tuple[Array, ...]
+"""The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
 
 
 @dataclass(frozen=True)
@@ -50,106 +50,114 @@ class Setting:
         """DIB-R's mask instead of exact coverage."""
         return bool(self.soft[0] > 0)
 
-    def draw(self, vertices: Array, texels: Array) -> list[tuple[Array, ...]]:
-        """Each of up to LANES bodies: the seven parts of its trace, and of a coloured one codes and colours."""
-        coloured = len(texels) > 0
-        if self.is_soft and coloured:
+    def draw(self, vertices: Array, texels: Array) -> tuple[Block, Array]:
+        """A block's trace, and its pixels' colours, none of a silhouette."""
+        if not self.is_soft:
+            edges = self.edge_vertices, self.edge_faces
+            *trace, colours = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
+            return tuple(trace), colours
+        if len(texels):
             given = self.lens, self.soft, self.faces, self.uv, texels
-            return [kernels_dibr.draw_body_softly(one, *given) for one in vertices]
-        if self.is_soft:
-            return [kernels_dibr.cover_body_softly(one, self.lens, self.soft, self.faces) for one in vertices]
-        projected, boxes, candidates, n_candidates, sides, n_sides = kernels.survey(
-            vertices, self.lens, self.faces, self.edge_faces, coloured
-        )
-        edges, width, bodies = (self.edge_vertices, self.edge_faces), int(self.lens[5]), []
-        for s in range(len(vertices)):
-            there, outlined = (projected[s], boxes[s]), sides[s, : n_sides[s]]
-            if coloured:
-                shown = candidates[s, : n_candidates[s]]
-                body = kernels.draw_body(*there, shown, outlined, self.faces, self.uv, *edges, width, texels)
-            else:
-                body = kernels.cover_body(*there, outlined, *edges, width)
-            bodies.append((projected[s], *body))
-        return bodies
+            projected, *parts, colours = kernels_dibr.draw_body_softly(vertices[0], *given)
+        else:
+            projected, *parts = kernels_dibr.cover_body_softly(vertices[0], self.lens, self.soft, self.faces)
+            parts, colours = [*parts, np.empty(0, np.int32)], np.empty((0, 4), texels.dtype)
+        ends = np.array([[0, 0, 0], [len(parts[0]), len(parts[1]), len(parts[3])]])
+        return (projected[None], *parts, ends), colours
 
     def pull(
         self,
         vertices: Array,
         texels: Array,
-        body: Body,
+        block: Block,
+        bodies: tuple[int, int],
         given: Array,
         scale: np.floating,
         gradient: Array,
-        of_texels: Array,
+        sums: Array,
+        closes: Array,
+        total: Array,
     ) -> None:
-        """The way back of one body: fills `gradient` (V, 3), adds to `of_texels`; empty ones are left out."""
-        trace, codes = body
+        """The way back of some bodies of a block: see `kernels.pull_block`."""
+        tables = self.lens, self.faces, self.uv, texels
+        if not self.is_soft:
+            kernels.pull_block(vertices, *tables, block, *bodies, given, scale, gradient, sums, closes, total)
+            return
+        projected, *parts, codes, _ = block
+        trace, asked = (projected[0], *parts), (given[0], scale, gradient[0])
         if len(texels):
-            way_back = kernels_dibr.draw_body_softly_gradient if self.is_soft else kernels.draw_body_gradient
-            tables = self.faces, self.uv, texels
-            way_back(vertices, self.lens, *tables, trace, codes, given, scale, gradient, of_texels)
-        elif self.is_soft:
-            kernels_dibr.cover_body_softly_gradient(vertices, self.lens, self.faces, trace, given, scale, gradient)
+            kernels_dibr.draw_body_softly_gradient(vertices[0], *tables, trace, codes, *asked, sums)
         else:
-            kernels.cover_body_gradient(vertices, self.lens, trace, given, scale, gradient)
+            kernels_dibr.cover_body_softly_gradient(vertices[0], self.lens, self.faces, trace, *asked)
+        if closes[0]:
+            kernels.move_texels(sums, total)
 
 
-def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Body]]:
-    """Pictures, the texture as the way back wants it, and the bodies' traces."""
+def bodies_at_once(count: int, threads: int, soft: bool) -> int:
+    """Bodies of a block: as many as kernels take, but something for every thread. None depends on who is beside it."""
+    return 1 if soft else min(LANES, max(-(-count // threads), 1))
+
+
+def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Block]]:
+    """Pictures, the texture as the way back wants it, and the blocks' traces."""
     count, lens = len(vertices), setting.lens
     # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
     kernels.widen(texture, texels)
-    # As many at once as kernels take, but something for every thread. A body does not depend on who is beside it.
-    at_once = min(LANES, max(-(-count // setting.threads), 1))
+    at_once = bodies_at_once(count, setting.threads, setting.is_soft)
     blocks = range(0, count, at_once)
     drawn = run_tasks(
         lambda block: setting.draw(vertices[blocks[block] : blocks[block] + at_once], texels),
         len(blocks), setting.threads,
     )  # fmt: skip
-    found = [body for block in drawn for body in block]
-    pictures = np.zeros(
-        (1 if setting.mean else count, int(lens[6]), int(lens[5]), 4 if len(texels) else 1), vertices.dtype
-    )
+    size = int(lens[6]), int(lens[5]), 4 if len(texels) else 1
+    pictures = np.zeros((1 if setting.mean else count, *size), vertices.dtype)
     scale = vertices.dtype.type(1 / count if setting.mean else 1)
-    for s, body in enumerate(found):
-        picture = pictures[0 if setting.mean else s].reshape(-1, pictures.shape[3])
-        if len(texels):
-            kernels.add_picture(body[2], body[8], scale, picture)
-        else:
-            kernels.add_silhouette(body[2], body[3], scale, picture)
-    none = np.empty(0, np.int32)
-    return pictures, texels, [(body[:7], body[7] if len(body) > 7 else none) for body in found]
+    for first, (trace, colours) in zip(blocks, drawn, strict=True):
+        _, _, pixels, coverage, *_, ends = trace
+        some = pictures if setting.mean else pictures[first : first + at_once]
+        kernels.add_block(pixels, coverage, ends, colours, scale, some.reshape(len(some), -1, size[2]))
+    return pictures, texels, [trace for trace, _ in drawn]
 
 
 def pull_bodies(
     of_pictures: Array,
     vertices: Array,
     texels: Array,
-    bodies: Sequence[Body],
+    blocks: Sequence[Block],
     setting: Setting,
     of_vertices: bool,
     of_texture: bool,
 ) -> tuple[Array, Array]:
     """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
     count = len(vertices)
-    groups = min(count, TEXTURE_GROUPS)
+    groups, at_once = min(count, TEXTURE_GROUPS), bodies_at_once(count, setting.threads, setting.is_soft)
     gradient = np.empty_like(vertices) if of_vertices else np.empty((count, 0, 3), vertices.dtype)
     size = texels.shape if of_texture else (0, 0, 4)
     total = np.zeros((*size[:2], 3), texels.dtype)
     scale = vertices.dtype.type(1 / count if setting.mean else 1)
+    given = of_pictures.reshape(len(of_pictures), -1, of_pictures.shape[3])
+    limits = [group * count // groups for group in range(groups + 1)]
+    closes = np.zeros(count, np.bool_)
 
-    def pull_group(group: int, sums: Array) -> Array:
-        for s in range(group * count // groups, (group + 1) * count // groups):
-            given = of_pictures[0 if setting.mean else s].reshape(-1, of_pictures.shape[3])
-            setting.pull(vertices[s], texels, bodies[s], given, scale, gradient[s], sums)
+    def pull(first: int, last: int, sums: Array) -> Array:
+        for at in range(first // at_once * at_once, last, at_once):
+            some = slice(at, at + at_once)
+            bodies = max(first - at, 0), min(last - at, at_once)
+            asking = given if setting.mean else given[some]
+            setting.pull(
+                vertices[some], texels, blocks[at // at_once], bodies, asking, scale, gradient[some], sums,
+                closes[some], total,
+            )  # fmt: skip
         return sums
 
     if setting.threads > 1:
-        for sums in run_tasks(lambda group: pull_group(group, np.zeros(size, texels.dtype)), groups, setting.threads):
+        tasks = run_tasks(
+            lambda group: pull(limits[group], limits[group + 1], np.zeros(size, texels.dtype)), groups, setting.threads
+        )
+        for sums in tasks:
             kernels.move_texels(sums, total)
     else:  # the same sums in the same order, in one place that stays in the processor's cache
-        sums = np.zeros(size, texels.dtype)
-        for group in range(groups):
-            kernels.move_texels(pull_group(group, sums), total)
+        closes[[limit - 1 for limit in limits[1:]]] = of_texture
+        pull(0, count, np.zeros(size, texels.dtype))
     return gradient, total

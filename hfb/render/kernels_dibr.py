@@ -16,7 +16,7 @@ from numba import njit
 from hfb.compilation import INLINE, JIT, LOOP, entry
 from hfb.render.kernels import take
 from hfb.render.kernels_outline import closest_parameter
-from hfb.render.kernels_screen import code_of, mask_for, project, see_body, to_metres
+from hfb.render.kernels_screen import code_of, mask_for, see_body, to_metres
 from hfb.render.kernels_shading import FOUND, GATHERED, PLACES, shade, shade_gradient
 
 TIE = 1e-9
@@ -206,10 +206,8 @@ def _trace(projected, faces, box, width, seen, mask, soft):
 @njit(**JIT)
 def _soften(vertices, lens, soft, faces):
     """Project, draw the centres, reach out: (projected, then what `_trace` returns)."""
-    box = np.empty(4, np.int64)
-    projected, mask = np.empty((vertices.shape[0], 4), np.float64), mask_for(faces, faces)
-    project(vertices, lens, soft[1], projected, box)
-    seen = see_body(projected, faces, box, mask)[: box[3] - box[1], : box[2] - box[0]]
+    mask = mask_for(faces, faces)
+    projected, box, seen = see_body(vertices, lens, soft[1], faces, mask)
     return projected, _trace(projected, faces, box, np.int64(lens[5]), seen, mask, soft)
 
 

@@ -13,33 +13,44 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import LOOP
-from hfb.vector_code import LANES, if_equal, if_less, lane_numbers, lanes, load_lanes, store_lanes, sum_lanes
+from hfb.vector_code import (
+    LANES,
+    if_equal,
+    if_less,
+    insert_sorted,
+    lanes,
+    last_lane,
+    load_lanes,
+    store_lanes,
+    sum_lanes,
+)
 
 ON_BORDER = 1e-9
 
 
 @njit(**LOOP)
-def chain_pieces(piece_pixel, place, newest, older):
-    """Chain the outline's pieces of each unsure pixel (newest[pixel], then older[piece]; -1 ends it)."""
+def chain_pieces(piece_pixel, place, newest, older, counts):
+    """Chain the outline's pieces of each unsure pixel (from newest[pixel] to older[piece]), and count them."""
     for piece in range(piece_pixel.shape[0]):
         if piece_pixel[piece] >= 0 and place[piece_pixel[piece]] < 0:
             slot = -1 - place[piece_pixel[piece]]
             older[piece] = newest[slot]
             newest[slot] = piece
+            counts[slot] += 1
 
 
 @njit(**LOOP)
-def _load(piece, older, column, row, outline, projected, edge, span, member, part, heights):
-    """Read one pixel's pieces; returns their number, that of the heights, and the pixel's mean winding if 0 at its
-    top left corner.
+def _load(m, piece, older, column, row, outline, projected, edge, span, member, part, heights):
+    """Read one pixel's m pieces; returns the number of the heights, and the pixel's mean winding if 0 at its top left
+    corner.
 
     part: x and y of start and end, relative to the pixel, and what x and the edge's parameter grow by along y.
     heights: where pieces begin, and where they leave sideways: with the pixel's top and bottom, all heights at which
     something begins or ends.
     """
-    m, n, mean = 0, 2, 0.0
+    n, mean = 2, 0.0
     heights[0], heights[1] = 0.0, 1.0
-    while piece >= 0:
+    for p in range(m):
         i, j = outline[edge[piece], 0], outline[edge[piece], 1]
         x0, y0 = projected[i, 0], projected[i, 1]
         dx, dy = projected[j, 0] - x0, projected[j, 1] - y0
@@ -51,17 +62,16 @@ def _load(piece, older, column, row, outline, projected, edge, span, member, par
         mean += (yb - ya) * (1.0 - 0.5 * (xa + xb))
         mean -= (1.0 - ya) if xa < ON_BORDER else 0.0
         mean += (1.0 - yb) if xb < ON_BORDER else 0.0
-        member[m] = piece
-        part[m, 0], part[m, 1], part[m, 2], part[m, 3] = xa, ya, xb, yb
+        member[p] = piece
+        part[p, 0], part[p, 1], part[p, 2], part[p, 3] = xa, ya, xb, yb
         inverse = 1.0 / (yb - ya) if yb != ya else 0.0
-        part[m, 4], part[m, 5] = (xb - xa) * inverse, (span[piece, 1] - span[piece, 0]) * inverse
+        part[p, 4], part[p, 5] = (xb - xa) * inverse, (span[piece, 1] - span[piece, 0]) * inverse
         heights[n] = ya
         n += 1
         heights[n] = yb
         n += (xb < ON_BORDER) | (xb > 1.0 - ON_BORDER)
-        m += 1
         piece = older[piece]
-    return m, n, mean
+    return n, mean
 
 
 @njit(**LOOP)
@@ -82,21 +92,17 @@ def _add_crossings(m, part, n, heights):
 
 
 @njit(**LOOP)
-def _sort(n, values, result, ranks):
-    """Sort by counting how many come before, eight at once: for a handful of values faster than anything that branches.
-
-    ranks: room for eight more than n.
-    """
+def _sort(n, values, result):
+    """Sort numbers up to 1, eight places at a time: each number is put where it belongs, what falls out is put into the
+    next eight. For a handful of values faster than anything that branches; changes `values`, and fills the last places
+    of `result`, up to a multiple of eight, with ones."""
     for first in range(0, n, LANES):
-        mine, number = load_lanes(values, first), lane_numbers() + np.float64(first)
-        rank = lanes(0.0)
-        for q in range(n):
-            other = values[q]
-            earlier = if_less(np.float64(q), number, 1.0, 0.0)
-            rank = rank + if_less(other, mine, 1.0, if_equal(other, mine, earlier, 0.0))
-        store_lanes(ranks, first, rank)
-    for p in range(n):
-        result[int(ranks[p])] = values[p]
+        held = lanes(1.0)
+        for k in range(first, n):
+            value = values[k]
+            values[k] = max(last_lane(held), value)
+            held = insert_sorted(held, value)
+        store_lanes(result, first, held)
 
 
 @njit(**LOOP)
@@ -159,19 +165,19 @@ def _cover_slabs(base, m, at_left, member, part, n, heights, active, lines, span
 
 @njit(**LOOP)
 def resolve(
-    unsure, pixels, windings, width, outline, projected, newest, older, edge, span, weights,
-    member, part, heights, sorted_heights, ranks, active, lines,
+    unsure, newest, counts, pixels, windings, width, outline, projected, older, edge, span, weights,
+    member, part, heights, sorted_heights, active, lines,
 ):  # fmt: skip
     """Replace the mean winding of the unsure pixels by their covered share; fill the weights of their pieces."""
     for slot in range(unsure.shape[0]):
-        pixel = pixels[unsure[slot]]
+        m, pixel = counts[slot], pixels[unsure[slot]]
         row = pixel // width
-        m, n, mean = _load(
-            newest[slot], older, pixel - row * width, row, outline, projected, edge, span, member, part, heights
+        n, mean = _load(
+            m, newest[slot], older, pixel - row * width, row, outline, projected, edge, span, member, part, heights
         )
-        base = np.round(windings[unsure[slot]] - mean)
+        base = np.floor(windings[unsure[slot]] - mean + 0.5)
         n = _add_crossings(m, part, n, heights)
-        _sort(n, heights, sorted_heights, ranks)
+        _sort(n, heights, sorted_heights)
         at_left = False
         for p in range(m):
             at_left |= (part[p, 0] < ON_BORDER) | (part[p, 2] < ON_BORDER)

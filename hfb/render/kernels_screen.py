@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from hfb.compilation import INLINE, JIT, LOOP
-from hfb.render.kernels_vector import BATCH, keep_nearest, side_by_side
+from hfb.render.kernels_vector import BATCH, keep_nearest, store_corners
 from hfb.vector_code import (
     LANES,
     floor_lanes,
@@ -19,11 +19,14 @@ from hfb.vector_code import (
     lane_numbers,
     lanes,
     larger,
+    load_apart,
     load_lanes,
+    multiply_add,
     smaller,
     store_lanes,
     where_more,
     where_no_less,
+    widen_lanes,
 )
 
 NOTHING = np.iinfo(np.int32).min  # code of a pixel that shows neither a face nor an outline edge
@@ -58,24 +61,10 @@ def code_of(seen, mask):
     return seen & mask if seen > 0 else edge
 
 
-@njit(**LOOP)
-def project(vertices, lens, margin, projected, box):
-    """Fill `projected` (V, 4) with x, y [px], 1/z, which is 0 where the vertex cannot be used, and 0; `box` with their
-    bounds, enlarged by a margin [px] and cut to the picture."""
-    fx, fy, cx, cy, near, width, height = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6]
-    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    for i in range(vertices.shape[0]):
-        projected[i, 2] = projected[i, 3] = 0.0
-        z = np.float64(vertices[i, 2])
-        if z > near:  # false for NaN too
-            inverse = 1.0 / z
-            x = fx * np.float64(vertices[i, 0]) * inverse + cx
-            y = fy * np.float64(vertices[i, 1]) * inverse + cy
-            if abs(x) < FAR_PX and abs(y) < FAR_PX and inverse > 0.0:
-                projected[i, 0], projected[i, 1], projected[i, 2] = x, y, inverse
-                left, right = min(left, x), max(right, x)
-                top, bottom = min(top, y), max(bottom, y)
-    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
+@njit(**INLINE)
+def _bound(left, top, right, bottom, lens, box):
+    """Fill `box` with bounds cut to the picture."""
+    width, height = lens[5], lens[6]
     if left > right:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0
         return
@@ -85,6 +74,55 @@ def project(vertices, lens, margin, projected, box):
     box[3] = int(min(height, np.floor(max(bottom, 0.0)) + 1))
     if box[0] >= box[2] or box[1] >= box[3]:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0
+
+
+@njit(**LOOP)
+def project(vertices, lens, margin, screen, projected, boxes, bounds):
+    """Fill `projected` (n, V, 4), of up to LANES bodies (n, V, 3), with x, y [px], 1/z, and 0; all 0 where a vertex
+    cannot be used. `boxes` with their bounds, enlarged by a margin [px] and cut to the picture; `screen` (V, 3 x LANES)
+    with x, y and 1/z of all bodies side by side, where lanes beyond repeat the last.
+
+    bounds: room for 4 LANES numbers.
+    """
+    fx, fy, cx, cy, near = lens[0], lens[1], lens[2], lens[3], lens[4]
+    count, stride, many = vertices.shape[0], 3 * vertices.shape[1], lanes(np.inf)
+    left, top, right, bottom = many, many, 0.0 - many, 0.0 - many
+    for v in range(vertices.shape[1]):
+        at = 3 * LANES * v
+        if count == LANES:
+            x, y = (
+                widen_lanes(load_apart(vertices, 3 * v, stride)),
+                widen_lanes(load_apart(vertices, 3 * v + 1, stride)),
+            )
+            z = widen_lanes(load_apart(vertices, 3 * v + 2, stride))
+        else:
+            for q in range(3):
+                for s in range(LANES):
+                    screen[v, q * LANES + s] = vertices[min(s, count - 1), v, q]
+            x, y, z = load_lanes(screen, at), load_lanes(screen, at + LANES), load_lanes(screen, at + 2 * LANES)
+        inverse = lanes(1.0) / z
+        x, y = multiply_add(x * fx, inverse, lanes(cx)), multiply_add(y * fy, inverse, lanes(cy))
+        used = if_less(near, z, if_less(0.0, inverse, 1.0, 0.0), 0.0)  # not where one is not a number, either
+        used = if_less(larger(larger(x, 0.0 - x), larger(y, 0.0 - y)), FAR_PX, used, 0.0)
+        left, right = smaller(if_less(0.0, used, x, many), left), larger(if_less(0.0, used, x, 0.0 - many), right)
+        top, bottom = smaller(if_less(0.0, used, y, many), top), larger(if_less(0.0, used, y, 0.0 - many), bottom)
+        x, y, inverse = if_less(0.0, used, x, 0.0), if_less(0.0, used, y, 0.0), if_less(0.0, used, inverse, 0.0)
+        store_lanes(screen, at, x)
+        store_lanes(screen, at + LANES, y)
+        store_lanes(screen, at + 2 * LANES, inverse)
+        if count == LANES:
+            store_corners(projected, 4 * v, 4 * vertices.shape[1], x, y, inverse)
+        else:
+            for s in range(count):
+                for q in range(3):
+                    projected[s, v, q] = screen[v, q * LANES + s]
+                projected[s, v, 3] = 0.0
+    store_lanes(bounds, 0, left - margin)
+    store_lanes(bounds, LANES, top - margin)
+    store_lanes(bounds, 2 * LANES, right + margin)
+    store_lanes(bounds, 3 * LANES, bottom + margin)
+    for s in range(count):
+        _bound(bounds[s], bounds[LANES + s], bounds[2 * LANES + s], bounds[3 * LANES + s], lens, boxes[s])
 
 
 @njit(**LOOP)
@@ -101,32 +139,16 @@ def to_metres(projected, vertices, lens, on_screen, gradient):
 
 
 @njit(**LOOP)
-def _line_up(projected, screen):
-    """Fill `screen` (V, 3 x LANES): x, y and 1/z of up to LANES bodies side by side; lanes beyond repeat the last."""
-    count, vertices = projected.shape[0], projected.shape[1]
-    if count == LANES:
-        for v in range(vertices):
-            side_by_side(screen, 3 * LANES * v, projected, 4 * v, 4 * vertices)
-        return
-    for v in range(vertices):
-        for s in range(LANES):
-            body = min(s, count - 1)
-            for q in range(3):
-                screen[v, q * LANES + s] = projected[body, v, q]
-
-
-@njit(**LOOP)
-def find_front(projected, faces, boxes, screen, bounds, front, candidates, counts):
+def find_front(screen, faces, boxes, bounds, front, candidates, counts):
     """Mark the faces that look at the camera, negative signed area in (x right, y down), in `front` (F), a bit per
     body, and list, for each body, those with a pixel's centre in their bounding box; their number goes into `counts`.
 
     All of up to LANES bodies at once, without a question for one of them: most faces are smaller than a pixel, and
-    whether one holds a centre is a coin flip that no processor predicts. screen: room for (V, 3 x LANES), bounds: for
+    whether one holds a centre is a coin flip that no processor predicts. screen: see `project`. bounds: room for
     4 LANES numbers. Empty `candidates` leave the lists out.
     """
-    _line_up(projected, screen)
     for s in range(LANES):
-        body = min(s, projected.shape[0] - 1)
+        body = min(s, boxes.shape[0] - 1)
         bounds[s], bounds[LANES + s] = boxes[body, 0], boxes[body, 1]
         bounds[2 * LANES + s], bounds[3 * LANES + s] = boxes[body, 2] - 1.0, boxes[body, 3] - 1.0
     left, top = load_lanes(bounds, 0), load_lanes(bounds, LANES)
@@ -148,7 +170,7 @@ def find_front(projected, faces, boxes, screen, bounds, front, candidates, count
             r_from = larger(smaller(y0, smaller(y1, y2)) - 0.5, top)
             r_to = smaller(larger(y0, larger(y1, y2)) - 0.5, bottom)
             looks &= where_no_less(floor_lanes(c_to), c_from) & where_no_less(floor_lanes(r_to), r_from)
-            for s in range(projected.shape[0]):
+            for s in range(boxes.shape[0]):
                 candidates[s, counts[s]] = f
                 counts[s] += (looks >> s) & 1
 
@@ -244,19 +266,24 @@ def see_faces(projected, faces, candidates, box, mask):
 
 
 @njit(**JIT)
-def look_at_faces(projected, faces, boxes, wants_candidates):
-    """Which faces of up to LANES bodies (n, V, 4) look at the camera: see `find_front`; (front, candidates, counts)."""
-    count = projected.shape[0]
+def look_at_faces(vertices, lens, margin, faces, wants_candidates):
+    """Up to LANES bodies (n, V, 3) on the screen, and which of their faces look at the camera: see `project` and
+    `find_front`; (projected, boxes, front, candidates, counts)."""
+    count = vertices.shape[0]
+    boxes, projected = np.empty((count, 4), np.int64), np.empty((count, vertices.shape[1], 4), np.float64)
     front, counts = np.empty(faces.shape[0], np.uint8), np.zeros(count, np.int64)
     candidates = np.empty((count if wants_candidates else 0, faces.shape[0] + 1), np.uint32)
-    screen, bounds = np.empty((projected.shape[1], 3 * LANES), np.float64), np.empty(4 * LANES, np.float64)
-    find_front(projected, faces, boxes, screen, bounds, front, candidates, counts)
-    return front, candidates, counts
+    screen, bounds = np.empty((vertices.shape[1], 3 * LANES), np.float64), np.empty(4 * LANES, np.float64)
+    project(vertices, lens, margin, screen, projected, boxes, bounds)
+    find_front(screen, faces, boxes, bounds, front, candidates, counts)
+    return projected, boxes, front, candidates, counts
 
 
 @njit(**JIT)
-def see_body(projected, faces, box, mask):
-    """`see_faces` of one body by itself."""
-    whole = projected.reshape(1, projected.shape[0], 4)
-    _, candidates, counts = look_at_faces(whole, faces, box.reshape(1, 4), True)
-    return see_faces(projected, faces, candidates[0, : counts[0]], box, mask)
+def see_body(vertices, lens, margin, faces, mask):
+    """One body (V, 3) by itself: (projected, box, which face is seen at each centre of the box's pixels)."""
+    whole = vertices.reshape(1, vertices.shape[0], 3)
+    projected, boxes, _, candidates, counts = look_at_faces(whole, lens, margin, faces, True)
+    box = boxes[0]
+    seen = see_faces(projected[0], faces, candidates[0, : counts[0]], box, mask)
+    return projected[0], box, seen[: box[3] - box[1], : box[2] - box[0]]

@@ -5,7 +5,7 @@
 import numpy as np
 
 from hfb.compilation import entry
-from hfb.render.kernels_screen import code_of, mask_for, project, see_body
+from hfb.render.kernels_screen import code_of, mask_for, see_body
 from hfb.render.kernels_surface import first_texel, uv_of_face
 
 
@@ -32,12 +32,10 @@ def paint_charts(uv, owner):
 def mark_seen(vertices, lens, faces, uv, seen):
     """Set `seen` (A, A) where the body's visible points take their colour from."""
     size = seen.shape[0]
-    box, projected = np.empty(4, np.int64), np.empty((vertices.shape[0], 4), np.float64)
-    project(vertices, lens, 0.0, projected, box)
     mask = mask_for(faces, faces)
-    nearest = see_body(projected, faces, box, mask)
-    for r in range(box[3] - box[1]):
-        for c in range(box[2] - box[0]):
+    projected, box, nearest = see_body(vertices, lens, 0.0, faces, mask)
+    for r in range(nearest.shape[0]):
+        for c in range(nearest.shape[1]):
             if nearest[r, c] > 0:
                 f = np.uint32(code_of(nearest[r, c], mask))
                 u, v = uv_of_face(c + box[0] + 0.5, r + box[1] + 0.5, projected, faces, uv, f)

@@ -209,23 +209,21 @@ def untangle(typingctx, table, to, source, at):
 
 
 @intrinsic
-def side_by_side(typingctx, screen, to, projected, at, stride):
-    """Write x, y and 1/z of LANES bodies' vertices, `stride` apart in `projected`, as three times LANES numbers."""
-    signature = types.void(screen, to, projected, at, stride)
+def store_corners(typingctx, projected, to, stride, x, y, z):
+    """Write (x, y, z, 0) of every lane, `stride` apart."""
+    signature = types.void(projected, to, stride, x, y, z)
 
     def codegen(context, builder, signature, arguments):
-        here, there, stride = positions(context, builder, signature, arguments, (1, 3, 4))
-        four = []
-        for body in range(LANES):
-            position = builder.add(there, builder.mul(stride, ir.Constant(there.type, body)))
-            four.append(load(context, builder, signature.args[2], arguments[2], position, 4))
-        while len(four) > 1:
-            halves = zip(four[::2], four[1::2], strict=True)
-            four = [shuffle(builder, *pair, range(2 * pair[0].type.count)) for pair in halves]
-        for row in range(3):
-            position = builder.add(here, ir.Constant(here.type, row * LANES))
-            pointer, _, align = address(context, builder, signature.args[0], arguments[0], position, LANES)
-            builder.store(shuffle(builder, four[0], four[0], range(row, 4 * LANES, 4)), pointer).align = align
+        here, stride = positions(context, builder, signature, arguments, (1, 2))
+        x, y, z = arguments[3:]
+        pairs = [i for lane in range(LANES) for i in (lane, LANES + lane)]
+        planes, depths = shuffle(builder, x, y, pairs), shuffle(builder, z, ir.Constant(z.type, [0.0] * LANES), pairs)
+        for lane in range(LANES):
+            pointer, _, align = address(context, builder, signature.args[0], arguments[0], here, 4)
+            at = 2 * lane
+            four = shuffle(builder, planes, depths, (at, at + 1, 2 * LANES + at, 2 * LANES + at + 1))
+            builder.store(four, pointer).align = align
+            here = builder.add(here, stride)
         return context.get_dummy_value()
 
     return signature, codegen

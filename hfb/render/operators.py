@@ -12,30 +12,25 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from hfb.render.drawing import Body, Setting, draw_bodies, pull_bodies
+from hfb.render.drawing import Block, Setting, bodies_at_once, draw_bodies, pull_bodies
 from hfb.shapes import Tensor
 
-_PARTS = 8  # tensors kept of each body: its trace (see `kernels`) and its pixels' codes
+_PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
 
 
-def pictures(
-    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    soft: Sequence[float], mean: bool, threads: int,
-) -> Tensor:  # fmt: skip
-    """The first result of `draw`, differentiable in the vertices and the texture."""
-    arguments = (vertices, texture, uv, topology, lens, soft, mean, threads)
-    return draw(*arguments)[0] if torch.compiler.is_compiling() else _Pictures.apply(*arguments)
+def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
+    """The first result of `draw`, differentiable in the vertices and the texture, where nothing traces."""
+    return _Pictures.apply(vertices, texture, setting)
 
 
 class _Pictures(torch.autograd.Function):
     """`draw` with its way back, the bodies' traces kept as they are."""
 
     @staticmethod
-    def forward(ctx: Any, vertices: Tensor, texture: Tensor, *arguments: Any) -> Tensor:
-        setting = Setting.of(*arguments)
-        drawn, texels, bodies = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
+        drawn, texels, blocks = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
         ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
-        ctx.setting, ctx.texels, ctx.bodies = setting, texels, bodies
+        ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
         return torch.from_numpy(drawn)
 
     @staticmethod
@@ -44,10 +39,10 @@ class _Pictures(torch.autograd.Function):
         vertices, texture = ctx.saved_tensors
         wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
         gradients = pull_bodies(
-            of_pictures.contiguous().numpy(), vertices.detach().numpy(), ctx.texels, ctx.bodies, ctx.setting, *wanted
+            of_pictures.contiguous().numpy(), vertices.detach().numpy(), ctx.texels, ctx.blocks, ctx.setting, *wanted
         )
         found = (torch.from_numpy(one) if want else None for one, want in zip(gradients, wanted, strict=True))
-        return *found, None, None, None, None, None, None
+        return *found, None
 
 
 @torch.library.custom_op("hfb::draw", mutates_args=())
@@ -67,13 +62,13 @@ def draw(
 
     Returns:
         pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
-        and for each body in turn the seven parts of its trace (see `kernels`) and its pixels' codes.
+        and for each block of bodies in turn the parts of its trace (see `kernels`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
-    drawn, texels, bodies = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    drawn, texels, blocks = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
     kept = [texels]
-    for trace, codes in bodies:
-        kept += [trace[0], trace[1].view(np.int32), *trace[2:], codes]  # types that torch knows
+    for trace in blocks:
+        kept += [trace[0], trace[1].view(np.int32), *trace[2:]]  # types that torch knows
     return torch.from_numpy(drawn), [torch.from_numpy(part) for part in kept]
 
 
@@ -91,15 +86,13 @@ def _(
         return vertices.new_empty(*size, dtype=torch.float64)
 
     kept = [vertices.new_empty(texture.shape[0], texture.shape[1], 4)]
-    for _ in range(len(vertices)):
+    at_once = bodies_at_once(len(vertices), threads, soft[0] > 0)
+    for first in range(0, len(vertices), at_once):
         edges, pixels, pieces = (context.new_dynamic_size() for _ in range(3))
-        kept += [real(vertices.shape[1], 4), whole(edges, 3), whole(pixels), real(pixels)]
-        kept += [
-            whole(pieces),
-            whole(pieces),
-            real(pieces) if soft[0] > 0 else real(pieces, 2),
-            whole(pixels if coloured else 0),
-        ]
+        bodies = min(at_once, len(vertices) - first)
+        kept += [real(bodies, vertices.shape[1], 4), whole(edges, 3), whole(pixels), real(pixels)]
+        kept += [whole(pieces), whole(pieces), real(pieces) if soft[0] > 0 else real(pieces, 2)]
+        kept += [whole(pixels if coloured else 0), vertices.new_empty(bodies + 1, 3, dtype=torch.int64)]
     size = 1 if mean else len(vertices), int(lens[6]), int(lens[5]), 4 if coloured else 1
     return vertices.new_empty(*size), kept
 
@@ -111,15 +104,15 @@ def draw_gradient(
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
     texels, *parts = (part.detach().numpy() for part in kept)
-    bodies = [_body(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
+    blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
     given = of_pictures.detach().contiguous().numpy()
-    gradients = pull_bodies(given, vertices.detach().numpy(), texels, bodies, setting, of_vertices, of_texture)
+    gradients = pull_bodies(given, vertices.detach().numpy(), texels, blocks, setting, of_vertices, of_texture)
     return torch.from_numpy(gradients[0]), torch.from_numpy(gradients[1])
 
 
-def _body(parts: Sequence[Any]) -> Body:
-    return (parts[0], parts[1].view(np.uint32), *parts[2:-1]), parts[-1]
+def _block(parts: Sequence[Any]) -> Block:
+    return parts[0], parts[1].view(np.uint32), *parts[2:]
 
 
 @draw_gradient.register_fake

@@ -1,5 +1,6 @@
 """The compiled joints and skinning against the readable ones: values and gradients, as whole vectors."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 from hfb.body import operators, skinning
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import PARENTS
+from hfb.formulas import readable_formulas
 from hfb.rotations import axis_angle_to_matrix
 from hfb.vector_code import LANES
 
@@ -23,6 +25,30 @@ def assert_near(found: torch.Tensor, expected: torch.Tensor, relative: float) ->
     assert found.dtype == expected.dtype
     assert expected.norm() > 0
     assert (found - expected).norm() <= relative * expected.norm()
+
+
+@pytest.mark.parametrize(("dtype", "relative"), [(torch.float64, 1e-13), (torch.float32, 2e-6)])
+@pytest.mark.parametrize("left_out", [0, 1, 7])
+def test_a_shape_and_its_gradient_are_the_readable_ones(dtype: torch.dtype, relative: float, left_out: int) -> None:
+    """Of numbers of vertices that fill the lanes and that do not."""
+    body = load_default_body(dtype)
+    vertices = len(body.template) - left_out
+    body = replace(
+        body, template=body.template[:vertices], shape_directions=body.shape_directions[:vertices],
+        skinning_weights=body.skinning_weights[:vertices], joint_regressor=body.joint_regressor[:, :vertices],
+    )  # fmt: skip
+    pulls = random(vertices, 3, dtype=dtype, seed=1), random(24, 3, dtype=dtype, seed=2)
+    results = []
+    for readable in (False, True):
+        betas = random(10, dtype=dtype).requires_grad_()
+        with readable_formulas() if readable else nullcontext():
+            shaped = body.shape(betas)
+        ((shaped.vertices * pulls[0]).sum() + (shaped.joints * pulls[1]).sum()).backward()
+        results.append((shaped.vertices.detach(), shaped.joints.detach(), betas.grad))
+    for found, expected in zip(*results, strict=True):
+        assert_near(found, expected, relative)
+    arguments = (betas, body.template, body.joint_template, *body.shape_rows)
+    torch.library.opcheck(operators.add_shape.registered, arguments, test_utils=CHECKS)
 
 
 def directions_like_smpl(dtype: torch.dtype, vertices: int) -> torch.Tensor:

@@ -11,6 +11,7 @@ from hfb.config import DirectionsConfig, FitConfig, SeveralFrames, Stage, Weight
 from hfb.fit import comparison, confidence, descent, loop
 from hfb.fit.clip_person import ClipPerson
 from hfb.fit.loop import FitResult, fit
+from hfb.fit.variables import Variables
 from hfb.observation import Observation
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.shapes import Array, Float
@@ -40,6 +41,20 @@ def test_a_stage_goes_on_where_the_last_one_ended() -> None:
     losses = run(stage, stage)[0].history["total"]
     assert losses[24] < 0.7 * losses[0]
     assert max(losses[25:]) <= 1.01 * min(losses[:25])
+
+
+def test_what_settling_asked_last_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its last gradients are still there when the pictures' descent begins."""
+    losses, settle = first_losses(1, 3, 5), loop.settle
+
+    def settle_and_forget(variables: Variables, *others: Any) -> None:
+        settle(variables, *others)
+        assert any(leaf.grad is not None for leaf in variables.leaves())
+        for leaf in variables.leaves():
+            leaf.grad = None
+
+    monkeypatch.setattr(loop, "settle", settle_and_forget)
+    assert first_losses(1, 3, 5) == losses
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -1,32 +1,43 @@
-"""Compiled quaternion polynomials against the readable formula."""
+"""Compiled motions against the readable formulas."""
 
 import pytest
 import torch
 
-from hfb.motion.operators import rotation_vectors, turn
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle, normalize_quaternion, quaternion_to_matrix
+from hfb.formulas import readable_formulas
+from hfb.motion.operators import move, rotation_vectors
+from hfb.motion.trajectory import Trajectory
+from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
-def test_matrices_and_gradients_are_the_readable_ones() -> None:
+def test_motions_and_gradients_are_the_readable_ones() -> None:
     generator = torch.Generator().manual_seed(0)
-    coefficients = torch.randn(2, 3, 24, 4, generator=generator, dtype=torch.float64).requires_grad_()
-    powers = torch.rand(5, 1, generator=generator, dtype=torch.float64) ** torch.arange(3)
+    rotation = torch.randn(2, 3, 24, 4, generator=generator, dtype=torch.float64).requires_grad_()
+    translation = torch.randn(2, 3, 4, generator=generator, dtype=torch.float64).requires_grad_()
+    trajectory = Trajectory(rotation, translation, torch.zeros(2, 3, dtype=torch.float64), origin=0.3)
+    clock = torch.rand(5, generator=generator, dtype=torch.float64)
     weights = torch.randn(2, 5, 24, 3, 3, generator=generator, dtype=torch.float64)
-    fast = turn(coefficients, powers)
-    slow = quaternion_to_matrix(normalize_quaternion(torch.einsum("sd,tdjc->tsjc", powers, coefficients)))
+    pulls = torch.randn(2, 5, 3, generator=generator, dtype=torch.float64)
+    fast = trajectory.at(clock)
+    with readable_formulas():
+        slow = trajectory.at(clock)
     torch.testing.assert_close(fast, slow, rtol=0, atol=1e-13)
-    gradients = [torch.autograd.grad((matrices * weights).sum(), coefficients)[0] for matrices in (fast, slow)]
-    assert (gradients[0] - gradients[1]).norm() <= 1e-13 * gradients[1].norm()
+    gradients = [
+        torch.autograd.grad((matrices * weights).sum() + (path * pulls).sum(), (rotation, translation))
+        for matrices, path in (fast, slow)
+    ]
+    for ours, expected in zip(*gradients, strict=True):
+        assert (ours - expected).norm() <= 1e-13 * expected.norm()
 
 
 def test_the_operator_is_well_formed() -> None:
-    coefficients = torch.randn(1, 3, 24, 4, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    powers = torch.tensor([[1.0, 0.0, 0.0], [1.0, 1.0, 1.0]], dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    rotation = torch.randn(1, 3, 24, 4, generator=generator, dtype=torch.float64).requires_grad_()
+    translation = torch.randn(1, 3, 4, generator=generator, dtype=torch.float64).requires_grad_()
+    clock = torch.tensor([0.5, 1.5], dtype=torch.float64)
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
-    torch.library.opcheck(turn.registered, (coefficients.requires_grad_(), powers), test_utils=checks)
-    assert torch.autograd.gradcheck(
-        lambda given: turn(given, powers), (coefficients[:, :, :3].detach().requires_grad_(),)
-    )
+    torch.library.opcheck(move.registered, (rotation, translation, clock, 0.5), test_utils=checks)
+    some = rotation[:, :, :3].detach().requires_grad_()
+    assert torch.autograd.gradcheck(lambda *given: move(*given, clock, 0.5), (some, translation))
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-7, 1e-3, 0.5, 3.0, torch.pi - 1e-3])

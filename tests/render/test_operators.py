@@ -51,11 +51,27 @@ def test_the_short_cut_is_the_operator(silhouette: str, threads: int) -> None:
     """Values and gradients, bit for bit."""
     vertices, mesh = ball(subdivisions=1)
     results = []
-    for draw in (operators.pictures, lambda *arguments: operators.draw(*arguments)[0]):
+    for traced in (False, True):
         body = torch.cat([at(vertices, 0.02 * s, 0, 2.0) for s in range(5)]).requires_grad_()
-        texture = smooth_texture(8).requires_grad_()
-        drawn = draw(*CpuRasterizer(silhouette, threads).arguments(body, texture, CAMERA, mesh, True))
+        texture, rasterizer = smooth_texture(8).requires_grad_(), CpuRasterizer(silhouette, threads)
+        if traced:
+            drawn = operators.draw(*rasterizer.arguments(body, texture, CAMERA, mesh, True))[0].squeeze(0)
+        else:
+            drawn = rasterizer.render_mean(body, texture, CAMERA, mesh)
         drawn.square().sum().backward()
         results.append((drawn.detach(), body.grad, texture.grad))
     for found, expected in zip(*results, strict=True):
         assert torch.equal(found, expected)
+
+
+def test_a_rasterizer_keeps_nothing_of_another_camera_or_mesh() -> None:
+    """What it keeps from call to call is of the last one alone."""
+    kept, texture = make_rasterizer(), smooth_texture(8)
+    shapes = [ball(subdivisions=1), ball(subdivisions=2)]
+    cameras = [CAMERA, PinholeCamera.from_focal(30.0, 24, 20), PinholeCamera.from_focal(40.0, 20, 24)]
+    for vertices, mesh in (*shapes, shapes[0]):
+        body = torch.cat([at(vertices, 0.02 * s, 0, 2.0) for s in range(3)])
+        for camera in (*cameras, CAMERA):
+            for draw in ("render", "render_mean"):
+                found, expected = (getattr(one, draw)(body, texture, camera, mesh) for one in (kept, make_rasterizer()))
+                assert torch.equal(found, expected)
