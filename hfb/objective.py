@@ -200,6 +200,7 @@ class Objective:
 
 @lru_cache
 def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
+    """See `Objective._instants`; not to be changed."""
     return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 

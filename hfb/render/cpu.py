@@ -73,17 +73,6 @@ class CpuRasterizer:
             return draw(*self.arguments(vertices, texture, camera, mesh, mean))[0]
         return pictures(*_whole(vertices, texture), self._setting(camera, mesh, mean))
 
-    def _pictures(
-        self,
-        vertices: Float[Tensor, "S V 3"],
-        texture: Float[Tensor, "A A 3"] | None,
-        camera: PinholeCamera,
-        mesh: Mesh,
-        mean: bool,
-    ) -> Float[Tensor, "P H W 4"]:
-        drawn = self._drawn(vertices, texture, camera, mesh, mean)
-        return drawn if texture is not None else torch.nn.functional.pad(drawn, (3, 0))
-
     def render(
         self,
         vertices: Float[Tensor, "S V 3"],
@@ -92,7 +81,7 @@ class CpuRasterizer:
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
         """One picture per sub-frame: R_S R_F and R_S."""
-        return self._pictures(vertices, texture, camera, mesh, False)
+        return _coloured(self._drawn(vertices, texture, camera, mesh, False))
 
     def render_mean(
         self,
@@ -103,7 +92,7 @@ class CpuRasterizer:
     ) -> Float[Tensor, "H W 4"]:
         """Mean of `render` over the sub-frames, without holding the single pictures."""
         # Not indexed: the way back of that fills a picture with zeros and copies.
-        return self._pictures(vertices, texture, camera, mesh, True).squeeze(0)
+        return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
@@ -118,3 +107,8 @@ def _whole(
     """Both as the operators take them: an empty texture for none."""
     texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
     return vertices.contiguous(), texels.contiguous()
+
+
+def _coloured(drawn: Float[Tensor, "P H W C"]) -> Float[Tensor, "P H W 4"]:
+    """A silhouette alone, C = 1, is black."""
+    return drawn if drawn.shape[-1] == 4 else torch.nn.functional.pad(drawn, (3, 0))
