@@ -5,7 +5,7 @@ A term with weight zero is not computed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import torch
 
@@ -16,8 +16,9 @@ from hfb.config import Weights
 from hfb.formulas import compiled, constant
 from hfb.initialize.joint_evidence import JointEvidence
 from hfb.losses.evidence import evidence_loss
-from hfb.losses.operators import compare_mattes, compare_pictures
 from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
+from hfb.losses.scales import image_over_scales, matte_over_scales
+from hfb.losses.target import Target
 from hfb.losses.texture import TexelNeighbours, texture_smoothness
 from hfb.motion.boundary import boundary_loss
 from hfb.motion.clock import next_opening, subframe_clock
@@ -26,6 +27,7 @@ from hfb.motion.trajectory import Trajectory
 from hfb.observation import Observation
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
+from hfb.render.cpu import CpuRasterizer
 from hfb.render.rasterizer import Rasterizer
 from hfb.rotations import matrix_to_axis_angle
 from hfb.shapes import Bool, Float, Tensor
@@ -159,22 +161,43 @@ class Objective:
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
             background = background_loss(seen.plate_linear, pictures)
             return {"background": background} | self.compared(frame, pictures.mean(0))
+        if weights.image > 0 and isinstance(self.rasterizer, CpuRasterizer):
+            target = self._targets[frame]
+            return self._named(*self.rasterizer.judge_mean(vertices, texture, seen.camera, mesh, target))
         if weights.image > 0:
             return self.compared(frame, self.rasterizer.render_mean(vertices, texture, seen.camera, mesh))
         alpha = self.rasterizer.silhouette_mean(vertices, seen.camera, mesh)
-        return {"matte": compare_mattes(alpha, seen.mattes[frame], self.matte_scales)}
+        return self.compared(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
 
     def compared(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
         """The image and matting terms of a frame whose drawing is known: mean colour, premultiplied, and silhouette."""
-        weights, seen, terms = self.weights, self.observation, {}
-        scales = self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
-        pictures = seen.plate_linear, seen.frames_linear[frame], seen.mattes[frame]
-        image, overlap = compare_pictures(mean, *pictures, *scales)
-        if weights.image > 0:
-            terms["image"] = image
-        if weights.matte > 0:
-            terms["matte"] = overlap
-        return terms
+        if compiled(mean):
+            return self._named(*self._targets[frame].losses(mean))
+        seen, (image_scales, matte_scales) = self.observation, self._scales
+        plate, picture, matte = seen.plate_linear, seen.frames_linear[frame], seen.mattes[frame]
+        nothing = mean.new_zeros(())
+        return self._named(
+            image_over_scales(mean, plate, picture, matte, image_scales) if image_scales > 0 else nothing,
+            matte_over_scales(mean[..., 3], matte, matte_scales) if matte_scales > 0 else nothing,
+        )
+
+    @property
+    def _scales(self) -> tuple[int, int]:
+        """At how many the image and the matting loss are compared: at none without a weight."""
+        weights = self.weights
+        return self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
+
+    @cached_property
+    def _targets(self) -> tuple[Target, ...]:
+        """What is seen of each frame, for the compiled losses."""
+        seen = self.observation
+        pictures = zip(seen.frames_linear, seen.mattes, strict=True)
+        return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
+
+    def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
+        """The two losses of a picture, those that have a weight."""
+        weights = self.weights
+        return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
 
     def of_stage(self, seen: Observation, visible: Bool[Tensor, "A A"] | None, image: float) -> "Objective":
         """What a stage minimises: of the observation at its size, with a factor of w_I."""

@@ -246,6 +246,49 @@ def with_last(typingctx, four, number):
 
 
 @intrinsic
+def four(typingctx, number):
+    """A number in each of four lanes of double precision."""
+    kind = _four[types.float64]
+
+    def codegen(context, builder, signature, arguments):
+        return _widened(context, builder, signature.args[0], arguments[0], kind)
+
+    return kind(number), codegen
+
+
+@intrinsic
+def widen_four(typingctx, value):
+    """Four lanes in double precision."""
+    kind = _four[types.float64]
+
+    def codegen(context, builder, signature, arguments):
+        return arguments[0] if signature.args[0] is kind else builder.fpext(arguments[0], kind.vector)
+
+    return kind(value), codegen
+
+
+@intrinsic
+def positive_part(typingctx, four):
+    """Every lane that is positive, zero in the others."""
+
+    def codegen(context, builder, signature, arguments):
+        zero = ir.Constant(arguments[0].type, [0.0] * 4)
+        return builder.select(builder.fcmp_ordered(">", arguments[0], zero), arguments[0], zero)
+
+    return four(four), codegen
+
+
+@intrinsic
+def last_of(typingctx, four):
+    """The number in the last of four lanes."""
+
+    def codegen(context, builder, signature, arguments):
+        return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), 3))
+
+    return four.number(four), codegen
+
+
+@intrinsic
 def sum_three(typingctx, four):
     """Sum of the first three of four lanes."""
 

@@ -1,8 +1,16 @@
-"""Compiled parts: the image and the matting loss at several scales, with their gradients in the same pass.
+"""Compiled parts: the image and the matting loss at several scales, and their gradient.
 
-A pyramid is one list of pixels, level after level, row after row; each level halves the last (rounding up), and a
-coarse pixel is the mean of the one, two or four that it covers. The finest level, which has most of the pixels, is kept
-nowhere: what is needed of it is found again from the pictures, one pass forth and one back.
+Both losses are made of *differences*, four numbers a pixel: the three colours of eq. (1) minus those seen, and the
+silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its difference:
+one pyramid does for both losses. It is one list of pixels, level after level, row after row, each level half the last
+(rounding up); the finest level has an array of its own.
+
+Where nothing is drawn the differences are known beforehand. So only a window is looked at, which holds all that is
+drawn and whole pixels of the coarsest level, and what the losses sum up of the rest comes from `seen`: sums of
+(squared differences, mattes) of a picture without anybody, over everything above and left of a corner of pixels.
+
+A `table` of the levels has rows (first pixel in the list, height, width, first corner in `seen`), the finest level
+first, and a last row with the numbers of pixels in the list and of corners.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -10,18 +18,27 @@ nowhere: what is needed of it is found again from the pictures, one pass forth a
 import numpy as np
 from numba import njit
 
-from hfb.compilation import INLINE, LOOP, SUM_INLINE, entry, loop_entry
-from hfb.vector_code import load_four, load_three, store_lanes, sum_three, with_last
+from hfb.compilation import INLINE, LOOP, entry, loop_entry
+from hfb.vector_code import (
+    four,
+    last_of,
+    load_four,
+    multiply_add,
+    positive_part,
+    store_lanes,
+    sum_three,
+    widen_four,
+    with_last,
+)
 
 EMPTY_PX = 1e-6  # as in `hfb.losses.matting`
 
 
 @njit(**INLINE)
-def _four_of(r, c, height, width):
-    """Places in a level of the pixels that a coarse one covers: at an odd border the same twice, the mean stays it."""
-    above, below = 2 * r * width, min(2 * r + 1, height - 1) * width
-    left, right = 2 * c, min(2 * c + 1, width - 1)
-    return above + left, above + right, below + left, below + right
+def _window_of(window, k):
+    """A window's left, top, right and bottom at level k."""
+    rest = (1 << k) - 1
+    return window[0] >> k, window[1] >> k, (window[2] + rest) >> k, (window[3] + rest) >> k
 
 
 @njit(**INLINE)
@@ -30,239 +47,170 @@ def _share(size, at):
     return 1.0 if at == size - 1 and size % 2 == 1 else 0.5
 
 
-@njit(**LOOP)
-def _shrink(level, height, width, values):
-    """Fill the level after the one that begins at pixel `level`: (pixels, 1)."""
-    rows, columns, after = (height + 1) // 2, (width + 1) // 2, level + height * width
-    for r in range(rows):
-        for c in range(columns):
-            i, j, k, m = _four_of(r, c, height, width)
-            upper, lower = values[level + i, 0] + values[level + j, 0], values[level + k, 0] + values[level + m, 0]
-            values[after + r * columns + c, 0] = 0.25 * (upper + lower)
-
-
-@njit(**LOOP)
-def _shrink_colours(level, height, width, values):
-    """As `_shrink`, of (pixels, 4)."""
-    rows, columns, after = (height + 1) // 2, (width + 1) // 2, level + height * width
+@njit(**INLINE)
+def _shrink_row(finer, level, height, width, r, left, right, values, first):
+    """Write a coarse row's pixels from `left` to before `right` to `values` from pixel `first` on: means of the finer
+    pixels of the level that begins at pixel `level`. At an odd border the same is taken twice, the mean stays it."""
     quarter = values.dtype.type(0.25)
-    for r in range(rows):
-        for c in range(columns):
-            i, j, k, m = _four_of(r, c, height, width)
-            upper = load_four(values, 4 * (level + i)) + load_four(values, 4 * (level + j))
-            lower = load_four(values, 4 * (level + k)) + load_four(values, 4 * (level + m))
-            store_lanes(values, 4 * (after + r * columns + c), quarter * (upper + lower))
-
-
-@njit(**LOOP)
-def _enlarge(level, height, width, gradient):
-    """Way back of `_shrink`: add to a level's gradient that of the level after it."""
-    columns, after = (width + 1) // 2, level + height * width
-    for r in range(height):
-        of_row = _share(height, r)
-        for c in range(width):
-            share = of_row * _share(width, c)
-            gradient[level + r * width + c, 0] += share * gradient[after + (r // 2) * columns + c // 2, 0]
-
-
-@njit(**LOOP)
-def _enlarge_colours(level, height, width, gradient):
-    """Way back of `_shrink_colours`."""
-    columns, after, kind = (width + 1) // 2, level + height * width, gradient.dtype.type
-    for r in range(height):
-        of_row = kind(_share(height, r))
-        for c in range(width):
-            share, at = of_row * kind(_share(width, c)), 4 * (level + r * width + c)
-            coarse = load_four(gradient, 4 * (after + (r // 2) * columns + c // 2))
-            store_lanes(gradient, at, load_four(gradient, at) + share * coarse)
+    above, below = level + 2 * r * width, level + min(2 * r + 1, height - 1) * width
+    for c in range(left, right):
+        here, beside = 2 * c, min(2 * c + 1, width - 1)
+        upper = load_four(finer, 4 * (above + here)) + load_four(finer, 4 * (above + beside))
+        lower = load_four(finer, 4 * (below + here)) + load_four(finer, 4 * (below + beside))
+        store_lanes(values, 4 * (first + c - left), quarter * (upper + lower))
 
 
 @njit(**INLINE)
-def _difference(mean, plate, frame, p):
-    """Eq. (1) minus the picture seen, at one pixel: three colours, and a lane that means nothing."""
-    return load_four(mean, 4 * p) + (1 - mean[p, 3]) * load_three(plate, 3 * p) - load_three(frame, 3 * p)
-
-
-@njit(**LOOP)
-def _image_sum(mean, plate, frame):
-    """Squared differences over the finest level; four pixels' together before they are widened."""
-    total, count = 0.0, mean.shape[0]
-    for p in range(0, count - 3, 4):
-        a, b = _difference(mean, plate, frame, p), _difference(mean, plate, frame, p + 1)
-        c, d = _difference(mean, plate, frame, p + 2), _difference(mean, plate, frame, p + 3)
-        total += np.float64(sum_three((a * a + b * b) + (c * c + d * d)))
-    for p in range(count - count % 4, count):
-        a = _difference(mean, plate, frame, p)
-        total += np.float64(sum_three(a * a))
-    return total
-
-
-@njit(**SUM_INLINE)
-def _matte_sums(mean, matte):
-    """Over the finest level: (share that mean's last channel and the matte have in common, share of either)."""
-    shared, covered, channel = EMPTY_PX, EMPTY_PX, mean.shape[1] - 1
-    for p in range(mean.shape[0]):
-        alpha, m = mean[p, channel], matte[p, 0]
-        shared += np.float64(min(alpha, m))
-        covered += np.float64(max(alpha, m))
-    return shared, covered
-
-
-@njit(**LOOP)
-def _shrink_images(height, width, mean, plate, frame, differences):
-    """Fill the first coarse level with the differences of the finest."""
-    quarter, columns = differences.dtype.type(0.25), (width + 1) // 2
-    for r in range((height + 1) // 2):
-        for c in range(columns):
-            i, j, k, m = _four_of(r, c, height, width)
-            upper = _difference(mean, plate, frame, i) + _difference(mean, plate, frame, j)
-            lower = _difference(mean, plate, frame, k) + _difference(mean, plate, frame, m)
-            store_lanes(differences, 4 * (r * columns + c), quarter * (upper + lower))
-
-
-@njit(**LOOP)
-def _shrink_channel(height, width, values, channel, coarse):
-    """Fill the first coarse level with a channel of the finest."""
-    quarter, columns = coarse.dtype.type(0.25), (width + 1) // 2
-    for r in range((height + 1) // 2):
-        for c in range(columns):
-            i, j, k, m = _four_of(r, c, height, width)
-            upper, lower = values[i, channel] + values[j, channel], values[k, channel] + values[m, channel]
-            coarse[r * columns + c, 0] = quarter * (upper + lower)
-
-
-@njit(**LOOP)
-def _squares(level, count, area, scales, difference, gradient):
-    """One level's L_I, eq. (3), and its gradient, both divided by the number of scales."""
-    total, slope = 0.0, difference.dtype.type(2.0 / (3.0 * area * scales))
-    for p in range(level, level + count):
-        here = load_four(difference, 4 * p)
-        total += np.float64(sum_three(here * here))
-        store_lanes(gradient, 4 * p, slope * here)
-    return total / (3.0 * area * scales)
-
-
-@njit(**SUM_INLINE)
-def _shared_and_covered(level, count, alpha, matte):
-    """Share that two silhouettes have in common, and share of either."""
-    shared, covered = EMPTY_PX, EMPTY_PX
-    for p in range(level, level + count):
-        shared += np.float64(min(alpha[p, 0], matte[p, 0]))
-        covered += np.float64(max(alpha[p, 0], matte[p, 0]))
-    return shared, covered
+def _subtract_row(mean, plate, frame, first, count, difference):
+    """Eq. (1) minus what is seen, of `count` pixels."""
+    for p in range(first, first + count):
+        uncovered = 1 - mean[p, 3]
+        value = load_four(mean, 4 * p) + uncovered * load_four(plate, 4 * p) - load_four(frame, 4 * p)
+        store_lanes(difference, 4 * p, value)
 
 
 @njit(**INLINE)
-def _overlap(level, count, scales, alpha, matte, gradient):
-    """One level's L_alpha, eq. (4), and its gradient, both divided by the number of scales."""
-    shared, covered = _shared_and_covered(level, count, alpha, matte)
-    kind = alpha.dtype.type
-    of_shared, of_covered = -1.0 / (covered * scales), shared / (covered * covered * scales)
-    equal = kind(0.5 * (of_shared + of_covered))
-    smaller, larger = kind(of_shared) - equal, kind(of_covered) - equal
-    for p in range(level, level + count):
-        a, m = alpha[p, 0], matte[p, 0]
-        gradient[p, 0] = equal + smaller * kind(a < m) + larger * kind(a > m)  # no branch: nothing predicts it
-    return (1.0 - shared / covered) / scales
+def _sum_row(values, first, count):
+    """Of `count` pixels' differences: (sum of the colours' squares, sum of the last, sum of the last where positive).
+    Four pixels' are added up before they are widened."""
+    squares, total, positive = four(0.0), four(0.0), four(0.0)
+    end = first + count
+    for p in range(first, end - 3, 4):
+        a, b = load_four(values, 4 * p), load_four(values, 4 * p + 4)
+        c, d = load_four(values, 4 * p + 8), load_four(values, 4 * p + 12)
+        squares = squares + widen_four((a * a + b * b) + (c * c + d * d))
+        total = total + widen_four((a + b) + (c + d))
+        positive = positive + widen_four((positive_part(a) + positive_part(b)) + (positive_part(c) + positive_part(d)))
+    for p in range(end - count % 4, end):
+        a = load_four(values, 4 * p)
+        squares = squares + widen_four(a * a)
+        total = total + widen_four(a)
+        positive = positive + widen_four(positive_part(a))
+    return sum_three(squares), last_of(total), last_of(positive)
 
 
-@njit(**SUM_INLINE)
-def _sum(level, count, values):
-    total = 0.0
-    for p in range(level, level + count):
-        total += np.float64(values[p, 0])
-    return total
+@njit(**INLINE)
+def _inside(seen, first, width, left, top, right, bottom, which):
+    """A sum of `seen` over the pixels of a window."""
+    above, below = first + top * (width + 1), first + bottom * (width + 1)
+    upper = seen[above + right, which] - seen[above + left, which]
+    return seen[below + right, which] - seen[below + left, which] - upper
 
 
 @entry
 def levels(height, width, scales):
-    """(first pixel, height, width) of every coarse level, and at last the number of all their pixels."""
-    table = np.zeros((max(scales, 1), 3), np.int64)
-    for k in range(scales - 1):
-        height, width = (height + 1) // 2, (width + 1) // 2
+    """The table of so many levels."""
+    table = np.zeros((scales + 1, 4), np.int64)
+    for k in range(scales):
         table[k, 1], table[k, 2] = height, width
-        table[k + 1, 0] = table[k, 0] + height * width
+        table[k + 1, 0] = table[k, 0] + (height * width if k > 0 else 0)
+        table[k + 1, 3] = table[k, 3] + (height + 1) * (width + 1)
+        height, width = (height + 1) // 2, (width + 1) // 2
     return table
 
 
 @entry
-def compare_images(mean, plate, frame, matte, height, width, table, gradient):
-    """The mean over the scales of L_I between the re-blurred picture of `mean` (H W, 4) over `plate` and `frame`,
-    both (H W, 3). matte: (H W, 1), whose area each level divides by.
-
-    Returns it and its slope by the finest level's differences, as a factor of these. The gradient of the coarse levels,
-    handed on to the first of them, fills `gradient` (coarse pixels, 4; the last means nothing).
-    """
-    scales = table.shape[0]
-    squares, area = _image_sum(mean, plate, frame), max(_sum(0, matte.shape[0], matte), 1.0)
-    value = squares / (3.0 * area * scales)
-    if scales > 1:
-        differences, mattes = np.empty((table[-1, 0], 4), mean.dtype), np.empty((table[-1, 0], 1), mean.dtype)
-        _shrink_images(height, width, mean, plate, frame, differences)
-        _shrink_channel(height, width, matte, 0, mattes)
-        for k in range(scales - 1):
-            level, rows, columns = table[k, 0], table[k, 1], table[k, 2]
-            of_level = max(_sum(level, rows * columns, mattes), 1.0)
-            value += _squares(level, rows * columns, of_level, scales, differences, gradient)
-            if k + 2 < scales:
-                _shrink_colours(level, rows, columns, differences)
-                _shrink(level, rows, columns, mattes)
-        for k in range(scales - 3, -1, -1):
-            _enlarge_colours(table[k, 0], table[k, 1], table[k, 2], gradient)
-    return value, 2.0 / (3.0 * area * scales)
+def sum_up(plate, frame, table):
+    """`seen` (corners, 2) of a picture without anybody: see the head of this file."""
+    difference, coarse = np.empty(plate.shape, plate.dtype), np.empty((table[-1, 0], 4), plate.dtype)
+    seen = np.zeros((table[-1, 3], 2), np.float64)
+    difference[:] = plate - frame
+    for k in range(table.shape[0] - 1):
+        level, height, width, corner = table[k]
+        values = difference if k == 0 else coarse
+        for r in range(height):
+            at = level + r * width
+            if k > 0:
+                finer = difference if k == 1 else coarse
+                _shrink_row(finer, table[k - 1, 0], table[k - 1, 1], table[k - 1, 2], r, 0, width, coarse, at)
+            above, here = corner + r * (width + 1), corner + (r + 1) * (width + 1)
+            squares, mattes = 0.0, 0.0
+            for c in range(width):
+                squares += np.float64(sum_three(load_four(values, 4 * (at + c)) * load_four(values, 4 * (at + c))))
+                mattes -= np.float64(values[at + c, 3])
+                seen[here + c + 1, 0] = seen[above + c + 1, 0] + squares
+                seen[here + c + 1, 1] = seen[above + c + 1, 1] + mattes
+    return seen
 
 
 @entry
-def compare_mattes(mean, matte, height, width, table, gradient):
-    """The mean over the scales of L_alpha between the last channel of `mean` (H W, C) and `matte` (H W, 1).
+def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales, difference, coarse, slopes):
+    """(L_I, L_alpha), eq. (3) and (4), of a mean drawing (H W, 4) against what is seen: means over so many scales.
 
-    Returns it and its two slopes at the finest level: where alpha is the smaller, and where it is the larger. The
-    gradient of the coarse levels, handed on to the first of them, fills `gradient` (coarse pixels, 1).
+    plate: (H W, 4), the background's colours and 0. frame: (H W, 4), the frame's colours and the matte. In the window
+    `difference` (H W, 4), which may be `mean` itself, and `coarse` (pixels of the list, 4) are filled with differences;
+    slopes: (levels, 3), how L_I changes with a level's differences, as a factor of these, and L_alpha with the last
+    where it is negative and where it is positive.
     """
-    scales = table.shape[0]
-    shared, covered = _matte_sums(mean, matte)
-    value = (1.0 - shared / covered) / scales
-    if scales > 1:
-        alpha, mattes = np.empty((table[-1, 0], 1), mean.dtype), np.empty((table[-1, 0], 1), mean.dtype)
-        _shrink_channel(height, width, mean, mean.shape[1] - 1, alpha)
-        _shrink_channel(height, width, matte, 0, mattes)
-        for k in range(scales - 1):
-            level, rows, columns = table[k, 0], table[k, 1], table[k, 2]
-            value += _overlap(level, rows * columns, scales, alpha, mattes, gradient)
-            if k + 2 < scales:
-                _shrink(level, rows, columns, alpha)
-                _shrink(level, rows, columns, mattes)
-        for k in range(scales - 3, -1, -1):
-            _enlarge(table[k, 0], table[k, 1], table[k, 2], gradient)
-    return value, -1.0 / (covered * scales), shared / (covered * covered * scales)
+    image, overlap = 0.0, 0.0
+    for k in range(table.shape[0] - 1):
+        level, height, width, corner = table[k]
+        left, top, right, bottom = _window_of(window, k)
+        values = difference if k == 0 else coarse
+        squares, total, positive = 0.0, 0.0, 0.0
+        for r in range(top, bottom):
+            at = level + r * width + left
+            if k == 0:
+                _subtract_row(mean, plate, frame, at, right - left, difference)
+            else:
+                finer = difference if k == 1 else coarse
+                _shrink_row(finer, table[k - 1, 0], table[k - 1, 1], table[k - 1, 2], r, left, right, coarse, at)
+            of_row = _sum_row(values, at, right - left)
+            squares, total, positive = squares + of_row[0], total + of_row[1], positive + of_row[2]
+        last = corner + (height + 1) * (width + 1) - 1
+        slopes[k] = 0.0
+        if k < image_scales:
+            factor = 1.0 / (3.0 * max(seen[last, 1], 1.0) * image_scales)
+            squares += seen[last, 0] - _inside(seen, corner, width, left, top, right, bottom, 0)
+            image += squares * factor
+            slopes[k, 0] = 2.0 * factor
+        if k < matte_scales:
+            shared = EMPTY_PX + _inside(seen, corner, width, left, top, right, bottom, 1) + (total - positive)
+            covered = EMPTY_PX + seen[last, 1] + positive
+            overlap += (1.0 - shared / covered) / matte_scales
+            slopes[k, 1], slopes[k, 2] = -1.0 / (covered * matte_scales), shared / (covered * covered * matte_scales)
+    return image, overlap
+
+
+@njit(**LOOP)
+def _pull_level(values, level, height, width, window, slopes, coarser, after, gradient):
+    """Fill a level's part of `gradient` in its window (left, top, right, bottom): what the losses ask of its
+    differences, and its share of what `coarser`, from pixel `after` on, is asked; nothing if that is negative.
+
+    slopes: of the colours, of the last where negative and where positive.
+    """
+    kind, columns, (left, top, right, bottom) = gradient.dtype.type, (width + 1) // 2, window
+    of_colours, equal = kind(slopes[0]), kind(0.5 * (slopes[1] + slopes[2]))
+    less, more = kind(slopes[1]) - equal, kind(slopes[2]) - equal
+    for r in range(top, bottom):
+        of_row = kind(_share(height, r))
+        for c in range(left, right):
+            p = level + r * width + c
+            last = values[p, 3]
+            asked = equal + less * kind(last < 0) + more * kind(last > 0)  # no branch: nothing predicts it
+            slope = with_last(of_colours * load_four(values, 4 * p), asked)
+            if after >= 0:
+                there = load_four(coarser, 4 * (after + (r // 2) * columns + c // 2))
+                slope = multiply_add(there, of_row * kind(_share(width, c)), slope)
+            store_lanes(gradient, 4 * p, slope)
 
 
 @loop_entry
-def gradient_of(mean, plate, frame, matte, height, width, slopes, by_image, by_matte, of_image, of_matte, gradient):
-    """Fill `gradient` (H W, C) with that of by_image L_I + by_matte L_alpha.
+def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_matte, asked, gradient):
+    """Fill `gradient` (H W, 4) in the window with that of by_image L_I + by_matte L_alpha by the mean drawing.
 
-    slopes: of L_I by the finest differences, and of L_alpha where alpha is the smaller and where it is the larger.
-    of_image, of_matte: what the coarse levels ask of the first of them; empty where there are none. An empty `plate`
-    leaves L_I out.
+    asked: room for the coarse levels' gradients, as large as `coarse`. Others as `compare` filled them.
     """
-    kind, channel, columns = mean.dtype.type, mean.shape[1] - 1, (width + 1) // 2
-    fine, by_image = kind(slopes[0] * by_image), kind(by_image)
-    equal = kind(0.5 * (slopes[1] + slopes[2]) * by_matte)
-    smaller, larger, by_matte = kind(slopes[1] * by_matte) - equal, kind(slopes[2] * by_matte) - equal, kind(by_matte)
-    for r in range(height):
-        of_row = kind(_share(height, r))
-        for column in range(width):
-            p, at = r * width + column, (r // 2) * columns + column // 2
-            share = of_row * kind(_share(width, column))
-            alpha, m = mean[p, channel], matte[p, 0]
-            asked = equal + smaller * kind(alpha < m) + larger * kind(alpha > m)  # no branch: nothing predicts it
-            if of_matte.shape[0] > 0:
-                asked += by_matte * share * of_matte[at, 0]
-            if plate.shape[0] > 0:
-                slope = fine * _difference(mean, plate, frame, p)
-                if of_image.shape[0] > 0:
-                    slope = slope + by_image * share * load_four(of_image, 4 * at)
-                asked -= sum_three(slope * load_three(plate, 3 * p))
-                store_lanes(gradient, 4 * p, with_last(slope, asked))
-            else:
-                gradient[p, channel] = asked
+    after = np.int64(-1)
+    for k in range(table.shape[0] - 2, -1, -1):
+        level, height, width = table[k, 0], table[k, 1], table[k, 2]
+        asking = by_image * slopes[k, 0], by_matte * slopes[k, 1], by_matte * slopes[k, 2]
+        values, into = (difference, gradient) if k == 0 else (coarse, asked)
+        _pull_level(values, level, height, width, _window_of(window, k), asking, asked, after, into)
+        after = level
+    width = table[0, 2]
+    for r in range(window[1], window[3]):
+        for p in range(r * width + window[0], r * width + window[2]):
+            slope = load_four(gradient, 4 * p)
+            asks = gradient[p, 3] - sum_three(slope * load_four(plate, 4 * p))
+            gradient[p, 3] = asks

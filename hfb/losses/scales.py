@@ -1,6 +1,6 @@
 """Comparisons at several scales: what lies beside its place by a few pixels still meets it in a coarser picture.
 
-Readable torch; a fit on the processor runs the compiled form of the same, `hfb.losses.operators`.
+Readable torch; a fit on the processor runs the compiled form of the same, `hfb.losses.target`.
 """
 
 from collections.abc import Callable

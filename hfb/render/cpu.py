@@ -7,7 +7,7 @@ import torch
 from hfb.body.mesh import Mesh
 from hfb.render.camera import PinholeCamera
 from hfb.render.drawing import Setting
-from hfb.render.operators import draw, pictures
+from hfb.render.operators import Judge, draw, losses_of, pictures
 from hfb.render.rasterizer import NEAR_M
 from hfb.render.reference_dibr import dibr_constants
 from hfb.render.texture import corner_uv
@@ -93,6 +93,17 @@ class CpuRasterizer:
         """Mean of `render` over the sub-frames, without holding the single pictures."""
         # Not indexed: the way back of that fills a picture with zeros and copies.
         return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
+
+    def judge_mean(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"],
+        camera: PinholeCamera,
+        mesh: Mesh,
+        judge: Judge,
+    ) -> tuple[Float[Tensor, ""], ...]:
+        """What a judge says of `render_mean`: its losses, differentiable in the vertices and the texture."""
+        return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), judge)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh

@@ -19,6 +19,9 @@ TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the
 Block = tuple[Array, ...]
 """The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
 
+Box = tuple[int, int, int, int]
+"""Of a picture: left, top, right and bottom [px], the last two not in it."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -50,12 +53,13 @@ class Setting:
         """DIB-R's mask instead of exact coverage."""
         return bool(self.soft[0] > 0)
 
-    def draw(self, vertices: Array, texels: Array) -> tuple[Block, Array]:
-        """A block's trace, and its pixels' colours, none of a silhouette."""
+    def draw(self, vertices: Array, texels: Array) -> tuple[Block, Array, Array]:
+        """A block's trace, its pixels' colours, none of a silhouette, and a box around them (left, top, right, bottom):
+        the whole picture of soft bodies."""
         if not self.is_soft:
             edges = self.edge_vertices, self.edge_faces
-            *trace, colours = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
-            return tuple(trace), colours
+            *trace, colours, box = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
+            return tuple(trace), colours, box
         if len(texels):
             given = self.lens, self.soft, self.faces, self.uv, texels
             projected, *parts, colours = kernels_dibr.draw_body_softly(vertices[0], *given)
@@ -63,7 +67,7 @@ class Setting:
             projected, *parts = kernels_dibr.cover_body_softly(vertices[0], self.lens, self.soft, self.faces)
             parts, colours = [*parts, np.empty(0, np.int32)], np.empty((0, 4), texels.dtype)
         ends = np.array([[0, 0, 0], [len(parts[0]), len(parts[1]), len(parts[3])]])
-        return (projected[None], *parts, ends), colours
+        return (projected[None], *parts, ends), colours, np.array([0, 0, *self.lens[5:7]], np.int64)
 
     def pull(
         self,
@@ -98,8 +102,8 @@ def bodies_at_once(count: int, threads: int, soft: bool) -> int:
     return 1 if soft else min(LANES, max(-(-count // threads), 1))
 
 
-def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Block]]:
-    """Pictures, the texture as the way back wants it, and the blocks' traces."""
+def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Block], Box]:
+    """Pictures, the texture as the way back wants it, the blocks' traces, and what holds all that is drawn."""
     count, lens = len(vertices), setting.lens
     # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
@@ -113,11 +117,17 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
     size = int(lens[6]), int(lens[5]), 4 if len(texels) else 1
     pictures = np.zeros((1 if setting.mean else count, *size), vertices.dtype)
     scale = vertices.dtype.type(1 / count if setting.mean else 1)
-    for first, (trace, colours) in zip(blocks, drawn, strict=True):
+    for first, (trace, colours, _) in zip(blocks, drawn, strict=True):
         _, _, pixels, coverage, *_, ends = trace
         some = pictures if setting.mean else pictures[first : first + at_once]
         kernels.add_block(pixels, coverage, ends, colours, scale, some.reshape(len(some), -1, size[2]))
-    return pictures, texels, [trace for trace, _ in drawn]
+    return pictures, texels, [trace for trace, *_ in drawn], _around([box.tolist() for *_, box in drawn])
+
+
+def _around(boxes: Sequence[Sequence[int]]) -> Box:
+    """What holds all boxes, whose right is left of their left where nothing is drawn; then of no size."""
+    left, top, right, bottom = zip(*boxes, strict=True) if boxes else [(0,)] * 4
+    return min(left), min(top), max(*right, min(left)), max(*bottom, min(top))
 
 
 def pull_bodies(

@@ -114,7 +114,8 @@ def _make_room(projected, boxes, outline, ends):
 
 @entry
 def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
-    """Up to LANES bodies (n, V, 3): their trace, and the premultiplied colours of their pixels.
+    """Up to LANES bodies (n, V, 3): their trace, the premultiplied colours of their pixels, and the box around all of
+    these (left, top, right, bottom).
 
     texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
     """
@@ -138,6 +139,7 @@ def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
     places, rim = np.empty(PLACES, np.int32), np.empty(room[:, 0].max(), np.int32)
     mask, seen = np.int64(0), np.empty((0, 0), np.int64)
+    around = np.array([width, np.int64(lens[6]), 0, 0])
     for s in range(count):
         mine, box = outline[ends[s, 0] : ends[s + 1, 0]], boxes[s]
         p, m = ends[s, 1], ends[s, 2]
@@ -154,10 +156,13 @@ def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
                 near, table, places, rim, colours[p : p + n],
             )  # fmt: skip
         ends[s + 1, 1], ends[s + 1, 2] = p + n, m + moving
+        if n > 0:
+            around[0], around[1] = min(around[0], box[0]), min(around[1], box[1])
+            around[2], around[3] = max(around[2], box[2]), max(around[3], box[3])
     n, moving = ends[count, 1], ends[count, 2]
     return (
         projected, outline, pixels[:n], coverage[:n], owner[:moving], edge[:moving], shares[:moving],
-        codes[:n] if coloured else codes, ends, colours[:n] if coloured else colours,
+        codes[:n] if coloured else codes, ends, colours[:n] if coloured else colours, around,
     )  # fmt: skip
 
 

@@ -6,14 +6,14 @@ nothing is traced, `pictures` does the same without them, which saves a tenth of
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from hfb.render.drawing import Block, Setting, bodies_at_once, draw_bodies, pull_bodies
-from hfb.shapes import Tensor
+from hfb.render.drawing import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
+from hfb.shapes import Array, Tensor
 
 _PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
 
@@ -28,21 +28,68 @@ class _Pictures(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
-        drawn, texels, blocks = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
-        ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
-        ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
-        return torch.from_numpy(drawn)
+        return torch.from_numpy(_drawn(ctx, vertices, texture, setting)[0])
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_pictures: Tensor) -> tuple[Tensor | None, ...]:
-        vertices, texture = ctx.saved_tensors
-        wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
-        gradients = pull_bodies(
-            of_pictures.contiguous().numpy(), vertices.detach().numpy(), ctx.texels, ctx.blocks, ctx.setting, *wanted
-        )
-        found = (torch.from_numpy(one) if want else None for one, want in zip(gradients, wanted, strict=True))
-        return *found, None
+        return *_pulled(ctx, of_pictures.contiguous().numpy()), None
+
+
+@runtime_checkable
+class Judge(Protocol):
+    """Says how ill a mean picture (H, W, 4) fits."""
+
+    def compare(self, mean: Array, box: Box) -> tuple[tuple[float, ...], Any]:
+        """(losses, what `pull` needs) of a picture that is zero outside of the box; it may be written over."""
+        ...
+
+    def pull(self, kept: Any, by_losses: Sequence[float]) -> Array:
+        """The picture's gradient from that of the losses; only what lies in the box counts."""
+        ...
+
+
+def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
+    """What a judge says of `pictures`, a mean; differentiable in the vertices and the texture.
+
+    One step for autograd, not two: between two of them Python and torch take as long as a judge.
+    """
+    return _Judged.apply(vertices, texture, setting, judge)
+
+
+class _Judged(torch.autograd.Function):
+    """A mean picture and what a judge says of it."""
+
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
+        drawn, box = _drawn(ctx, vertices, texture, setting)
+        losses, ctx.kept = judge.compare(drawn[0], box)
+        ctx.judge = judge
+        return tuple(torch.from_numpy(np.asarray(loss, drawn.dtype)) for loss in losses)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *by_losses: Tensor) -> tuple[Tensor | None, ...]:
+        given = ctx.judge.pull(ctx.kept, [one.item() for one in by_losses])
+        return *_pulled(ctx, given[None]), None, None
+
+
+def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
+    """Pictures, and the box that holds all that is drawn; keeps what `_pulled` needs."""
+    drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+    ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
+    return drawn, box
+
+
+def _pulled(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
+    """Gradients of the vertices and of the texture, those that are wanted."""
+    vertices, texture = ctx.saved_tensors
+    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
+    of_vertices, of_texture = pull_bodies(
+        of_pictures, vertices.detach().numpy(), ctx.texels, ctx.blocks, ctx.setting, *wanted
+    )
+    return torch.from_numpy(of_vertices) if wanted[0] else None, torch.from_numpy(of_texture) if wanted[1] else None
 
 
 @torch.library.custom_op("hfb::draw", mutates_args=())
@@ -65,7 +112,7 @@ def draw(
         and for each block of bodies in turn the parts of its trace (see `kernels`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
-    drawn, texels, blocks = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    drawn, texels, blocks, _ = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
     kept = [texels]
     for trace in blocks:
         kept += [trace[0], trace[1].view(np.int32), *trace[2:]]  # types that torch knows

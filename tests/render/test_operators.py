@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from hfb.losses.target import Target
 from hfb.render import operators
 from hfb.render.camera import PinholeCamera
 from hfb.render.cpu import CpuRasterizer
@@ -62,6 +63,30 @@ def test_the_short_cut_is_the_operator(silhouette: str, threads: int) -> None:
         results.append((drawn.detach(), body.grad, texture.grad))
     for found, expected in zip(*results, strict=True):
         assert torch.equal(found, expected)
+
+
+@pytest.mark.parametrize("silhouette", ["coverage", "dibr"])
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_judge_at_hand_says_what_it_says_of_the_picture(silhouette: str, threads: int) -> None:
+    """Of bodies in the picture, at its border and outside."""
+    vertices, mesh = ball(subdivisions=1)
+    generator = torch.Generator().manual_seed(0)
+    plate, frame, matte = (torch.rand(24, 20, n, generator=generator, dtype=torch.float64) for n in (3, 3, 1))
+    judge, rasterizer = Target(plate, frame, matte[..., 0], 2, 3), CpuRasterizer(silhouette, threads)
+    for x_m in (0.0, 0.8, 9.0):
+        results = []
+        for at_hand in (True, False):
+            body = torch.cat([at(vertices, x_m + 0.02 * s, 0, 2.0) for s in range(5)]).requires_grad_()
+            texture = smooth_texture(8).requires_grad_()
+            if at_hand:
+                losses = rasterizer.judge_mean(body, texture, CAMERA, mesh, judge)
+            else:
+                losses = judge.losses(rasterizer.render_mean(body, texture, CAMERA, mesh))
+            (2 * losses[0] + 3 * losses[1]).backward()
+            results.append((torch.stack(losses).detach(), body.grad, texture.grad))
+        assert bool(results[0][1].any()) == (x_m < 9)
+        for found, expected in zip(*results, strict=True):
+            torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-15)
 
 
 def test_a_rasterizer_keeps_nothing_of_another_camera_or_mesh() -> None:
