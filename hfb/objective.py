@@ -9,14 +9,11 @@ from functools import cached_property, lru_cache
 
 import torch
 
-from hfb.body.height import height_m
 from hfb.body.model import Body, ShapedBody
-from hfb.body.skeleton import JOINT_COUNT
 from hfb.config import Weights
 from hfb.formulas import compiled, constant
 from hfb.initialize.joint_evidence import JointEvidence
-from hfb.losses.evidence import evidence_loss
-from hfb.losses.regularizers import background_loss, polynomial_loss, pose_loss, shape_loss, start_loss
+from hfb.losses.regularizers import background_loss, motion_loss, pose_loss, shape_loss, start_loss
 from hfb.losses.scales import image_over_scales, matte_over_scales
 from hfb.losses.target import Target
 from hfb.losses.texture import TexelNeighbours, texture_smoothness
@@ -69,30 +66,27 @@ class Objective:
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
     ) -> dict[str, Float[Tensor, ""]]:
         """The unweighted terms with a positive weight, named as in `Weights`."""
-        shaped = self.body.shape(betas)
-        course = trajectory.at(self._instants(betas.dtype))
-        posed = self._posed(shaped, course)
-        # Not split where there is but one: the way back of that copies.
-        vertices = posed.split(self.subframes) if len(course[0]) > 1 else (posed,)
+        posed, of_body = self._posed(trajectory, betas)
+        # Not split where there is but one frame: the way back of that copies.
+        vertices = posed.split(self.subframes) if len(posed) > self.subframes else (posed,)
         per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
-        terms = mean_of_frames(per_frame) | self.surface_terms(texture)
-        return terms | self.body_terms(trajectory, betas, shaped, course)
+        return mean_of_frames(per_frame) | self.surface_terms(texture) | of_body
 
     def vertices_and_terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
         """What is to be drawn, camera coordinates [m], and the terms of body and motion."""
-        shaped = self.body.shape(betas)
-        course = trajectory.at(self._instants(betas.dtype))
-        vertices = self._posed(shaped, course).unflatten(0, (-1, self.subframes))
-        return vertices, self.body_terms(trajectory, betas, shaped, course)
+        posed, terms = self._posed(trajectory, betas)
+        return posed.unflatten(0, (-1, self.subframes)), terms
 
     def _posed(
-        self, shaped: ShapedBody, course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"]]
-    ) -> Float[Tensor, "n V 3"]:
-        """The body at every sub-frame of every frame."""
-        rotations, translations = course
-        return shaped.pose(rotations[:, :-1].flatten(0, 1), translations[:, :-1].flatten(0, 1)).vertices
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"]
+    ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
+        """The body at every sub-frame of every frame in turn, and the terms of body and motion."""
+        shaped = self.body.shape(betas)
+        course = trajectory.at(self._instants(betas.dtype))
+        posed, joints = shaped.pose_frames(*course)
+        return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
         """The term of the texture alone."""
@@ -109,50 +103,58 @@ class Objective:
         trajectory: Trajectory,
         betas: Float[Tensor, "10"],
         shaped: ShapedBody,
-        course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"]] | None = None,
+        course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"], Float[Tensor, "T S1 24 3"]] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
         """Those terms that no picture is drawn for.
 
         Args:
-            shaped: the body with these betas. course: the trajectory at `_instants`, where it is known already.
+            shaped: the body with these betas. course: the trajectory at `_instants`, and the joints [m] there, where
+                they are known already.
         """
         weights, seen = self.weights, self.observation
-        rotations, translations = course or trajectory.at(self._instants(betas.dtype))
+        rotations, translations, *known = course or trajectory.at(self._instants(betas.dtype))
         frames = rotations.shape[0]
         terms: dict[str, Tensor] = {}
         whole = weights.path > 0 and (frames == 1 or self.settling)
         if self.evidence is not None and (weights.joints > 0 or whole):
-            some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)  # opening, closing, middle
-            index = constant(some, torch.long, betas.device)
-            places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
-            joints = self.evidence.units(shaped.joints_of(*places).unflatten(0, (frames, len(some))))
-            share = constant((self.across, self.across, 1.0), joints.dtype, joints.device)
-            terms["joints"] = evidence_loss(self.evidence.off(joints[:, -1]), share)
+            joints = known[0] if known else self._some_joints(shaped, rotations, translations, whole)
+            terms["joints"] = self.evidence.middle_loss(joints, (self.across, self.across, 1.0))
             if whole:
-                terms["path"] = self._path_term(self.evidence, joints[:, 1] - joints[:, 0])
+                terms["path"] = self.evidence.path_loss(joints, both_ways=not self.settling)
         if weights.pose > 0:
-            turns = rotations[:, :-1, 1:].flatten(0, 2)
-            vectors = rotation_vectors(turns) if compiled(turns) else matrix_to_axis_angle(turns)
-            terms["pose"] = pose_loss(self.pose_prior, vectors.unflatten(0, (-1, JOINT_COUNT - 1)))
+            terms["pose"] = pose_loss(self.pose_prior, self._vectors(rotations))
         if weights.start > 0:
-            terms["start"] = start_loss(rotations[:, -1], self.first)
+            terms["start"] = start_loss(rotations, self.first)
         if weights.height > 0 and self.evidence is not None:
-            terms["height"] = evidence_loss(self.evidence.off_height(height_m(self.body, betas)))
+            terms["height"] = self.evidence.height_loss(self.body, betas)
         if weights.shape > 0:
             terms["shape"] = shape_loss(betas)
         if weights.motion > 0:
-            terms["motion"] = polynomial_loss(trajectory.higher_coefficients()) / frames
+            terms["motion"] = motion_loss(trajectory.rotation, trajectory.translation) / frames
         if weights.adversarial > 0 and frames == 1 and self.motion_prior is not None:
             terms["adversarial"] = self.motion_prior(trajectory, shaped)
         if weights.boundary > 0 and frames > 1:
             terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
         return terms
 
-    def _path_term(self, evidence: JointEvidence, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, ""]:
-        forth = evidence_loss(evidence.off_path(way))
-        if self.settling:
-            return forth
-        return torch.minimum(forth, evidence_loss(evidence.off_path(-way)))
+    def _some_joints(
+        self,
+        shaped: ShapedBody,
+        rotations: Float[Tensor, "T S1 24 3 3"],
+        translations: Float[Tensor, "T S1 3"],
+        whole: bool,
+    ) -> Float[Tensor, "T n 24 3"]:
+        """Those that the evidence is about [m]: at opening, closing and middle, or in the middle alone."""
+        some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
+        index = constant(some, torch.long, rotations.device)
+        places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
+        return shaped.joints_of(*places).unflatten(0, (-1, len(some)))
+
+    def _vectors(self, rotations: Float[Tensor, "T S1 24 3 3"]) -> Float[Tensor, "n 23 3"]:
+        """Axis times angle [rad] below the root at every sub-frame."""
+        if compiled(rotations):
+            return rotation_vectors(rotations, self.subframes).flatten(0, 1)
+        return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
 
     def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
         """What one frame's picture and matte say: the image, matting and background terms."""

@@ -12,9 +12,14 @@ from typing import Any
 import torch
 from torch.autograd.function import once_differentiable
 
-from hfb.shapes import Tensor
+from hfb.shapes import Array, Tensor
 
 _PLAIN = (torch.Tensor, torch.nn.Parameter)
+
+
+def arrays(*tensors: Tensor) -> list[Array]:
+    """What kernels take: without gaps, in memory of the tensors' own where they have none."""
+    return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
 class Operator:
@@ -68,3 +73,31 @@ class Operator:
 def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
     """Make an `Operator` of a function; its types are its schema, as `torch.library.custom_op` reads them."""
     return lambda function: Operator(name, function)
+
+
+def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
+    """An `Operator` that finds one number, and its gradient along with it.
+
+    The function returns the number and its gradients by its first `moving` arguments; the others are constants. The way
+    back is a product.
+    """
+
+    def made(function: Callable[..., Any]) -> Operator:
+        one = Operator(name, function)
+
+        def fake(*arguments: Any) -> tuple[Tensor, ...]:
+            return arguments[0].new_empty(()), *(given.new_empty(given.shape) for given in arguments[:moving])
+
+        def keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+            ctx.save_for_backward(*output[1:])
+            ctx.mark_non_differentiable(*output[1:])
+            ctx.constants = len(inputs) - moving
+
+        def backward(ctx: Any, given: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
+            return *(given * gradient for gradient in ctx.saved_tensors), *[None] * ctx.constants
+
+        one.register_fake(fake)
+        one.register_autograd(backward, keep)
+        return one
+
+    return made

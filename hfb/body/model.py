@@ -19,7 +19,7 @@ from hfb.shapes import Float, Int, Shaped, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
 
-_PARENTS = torch.tensor(PARENTS, dtype=torch.int32)
+PARENT_TABLE = torch.tensor(PARENTS, dtype=torch.int32)
 _BONE_ENDS = tuple(parent for parent, _ in BONES) + tuple(child for _, child in BONES)
 
 
@@ -151,6 +151,15 @@ class ShapedBody:
         T_world_rest, joints = self._placed(rotations, translations)
         return PosedBody(self._skinned(T_world_rest, rotations), joints)
 
+    def pose_frames(
+        self, rotations: Float[Tensor, "T S1 24 3 3"], translations: Float[Tensor, "T S1 3"]
+    ) -> tuple[Float[Tensor, "n V 3"], Float[Tensor, "T S1 24 3"]]:
+        """Vertices at all but the last instant of every frame, frame by frame, and joints at all [m]; see `pose`."""
+        size = rotations.shape[:2]
+        T_world_rest, joints = self._placed(rotations.flatten(0, 1), translations.flatten(0, 1))
+        shown = T_world_rest.unflatten(0, size)[:, :-1].flatten(0, 1)
+        return self._skinned(shown, rotations[:, :-1].flatten(0, 1)), joints.unflatten(0, size)
+
     def joints_of(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> Float[Tensor, "S 24 3"]:
@@ -162,7 +171,7 @@ class ShapedBody:
     ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
         """Transforms of the rest body to the world, and the joints."""
         if compiled(rotations):
-            return operators.place_joints(rotations, translations, self.joints, _PARENTS)
+            return operators.place_joints(rotations, translations, self.joints, PARENT_TABLE)
         return skinning.place_joints(rotations, translations, self.joints)
 
     def _skinned(

@@ -4,13 +4,9 @@ The readable formulas they are tested against are in `hfb.body.skinning`.
 """
 
 from hfb.body import kernels_blend, kernels_skinning
-from hfb.shapes import Array, Tensor
-from hfb.torch_operator import operator
+from hfb.shapes import Tensor
+from hfb.torch_operator import arrays, operator
 from hfb.vector_code import LANES
-
-
-def _arrays(*tensors: Tensor) -> list[Array]:
-    return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
 @operator("hfb::add_shape")
@@ -25,7 +21,7 @@ def add_shape(
     """
     vertices, joints = template.new_empty(template.shape), joint_template.new_empty(joint_template.shape)
     for start, directions, place in ((template, rows, vertices), (joint_template, joint_rows, joints)):
-        kernels_skinning.add_shape(*_arrays(betas, start.flatten(), directions), place.view(-1).numpy())
+        kernels_skinning.add_shape(*arrays(betas, start.flatten(), directions), place.view(-1).numpy())
     return vertices, joints
 
 
@@ -40,7 +36,7 @@ def _(
 def add_shape_gradient(rows: Tensor, joint_rows: Tensor, of_vertices: Tensor, of_joints: Tensor) -> Tensor:
     """Gradient of the betas."""
     of_betas = rows.new_empty(rows.shape[0])
-    given = _arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
+    given = arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
     kernels_skinning.add_shape_gradient(*given, of_betas.numpy())
     return of_betas
 
@@ -73,7 +69,7 @@ def place_joints(
     """
     transforms = rotations.new_empty(*rotations.shape[:2], 3, 4)
     joints = rotations.new_empty(*rotations.shape[:2], 3)
-    kernels_skinning.place(*_arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
+    kernels_skinning.place(*arrays(rotations, translations, rest_joints, parents), transforms.numpy(), joints.numpy())
     return transforms, joints
 
 
@@ -91,7 +87,7 @@ def place_joints_gradient(
     """Gradients of the rotations, the translations and the rest joints."""
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
-    given = _arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
+    given = arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
     kernels_skinning.place_gradient(*given, of_rotations.numpy(), of_translations.numpy(), of_rest.numpy())
     return of_rotations, of_translations, of_rest
 
@@ -126,7 +122,7 @@ def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weigh
             turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
-    kernels_skinning.skin(*_arrays(transforms, rest, starts, joints, weights), vertices.numpy())
+    kernels_skinning.skin(*arrays(transforms, rest, starts, joints, weights), vertices.numpy())
     return vertices
 
 
@@ -142,8 +138,8 @@ def skin_gradient(
     """Gradients of the transforms and of the rest vertices; the second empty where not asked for."""
     of_transforms = transforms.new_empty(transforms.shape)
     of_rest = rest.new_zeros(rest.shape if wants_rest else (0, 3))
-    arrays = _arrays(transforms, rest, starts, joints, weights, given)
-    kernels_skinning.skin_gradient(*arrays, of_transforms.numpy(), of_rest.numpy())
+    known = arrays(transforms, rest, starts, joints, weights, given)
+    kernels_skinning.skin_gradient(*known, of_transforms.numpy(), of_rest.numpy())
     return of_transforms, of_rest
 
 
@@ -185,7 +181,7 @@ def blend_and_skin(
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     points = rest.new_empty(_kept(transforms, rest))
-    given = _arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
+    given = arrays(transforms, rotations, rest, directions, steps, starts, joints, weights)
     kernels_blend.blend_and_skin(*given, points.numpy(), vertices.numpy())
     return vertices, points
 
@@ -207,8 +203,8 @@ def blend_and_skin_gradient(
     of_transforms = transforms.new_empty(transforms.shape)
     of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
     of_rest = transforms.new_zeros(given.shape[1:])
-    arrays = _arrays(transforms, directions, steps, starts, joints, weights, points, given)
-    kernels_blend.blend_and_skin_gradient(*arrays, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
+    known = arrays(transforms, directions, steps, starts, joints, weights, points, given)
+    kernels_blend.blend_and_skin_gradient(*known, of_transforms.numpy(), of_rotations.numpy(), of_rest.numpy())
     return of_transforms, of_rotations, of_rest
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import torch
 
 from hfb.body.height import as_tall
-from hfb.body.model import Body, bone_length
+from hfb.body.model import PARENT_TABLE, Body, bone_length
 from hfb.config import FitConfig
 from hfb.fit.clip_person import ClipPerson
+from hfb.fit.operators import as_large
+from hfb.formulas import compiled
 from hfb.initialize.first_body import FirstBody
 from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest
@@ -39,6 +41,10 @@ class Variables:
         """In metres for the person with the present betas; differentiable in both."""
         if self.reference is None:
             return self.trajectory
+        if compiled(self.betas):
+            like = self.trajectory.translation, self.betas, self.reference
+            moved = as_large(*like, body.joint_template, body.shape_rows[1], PARENT_TABLE)
+            return self.trajectory.with_coefficients(self.trajectory.rotation, moved)
         before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
         return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
 

@@ -9,13 +9,17 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
+from hfb.body.height import height_line, height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
 from hfb.determinism import one_torch_thread
+from hfb.formulas import compiled, constant
+from hfb.initialize import operators
 from hfb.initialize.depth_fusion import DepthCues, fuse
 from hfb.initialize.first_body import FirstBody
 from hfb.initialize.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
 from hfb.initialize.lifting_network import lengths_in_window, lift
+from hfb.losses.evidence import evidence_loss
 from hfb.observation import Observation
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Bool, Float, Tensor
@@ -57,17 +61,37 @@ class JointEvidence:
         lenses = self.lenses.to(joints.dtype)
         return in_units(joints, lenses.view(-1, *(1,) * (joints.ndim - 2), lenses.shape[1]))
 
-    def off(self, middle: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-        """How far joints at mid-exposure, in units, lie from the claim, in the claim's own scales."""
-        return (middle - self.middle) / self.scale
+    def middle_loss(self, joints: Float[Tensor, "T S 24 3"], share: tuple[float, float, float]) -> Float[Tensor, ""]:
+        """How far the joints [m, camera] of each frame's last instant are from what was seen of mid-exposure.
 
-    def off_path(self, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-        """How far the joints' way from u = 0 to u = 1, in units, lies from the claim, in the claim's own scales."""
-        return (way - self.path) / self.scale
+        Args:
+            share: of the claim's word along each axis.
+        """
+        if compiled(joints):
+            weights = constant(share, torch.float64, joints.device)
+            return operators.off_middle(joints, self.lenses, self.middle, self.scale, weights)[0]
+        off = (self.units(joints[:, -1]) - self.middle) / self.scale
+        return evidence_loss(off, constant(share, joints.dtype, joints.device))
 
-    def off_height(self, height_m: Float[Tensor, ""]) -> Float[Tensor, ""]:
-        """How far a height [m] lies from the claim, in the claim's own scale."""
-        return (height_m.log() - self.log_height) / self.height_scale
+    def path_loss(self, joints: Float[Tensor, "T S 24 3"], both_ways: bool) -> Float[Tensor, ""]:
+        """How far the joints' way from each frame's first instant to its last but one is from the path that was seen.
+
+        Args:
+            both_ways: the path's sign is open; the nearer one counts.
+        """
+        if compiled(joints):
+            return operators.off_path(joints, self.lenses, self.path, self.scale, both_ways)[0]
+        way = self.units(joints[:, -2]) - self.units(joints[:, 0])
+        forth = evidence_loss((way - self.path) / self.scale)
+        return torch.minimum(forth, evidence_loss((-way - self.path) / self.scale)) if both_ways else forth
+
+    def height_loss(self, body: Body, betas: Float[Tensor, "10"]) -> Float[Tensor, ""]:
+        """How far a person's height is from what the proportions tell."""
+        if compiled(betas):
+            mean_m, per_beta = height_line(body)
+            claim = self.log_height.item(), self.height_scale.item()
+            return operators.off_height(betas, per_beta.to(betas), mean_m, *claim)[0]
+        return evidence_loss((height_m(body, betas).log() - self.log_height) / self.height_scale)
 
     def backwards_logit(self, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
         """The network's log odds, from each frame alone, that a way from u = 0 to u = 1 runs against the true one.

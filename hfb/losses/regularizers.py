@@ -4,7 +4,11 @@ from collections.abc import Callable
 
 import torch
 
+from hfb.formulas import compiled
+from hfb.losses.operators import motion_size, start_distance
 from hfb.shapes import Float, Tensor
+
+_EPSILON = 1e-6
 
 
 def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, ""]:
@@ -22,7 +26,7 @@ def shape_loss(betas: Float[Tensor, "K"]) -> Float[Tensor, ""]:
     return (betas * betas).sum()
 
 
-def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = 1e-6) -> Float[Tensor, ""]:
+def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = _EPSILON) -> Float[Tensor, ""]:
     """L_C = |C|_1 + |C|_F, eq. (8), of the motion's coefficients WITHOUT the constants.
 
     The Frobenius norm is sqrt(sum c^2 + epsilon^2) - epsilon: its own gradient is NaN at C = 0, which is exactly
@@ -34,6 +38,13 @@ def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = 1e-6) ->
     """
     frobenius = ((coefficients * coefficients).sum() + epsilon * epsilon).sqrt() - epsilon
     return coefficients.abs().sum() + frobenius
+
+
+def motion_loss(rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor, "T D1 4"]) -> Float[Tensor, ""]:
+    """L_C of a motion's coefficients: see `polynomial_loss`."""
+    if compiled(rotation):
+        return motion_size(rotation, translation, _EPSILON)[0]
+    return polynomial_loss(torch.cat([rotation[:, 1:].flatten(), translation[:, 1:].flatten()]))
 
 
 def background_loss(
@@ -57,13 +68,16 @@ def background_loss(
     return torch.where(seen, 1 / (contrast + epsilon), torch.zeros_like(contrast)).mean()
 
 
-def start_loss(middle: Float[Tensor, "T J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
+def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
     """Mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
 
     Not in the paper. What the picture hardly shows, the depth of a limb above all, is better known to the estimator
     that made the first body; this term lets its opinion stand where nothing contradicts it.
 
     Args:
-        middle, first: joint rotations relative to the parents (the root to the camera).
+        rotations: of the joints relative to the parents (the root to the camera), the middle of the exposure last.
+        first: the first body's.
     """
-    return 3 - (middle * first).sum((-1, -2)).mean()
+    if compiled(rotations):
+        return start_distance(rotations, first)[0]
+    return 3 - (rotations[:, -1] * first).sum((-1, -2)).mean()

@@ -3,7 +3,8 @@
 import torch
 
 from hfb.body.model import ShapedBody
-from hfb.formulas import constant
+from hfb.formulas import compiled, constant
+from hfb.motion.operators import boundary
 from hfb.motion.trajectory import Trajectory
 from hfb.shapes import Float, Tensor
 
@@ -25,7 +26,13 @@ def boundary_loss(trajectory: Trajectory, shaped: ShapedBody, next_opening: floa
     frames = trajectory.rotation.shape[0]
     if frames < 2:
         return trajectory.rotation.new_zeros(())
-    steps = constant((-_STEP, 0.0, _STEP), trajectory.rotation.dtype, trajectory.rotation.device)
+    kind, device = trajectory.rotation.dtype, trajectory.rotation.device
+    if compiled(trajectory.rotation):
+        openings = tuple(opening + step for opening in (next_opening, 0.0) for step in (-_STEP, 0.0, _STEP))
+        rotations, translations = trajectory.at(constant(openings, kind, device))
+        joints = shaped.joints_of(rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (frames, -1))
+        return boundary(rotations, joints, _STEP)[0]
+    steps = constant((-_STEP, 0.0, _STEP), kind, device)
     end = _values_and_rates(trajectory, shaped, steps + next_opening)
     start = _values_and_rates(trajectory, shaped, steps)
     terms = [(after[1:] - before[:-1]).abs().mean() for before, after in zip(end, start, strict=True)]

@@ -1,9 +1,10 @@
-"""Quaternion polynomials and logarithms as torch operators, so that autograd, torch.compile and export see them."""
+"""Quaternion polynomials, logarithms and the boundary restriction as torch operators, so that autograd, torch.compile
+and export see them."""
 
+from hfb.motion import kernels_boundary, kernels_rotation
 from hfb.motion import kernels_curve as kernels
-from hfb.motion import kernels_rotation
 from hfb.shapes import Tensor
-from hfb.torch_operator import operator
+from hfb.torch_operator import arrays, measure, operator
 
 
 @operator("hfb::move")
@@ -17,8 +18,7 @@ def move(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) ->
     frames, instants = len(rotation), len(clock)
     matrices = rotation.new_empty(frames, instants, rotation.shape[2], 3, 3)
     path = rotation.new_empty(frames, instants, 3)
-    arrays = (tensor.detach().contiguous().numpy() for tensor in (rotation, translation, clock))
-    kernels.move(*arrays, origin, matrices.numpy(), path.numpy())
+    kernels.move(*arrays(rotation, translation, clock), origin, matrices.numpy(), path.numpy())
     return matrices, path
 
 
@@ -34,9 +34,7 @@ def move_gradient(
 ) -> tuple[Tensor, Tensor]:
     """Gradients of the coefficients."""
     of_rotation, of_translation = rotation.new_zeros(rotation.shape), translation.new_zeros(translation.shape)
-    polynomials, instants, *given = (
-        tensor.detach().contiguous().numpy() for tensor in (rotation, clock, of_matrices, of_path)
-    )
+    polynomials, instants, *given = arrays(rotation, clock, of_matrices, of_path)
     kernels.move_gradient(polynomials, instants, origin, *given, of_rotation.numpy(), of_translation.numpy())
     return of_rotation, of_translation
 
@@ -60,28 +58,38 @@ def _backward(ctx, of_matrices, of_path):  # type: ignore[no-untyped-def]
 move.register_autograd(_backward, _keep)
 
 
+@measure("hfb::boundary", moving=2)
+def boundary(rotations: Tensor, joints: Tensor, step: float) -> tuple[Tensor, Tensor, Tensor]:
+    """`hfb.motion.boundary.boundary_loss` of rotations (T, 6, 24, 3, 3) and joints (T, 6, 24, 3): every frame's at the
+    next frame's opening and at its own, each time a `step` before, then, and a step after."""
+    gradients = rotations.new_empty(rotations.shape), joints.new_empty(joints.shape)
+    given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotations, joints, *gradients)]
+    return rotations.new_tensor(kernels_boundary.boundary(*given[:2], step, *given[2:])), *gradients
+
+
 @operator("hfb::rotation_vectors")
-def rotation_vectors(matrices: Tensor) -> Tensor:
-    """Axis times angle (n, 3), the angle in [0, pi], of rotation matrices (n, 3, 3).
+def rotation_vectors(matrices: Tensor, instants: int) -> Tensor:
+    """Axis times angle (T, instants, J - 1, 3), the angle in [0, pi], of the rotations (T, S, J, 3, 3) below the root
+    at each frame's first instants.
 
     As `hfb.rotations.matrix_to_axis_angle`; the gradient is that along rotations, which alone has a meaning.
     """
-    vectors = matrices.new_empty(len(matrices), 3)
-    kernels_rotation.logarithm(matrices.detach().contiguous().numpy(), vectors.numpy())
+    frames, _, joints = matrices.shape[:3]
+    vectors = matrices.new_empty(frames, instants, joints - 1, 3)
+    kernels_rotation.logarithm(*arrays(matrices, vectors))
     return vectors
 
 
 @rotation_vectors.register_fake
-def _(matrices: Tensor) -> Tensor:
-    return matrices.new_empty(matrices.shape[0], 3)
+def _(matrices: Tensor, instants: int) -> Tensor:
+    return matrices.new_empty(matrices.shape[0], instants, matrices.shape[2] - 1, 3)
 
 
 @operator("hfb::rotation_vectors_gradient")
 def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
     """Gradient of the matrices."""
-    gradient = matrices.new_empty(matrices.shape)
-    arrays = (tensor.detach().contiguous().numpy() for tensor in (matrices, vectors, given))
-    kernels_rotation.logarithm_gradient(*arrays, gradient.numpy())
+    gradient = matrices.new_zeros(matrices.shape)
+    kernels_rotation.logarithm_gradient(*arrays(matrices, vectors, given, gradient))
     return gradient
 
 
@@ -91,11 +99,11 @@ def _(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
 
 
 def _keep_logarithm(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
-    ctx.save_for_backward(*inputs, output)
+    ctx.save_for_backward(inputs[0], output)
 
 
 def _logarithm_backward(ctx, given):  # type: ignore[no-untyped-def]
-    return rotation_vectors_gradient(*ctx.saved_tensors, given)
+    return rotation_vectors_gradient(*ctx.saved_tensors, given), None
 
 
 rotation_vectors.register_autograd(_logarithm_backward, _keep_logarithm)

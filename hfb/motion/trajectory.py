@@ -74,10 +74,6 @@ class Trajectory:
         moved = torch.cat([torch.cat([constants, path[:, 1:]], 1), self.translation[..., 3:]], -1)
         return replace(self, translation=moved)
 
-    def higher_coefficients(self) -> Float[Tensor, "n"]:
-        """All coefficients but the constants: what L_C holds small."""
-        return torch.cat([self.rotation[:, 1:].flatten(), self.translation[:, 1:].flatten()])
-
 
 def _unit(vector: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
     return vector * ((vector * vector).sum(-1, keepdim=True) + 1e-12).rsqrt()

@@ -47,9 +47,11 @@ def test_logarithms_and_their_gradients_are_the_readable_ones(angle: float) -> N
     axes = torch.nn.functional.normalize(torch.randn(50, 3, generator=generator, dtype=torch.float64), dim=-1)
     weights = torch.randn(50, 3, generator=generator, dtype=torch.float64)
     results = []
-    for logarithm in (rotation_vectors, matrix_to_axis_angle):
+    for compiled in (True, False):
         given = (angle * axes).requires_grad_()
-        vectors = logarithm(axis_angle_to_matrix(given))
+        matrices = axis_angle_to_matrix(given)
+        below = torch.stack([matrices.detach(), matrices], 1)[:, None]  # of two joints, the root first
+        vectors = rotation_vectors(below, 1)[:, 0, 0] if compiled else matrix_to_axis_angle(matrices)
         (vectors * weights).sum().backward()
         results.append((vectors.detach(), given.grad))
     torch.testing.assert_close(results[0][0], angle * axes, rtol=0, atol=2e-8 if angle < 1e-6 else 1e-10)
@@ -61,4 +63,11 @@ def test_logarithms_and_their_gradients_are_the_readable_ones(angle: float) -> N
 def test_the_logarithm_is_well_formed() -> None:
     matrices = axis_angle_to_matrix(torch.tensor([[0.1, 0.2, 0.3], [0.0, 3.0, 0.0]], dtype=torch.float64))
     checks = ("test_schema", "test_autograd_registration", "test_faketensor")
-    torch.library.opcheck(rotation_vectors.registered, (matrices.requires_grad_(),), test_utils=checks)
+    whole = matrices.expand(2, 4, 2, 3, 3).contiguous().requires_grad_()
+    torch.library.opcheck(rotation_vectors.registered, (whole, 3), test_utils=checks)
+    vectors = rotation_vectors(whole, 3)
+    torch.testing.assert_close(vectors, matrix_to_axis_angle(whole[:, :3, 1:]), rtol=0, atol=1e-9)
+    vectors.sum().backward()
+    assert whole.grad[:, :3, 1:].any()
+    assert not whole.grad[:, 3].any()
+    assert not whole.grad[:, :, 0].any()
