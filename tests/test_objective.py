@@ -73,7 +73,10 @@ def found(objective: Objective, variables: Variables, with_course: bool) -> dict
     values = {}
     for name, term in terms.items():
         gradients = torch.autograd.grad(term, leaves, retain_graph=True, allow_unused=True)
-        values[name] = term.detach(), *(torch.zeros_like(leaf) if one is None else one for leaf, one in zip(leaves, gradients, strict=True))
+        values[name] = (
+            term.detach(),
+            *(torch.zeros_like(leaf) if one is None else one for leaf, one in zip(leaves, gradients, strict=True)),
+        )
     return values
 
 
