@@ -1,16 +1,13 @@
 """Before any picture is drawn: move the skeleton to where the joint network saw the joints."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import torch
-
 from hfb.config import FitConfig, Weights
+from hfb.fit.adam import Adam
 from hfb.fit.variables import Variables, falling
 from hfb.objective import Objective
-from hfb.shapes import Float, Tensor
 
-_RATE, _SHAPE_RATE = 0.02, 1.0
+_RATE = 0.02
 _JOINTS, _PATH = 1.0, 0.3
 
 
@@ -20,17 +17,18 @@ def settle(variables: Variables, objective: Objective, config: FitConfig) -> Non
     A limb that lies wholly beside its place in the picture has no edge in common with it and is never pulled there by
     images; a body that errs by a metre neither.
     """
-    skeleton, trajectory = settling(objective), variables.trajectory
+    skeleton, body, (*moving, _) = settling(objective), objective.body, variables.leaves()
+    optimizer = Adam(moving, config.adam_epsilon)
+    for iteration in range(config.settle):
+        motion, shaped = variables.motion(body), body.shape(variables.betas)
+        skeleton.pull(skeleton.body_terms(motion, variables.betas, shaped))
+        optimizer.step([settling_rate(iteration, config)] * len(moving))
+        variables.keep_within(config, body)
 
-    def loss() -> Float[Tensor, ""]:
-        shaped = objective.body.shape(variables.betas)
-        motion = variables.motion(objective.body)
-        return skeleton.total(skeleton.body_terms(motion, variables.betas, shaped))
 
-    def keep_within() -> None:
-        variables.keep_within(config, objective.body)
-
-    settle_by(loss, [trajectory.rotation, trajectory.translation], variables.betas, config, keep_within)
+def settling_rate(iteration: int, config: FitConfig) -> float:
+    """Learning rate of all that moves a skeleton."""
+    return _RATE * falling(iteration, config.settle)
 
 
 def settling(objective: Objective) -> Objective:
@@ -41,22 +39,3 @@ def settling(objective: Objective) -> Objective:
         pose=held.pose / 20, shape=held.shape, motion=held.motion / 10, start=held.start / 10,
     )  # fmt: skip
     return replace(objective, weights=weights, across=1.0, settling=True)
-
-
-def settle_by(
-    loss: Callable[[], Float[Tensor, ""]],
-    moving: Sequence[Tensor],
-    betas: Tensor,
-    config: FitConfig,
-    keep_within: Callable[[], None],
-) -> None:
-    """Adam on the tensors that move the body and on its betas, in place; of one fit or of many that are summed."""
-    groups = [{"params": list(moving), "lr": _RATE}, {"params": [betas], "lr": _RATE * _SHAPE_RATE}]
-    optimizer = torch.optim.Adam(groups, eps=config.adam_epsilon, fused=True)
-    for iteration in range(config.settle):
-        share = falling(iteration, config.settle)
-        optimizer.param_groups[0]["lr"], optimizer.param_groups[1]["lr"] = _RATE * share, _RATE * _SHAPE_RATE * share
-        optimizer.zero_grad()
-        loss().backward()
-        optimizer.step()
-        keep_within()

@@ -21,7 +21,7 @@ from torch.func import vmap
 from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
 from hfb.fit.descent import GAIN, Descent, Progress, looked_again, of_full_size, picture_factor, visible_at
-from hfb.fit.settle import settle_by, settling
+from hfb.fit.settle import settling, settling_rate
 from hfb.fit.variables import Variables, falling, rates
 from hfb.formulas import readable_formulas
 from hfb.losses.regularizers import background_loss
@@ -298,12 +298,14 @@ def settle_together(
     settled = [settling(one) for one in objectives]
     group = Together(filled(settled, room), filled(variables, room), rasterizer, draws=False)
 
-    def loss() -> Float[Tensor, ""]:
-        return group.template.total(group.body_terms(leaves)).sum()
-
-    settle_by(
-        loss, [leaves.rotation, leaves.translation], leaves.betas, config, lambda: _keep_within(leaves, group, config)
-    )
+    moving = leaves.rotation, leaves.translation, leaves.betas
+    optimizer = torch.optim.Adam(moving, eps=config.adam_epsilon, fused=True)
+    for iteration in range(config.settle):
+        optimizer.param_groups[0]["lr"] = settling_rate(iteration, config)
+        optimizer.zero_grad()
+        group.template.total(group.body_terms(leaves)).sum().backward()
+        optimizer.step()
+        _keep_within(leaves, group, config)
     leaves.into(variables)
 
 
