@@ -6,7 +6,8 @@ be different, and that is off by less than either (a control variate; render and
 Iterative Matching for 6D Pose Estimation, ECCV 2018, where a network is trained for it).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
@@ -16,7 +17,7 @@ from hfb.config import FitConfig
 from hfb.fit.variables import Variables
 from hfb.formation import compose
 from hfb.initialize.joint_evidence import JointEvidence
-from hfb.matting.network import matte_beside_fit
+from hfb.matting.network import BesideFit
 from hfb.objective import Objective
 from hfb.observation import Observation
 from hfb.render.camera import PinholeCamera
@@ -93,18 +94,28 @@ def shown(blurred: Float[Tensor, "T H W 4"], seen: Observation) -> Observation:
     return replace(seen, frames_linear=frames, mattes=alpha)
 
 
-def matted_again(blurred: Float[Tensor, "T H W 4"], seen: Observation) -> Observation:
-    """With mattes that a network finds once it sees the fit's pictures, too (`hfb.matting.third_look`).
+@dataclass(frozen=True)
+class Before:
+    """What the networks said before any stage."""
 
-    Args:
-        seen: with the mattes that were found before the fit.
-    """
+    observation: Observation
+    evidence: JointEvidence | None = None
+
+    @cached_property
+    def besides(self) -> tuple[BesideFit, ...]:
+        """Every frame for another look at its matte: most of what that needs is the same each time."""
+        seen = self.observation
+        plate = seen.to_linear(seen.plate_linear).numpy()
+        frames = zip(seen.to_linear(seen.frames_linear).numpy(), seen.mattes.numpy(), strict=True)
+        return tuple(BesideFit(frame, plate, matte) for frame, matte in frames)
+
+
+def matted_again(blurred: Float[Tensor, "T H W 4"], before: Before) -> Observation:
+    """With mattes that a network finds once it sees the fit's pictures, too (`hfb.matting.third_look`)."""
+    seen = before.observation
     plate = seen.to_linear(seen.plate_linear)
     over = seen.to_linear(compose(blurred, seen.plate_linear))
     alpha = blurred[..., 3:]
     fitted = torch.cat([(over - (1 - alpha) * plate).clamp(0, 1), alpha], -1)
-    mattes = [
-        torch.from_numpy(matte_beside_fit(frame.numpy(), plate.numpy(), matte.numpy(), fit.numpy()))
-        for frame, matte, fit in zip(seen.to_linear(seen.frames_linear), seen.mattes, fitted, strict=True)
-    ]
+    mattes = [torch.from_numpy(one.matte(fit)) for one, fit in zip(before.besides, fitted.numpy(), strict=True)]
     return replace(seen, mattes=torch.stack(mattes).to(seen.mattes))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from hfb.body.model import Body
 from hfb.config import FitConfig, Stage
 from hfb.fit.adam import Adam
-from hfb.fit.comparison import beside_the_fit, drawn, matted_again
+from hfb.fit.comparison import Before, beside_the_fit, drawn, matted_again
 from hfb.fit.variables import Variables, falling, rates
 from hfb.objective import Objective
 from hfb.observation import Observation
@@ -43,10 +43,10 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
     best, best_iteration, done, skipped, objective = variables.copy(), 0, 0, 0, everywhere
     # One for all stages: a fresh one knows no gradient's size, its first steps undo what the stage before has found.
     optimizer = Adam(variables.leaves(), config.adam_epsilon)
-    first = everywhere
+    before = Before(everywhere.observation, everywhere.evidence)
     for number, stage in enumerate(stages):
         if number > 0:
-            everywhere = looked_again(first, everywhere, variables, config, of_full_size(stage, config))
+            everywhere = looked_again(before, everywhere, variables, config, of_full_size(stage, config))
         seen = everywhere.observation.resized(stage.size_px)
         visible = visible_at(variables, seen, everywhere.body, config) if everywhere.texels else None
         objective = everywhere.of_stage(seen, visible, picture_factor(everywhere, config, stage))
@@ -70,24 +70,24 @@ def descend(variables: Variables, everywhere: Objective, config: FitConfig, on_p
 
 
 def looked_again(
-    first: Objective, everywhere: Objective, variables: Variables, config: FitConfig, full: bool
+    before: Before, everywhere: Objective, variables: Variables, config: FitConfig, full: bool
 ) -> Objective:
     """What the networks say after a stage: the lifting network sees more of the joints then, and before every stage of
     full size the fit's own picture is worth a look, for the mattes and for the joints.
 
     Args:
-        first: with what they said before any stage. everywhere: with what they said last.
+        everywhere: with what they said last.
     """
-    evidence, seen = first.evidence, everywhere.observation
+    evidence, seen = before.evidence, everywhere.observation
     if evidence is not None and config.lifting > 0:
         evidence = evidence.lifted(variables.joints_at_middle(everywhere.body), config.lifting)
     if not full or (config.compare == 0 and not config.matte_again):
         return replace(everywhere, evidence=evidence)
     blurred = drawn(variables, seen.camera, everywhere.body, everywhere.rasterizer, everywhere.subframes)
-    if first.evidence is not None and evidence is not None and config.compare > 0:
-        evidence = beside_the_fit(evidence, first.evidence, variables, everywhere, blurred, config)
+    if before.evidence is not None and evidence is not None and config.compare > 0:
+        evidence = beside_the_fit(evidence, before.evidence, variables, everywhere, blurred, config)
     if config.matte_again:
-        seen = matted_again(blurred, first.observation)
+        seen = matted_again(blurred, before)
     return replace(everywhere, evidence=evidence, observation=seen)
 
 

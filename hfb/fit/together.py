@@ -20,6 +20,7 @@ from torch.func import vmap
 
 from hfb.body.height import as_tall
 from hfb.config import FitConfig, Stage
+from hfb.fit.comparison import Before
 from hfb.fit.descent import GAIN, Descent, Progress, looked_again, of_full_size, picture_factor, visible_at
 from hfb.fit.settle import settling, settling_rate
 from hfb.fit.variables import Variables, falling, rates
@@ -326,15 +327,15 @@ def descend_together(
     total, done = sum(stage.iterations for stage in stages), 0
     leaves, everywhere = Leaves.of(filled(variables, room), rasterizer.device), list(objectives)
     optimizer = torch.optim.Adam(leaves.groups(config, 0.0), eps=config.adam_epsilon, fused=True)
-    begun = everywhere
+    begun = [Before(one.observation, one.evidence) for one in everywhere]
     histories: list[dict[str, list[float]]] = [{} for _ in variables]
     best_iterations, offsets = [0] * len(variables), [0] * len(variables)
     for number, stage in enumerate(stages):
         if number > 0:
             full = of_full_size(stage, config)
 
-            def again(first: Objective, now: Objective, mine: Variables, full: bool = full) -> Objective:
-                return looked_again(first, now, mine, config, full)
+            def again(before: Before, now: Objective, mine: Variables, full: bool = full) -> Objective:
+                return looked_again(before, now, mine, config, full)
 
             everywhere = each_by_itself(again, begun, everywhere, variables)
         seen = [one.observation.resized(stage.size_px) for one in everywhere]

@@ -103,34 +103,43 @@ class NetworkMatting:
         return _answer(self._second, np.concatenate([seen, told]))
 
 
-def matte_beside_fit(
-    frame_linear: Float[Array, "H W 3"],
-    plate_linear: Float[Array, "H W 3"],
-    matte: Float[Array, "H W"],
-    fitted: Float[Array, "H W 4"],
-    network: MatteNetwork | None = None,
-) -> Float[Array, "H W"]:
-    """The third network's alpha of a crop around a person: what a matte and a fit show, weighed by the pixels.
+class BesideFit:
+    """A crop around a person as the third network sees it, but for the fit: what it makes of a fit's picture there.
 
-    What lies far from both is somebody else, who was left out of the matte before. Where nobody is left it stays.
+    Its alpha is what a matte and a fit show, weighed by the pixels. What lies far from both is somebody else, who was
+    left out of the matte before. Where nobody is left it stays.
 
     Args:
         frame_linear, plate_linear: in linear light.
         matte: alpha as it was found before the fit.
-        fitted: the fit's blurred picture there, premultiplied linear light and alpha.
-        network: the shipped third one when not given.
     """
-    height, width = matte.shape
-    longer = min(_CROP_PX, max(height, width))
-    frame, plate, before, beside = (shrink(one, longer) for one in (frame_linear, plate_linear, matte, fitted))
-    seen = seen_beside_fit(frame, plate, before, beside)
-    alpha, _ = _answer(shipped_third() if network is None else network.eval(), seen)
-    reach = 2 * max(2, round(_REACH * longer)) + 1
-    covered = (np.maximum(before, beside[..., 3]) > _COVERED).astype(np.uint8)
-    alpha = clean(alpha * cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))))
-    if alpha.sum() < LEAST_SHARE * alpha.size:
-        return np.asarray(matte, np.float32)
-    return cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
+
+    def __init__(
+        self,
+        frame_linear: Float[Array, "H W 3"],
+        plate_linear: Float[Array, "H W 3"],
+        matte: Float[Array, "H W"],
+    ) -> None:
+        self._matte, self._longer = matte, min(_CROP_PX, max(matte.shape))
+        frame, plate, self._before = (shrink(one, self._longer) for one in (frame_linear, plate_linear, matte))
+        self._pictures, self._seen = _seen_before_fit(frame, plate, self._before)
+
+    def matte(self, fitted: Float[Array, "H W 4"], network: MatteNetwork | None = None) -> Float[Array, "H W"]:
+        """Alpha once a fit is known.
+
+        Args:
+            fitted: the fit's blurred picture, premultiplied linear light and alpha.
+            network: the shipped third one when not given.
+        """
+        (height, width), beside = self._matte.shape, shrink(fitted, self._longer)
+        seen = np.concatenate([self._seen, fit_evidence(*self._pictures, beside)])
+        alpha, _ = _answer(shipped_third() if network is None else network.eval(), seen)
+        reach = 2 * max(2, round(_REACH * self._longer)) + 1
+        covered = (np.maximum(self._before, beside[..., 3]) > _COVERED).astype(np.uint8)
+        alpha = clean(alpha * cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))))
+        if alpha.sum() < LEAST_SHARE * alpha.size:
+            return np.asarray(self._matte, np.float32)
+        return cv2.resize(alpha, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def seen_beside_fit(
@@ -139,11 +148,18 @@ def seen_beside_fit(
     matte: Float[Array, "H W"],
     fitted: Float[Array, "H W 4"],
 ) -> Float[Array, "C H W"]:
-    """All that the third network sees; arguments as of `matte_beside_fit`."""
+    """All that the third network sees; arguments as of `BesideFit`."""
+    pictures, seen = _seen_before_fit(frame_linear, plate_linear, matte)
+    return np.concatenate([seen, fit_evidence(*pictures, fitted)])
+
+
+def _seen_before_fit(
+    frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+) -> tuple[tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]], Float[Array, "C H W"]]:
+    """Frame and plate in the same exposure, and what the third network sees without a fit."""
     gain = _gain_without(matte, frame_linear, plate_linear)
     frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear * gain, 0, 1)
-    seen = [features(frame, plate), colour_evidence(frame, plate, matte), fit_evidence(frame, plate, fitted)]
-    return np.concatenate(seen)
+    return (frame, plate), np.concatenate([features(frame, plate), colour_evidence(frame, plate, matte)])
 
 
 def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:

@@ -12,7 +12,7 @@ from hfb.body.height import height_m
 from hfb.config import FitConfig, preset
 from hfb.datasets.backgrounds import room_background
 from hfb.datasets.textures import clothes_texture
-from hfb.fit.comparison import beside_the_fit, drawn, matted_again, shown
+from hfb.fit.comparison import Before, beside_the_fit, drawn, matted_again, shown
 from hfb.fit.variables import Variables, start_variables
 from hfb.formation import compose
 from hfb.initialize.first_body import FirstBody
@@ -145,7 +145,11 @@ def test_a_matte_is_found_again_beside_the_fit(light: Literal["linear", "srgb"])
         aside = torch.cat([over, aside[..., 3:]], -1)
         frame, plate = linear_to_srgb(seen.frames_linear), linear_to_srgb(plate)
         seen = replace(seen, frames_linear=frame, plate_linear=plate, light=light)
-    again = matted_again(aside, replace(seen, mattes=first[None]))
+    before = Before(replace(seen, mattes=first[None]))
+    again = matted_again(aside, before)
     off = [float((one - alpha).abs().sum() / alpha.sum()) for one in (again.mattes[0], first, aside[0, ..., 3])]
     assert off[0] < 0.7 * min(off[1:]), off
     assert torch.equal(again.frames_linear, seen.frames_linear)
+    other = matted_again(0.5 * aside, before)
+    assert not torch.equal(other.mattes, again.mattes)
+    assert torch.equal(matted_again(aside, before).mattes, again.mattes)  # nothing of one fit's picture in the next

@@ -133,9 +133,9 @@ def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
     scene = moving_scene(body, size_px=48)
     given, found, ends = [], [], []
 
-    def matted_again(blurred: torch.Tensor, seen: Observation) -> Observation:
-        again = comparison.matted_again(blurred, seen)
-        given.append(seen.mattes)
+    def matted_again(blurred: torch.Tensor, before: comparison.Before) -> Observation:
+        again = comparison.matted_again(blurred, before)
+        given.append(before.observation.mattes)
         found.append(again.mattes)
         return again
 
