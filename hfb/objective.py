@@ -163,7 +163,7 @@ class Objective:
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
             background = background_loss(seen.plate_linear, pictures)
             return {"background": background} | self.compared(frame, pictures.mean(0))
-        if weights.image > 0 and isinstance(self.rasterizer, CpuRasterizer):
+        if weights.image > 0 and isinstance(self.rasterizer, CpuRasterizer) and not torch.compiler.is_compiling():
             target = self._targets[frame]
             return self._named(*self.rasterizer.judge_mean(vertices, texture, seen.camera, mesh, target))
         if weights.image > 0:
@@ -173,7 +173,7 @@ class Objective:
 
     def compared(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
         """The image and matting terms of a frame whose drawing is known: mean colour, premultiplied, and silhouette."""
-        if compiled(mean):
+        if compiled(mean) and not torch.compiler.is_compiling():
             return self._named(*self._targets[frame].losses(mean))
         seen, (image_scales, matte_scales) = self.observation, self._scales
         plate, picture, matte = seen.plate_linear, seen.frames_linear[frame], seen.mattes[frame]
