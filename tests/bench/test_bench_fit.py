@@ -5,12 +5,14 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import pytest
 import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
+from hfb.config import preset
 from hfb.fit.loop import Problem, fit_all
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rotations import axis_angle_to_matrix
@@ -105,6 +107,18 @@ def test_fits(scale: Scale, figures: Figures) -> None:
     figures.set("fit_seconds_1core", one.best, f"{one.best_cpu:.2f} s of CPU")
     figures.set("two_fits_throughput", 2 * one.best / two.best, "best of each")
     figures.set("fit_peak_mb", peak_mb, "whole process, default settings, 256 px")
+
+
+def test_what_users_run(scale: Scale, figures: Figures, thorough: None) -> None:
+    """Preset `best` from first bodies to results: networks, settling, all stages, the search for directions."""
+    body, config = load_default_body(), preset("best").fit
+    if not scale.measures:
+        stages = tuple(stage.model_copy(update={"size_px": 48, "iterations": 1}) for stage in config.stages)
+        config = config.model_copy(update={"stages": stages, "settle": 1})
+    scenes = [moving_scene(body, size_px=jobs.SIZE_PX if scale.measures else 48, frames=frames) for frames in (1, 2)]
+    fits = {f"{len(scene.middle)}": partial(jobs.small_fit, scene, body, config) for scene in scenes}
+    for frames, times in interleaved(fits, scale.fits).items():
+        figures.say(f"one fit with preset best, frames of {jobs.SIZE_PX} px, {frames} at once, 1 core: {times}")
 
 
 def test_fits_as_one_problem_on_a_gpu(scale: Scale, figures: Figures) -> None:
