@@ -141,19 +141,6 @@ load_four = intrinsic(_loading(_four.__getitem__))
 
 
 @intrinsic
-def load_three(typingctx, array, position):
-    """Three numbers of an array from a position on, of either precision, and a zero."""
-    kind = _four[array.dtype]
-
-    def codegen(context, builder, signature, arguments):
-        (at,) = positions(context, builder, signature, arguments, (1,))
-        three = load(context, builder, signature.args[0], arguments[0], at, 3)
-        return shuffle(builder, three, ir.Constant(three.type, [0.0] * 3), range(4))
-
-    return kind(array, position), codegen
-
-
-@intrinsic
 def store_lanes(typingctx, array, position, value):
     """Write all lanes to an array of their precision."""
 

@@ -6,19 +6,22 @@ from numba import njit
 
 from hfb.vector_code import (
     LANES,
+    four,
     if_equal,
     if_less,
     insert_sorted,
     lane_numbers,
     lanes,
     last_lane,
+    last_of,
     load_four,
     load_lanes,
-    load_three,
+    positive_part,
     smaller,
     store_lanes,
     sum_lanes,
     sum_three,
+    widen_four,
     with_last,
 )
 
@@ -66,22 +69,27 @@ def test_lanes_are_read_and_written_from_any_number_on() -> None:
 
 
 @njit
-def everything_with_four(left, right, number, results):
-    a, b = load_four(left, 1), load_three(right, 5)
-    for place, value in enumerate((a + b, a - b, a * b, number * a - (b - number), with_last(a, number))):
+def everything_with_four(left, right, number, results, wide):
+    a, b = load_four(left, 1), load_four(right, 4)
+    values = (a + b, a - b, a * b, number * a - (b - number), with_last(a, number), positive_part(a))
+    for place, value in enumerate(values):
         store_lanes(results, 4 * place, value)
-    return sum_three(a)
+    store_lanes(wide, 0, widen_four(b) + four(0.1))
+    return sum_three(a), last_of(b)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_four_lanes_do_what_numpy_does(dtype: type) -> None:
     left, right, number = LEFT.astype(dtype), np.array([*range(5), 0.3, -2.0, 5.0], dtype), dtype(1.7)
-    results = np.zeros((5, 4), dtype)
-    total = everything_with_four(left, right, number, results)
-    a, b = left[1:5], np.append(right[5:], dtype(0))  # of which nothing lies behind the third
-    expected = [a + b, a - b, a * b, number * a - (b - number), np.append(a[:3], number)]
+    results, wide = np.zeros((6, 4), dtype), np.zeros(4)
+    total, last = everything_with_four(left, right, number, results, wide)
+    a, b = left[1:5], right[4:]
+    positive = np.where(a > 0, a, 0)  # of what is not a number, too, zero
+    expected = [a + b, a - b, a * b, number * a - (b - number), np.append(a[:3], number), positive]
     np.testing.assert_array_equal(results, np.array(expected, dtype))
+    np.testing.assert_array_equal(wide, b.astype(np.float64) + 0.1)
     assert total == left[1] + left[2] + left[3]
+    assert last == right[7]
 
 
 @njit
