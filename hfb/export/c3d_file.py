@@ -12,13 +12,15 @@ from hfb.export.joint_tables import marker_table
 from hfb.export.names import check_formats
 from hfb.media.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
+from hfb.shapes import Array, Bool
 
 _LOST = -1.0  # the residual of a point that was not seen, by the format's definition
 _MOST_FRAMES = 65_000  # the format counts them in 16 bits
 
 
 def c3d_bytes(motion: SampledMotion) -> bytes:
-    """The whole file: millimetres, y up, the even rate of the sub-frames; points are lost while the person was absent.
+    """The whole file: millimetres, y up, the even rate of the sub-frames; points are lost while the person was absent
+    (coordinates zero, residual -1).
 
     Raises:
         InputError: the library is missing, or the motion is too long for the format.
@@ -41,7 +43,19 @@ def c3d_bytes(motion: SampledMotion) -> bytes:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # that there is no analog data: there is none
         writer.write(file)
-    return file.getvalue()
+    return _zero_lost_points(file.getvalue(), known[..., 0])
+
+
+def _zero_lost_points(data: bytes, known: Bool[Array, "F 24"]) -> bytes:
+    """Set the coordinates of lost points to zero, as the format asks for.
+
+    The writer of c3d 0.6 leaves the last valid coordinates there, which readers that skip the residual take for real.
+    """
+    content = bytearray(data)
+    first_block = int.from_bytes(content[16:18], "little")  # word 9 of the header: where the frames begin, from 1
+    points = np.frombuffer(content, "<f4", 4 * known.size, 512 * (first_block - 1)).reshape(*known.shape, 4)
+    points[~known, :3] = 0.0
+    return bytes(content)
 
 
 def write_c3d(path: Path, motion: SampledMotion) -> None:

@@ -48,7 +48,9 @@ def marker_table(motion: SampledMotion) -> tuple[float, Float[Array, "F"], Float
 
 
 def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
-    """OpenSim's table: millimetres, y up, the even rate of the sub-frames; empty cells while the person was absent.
+    """OpenSim's table: millimetres, y up, the even rate of the sub-frames; NaN while the person was absent.
+
+    OpenSim 4.6 reads NaN as a gap; it refuses rows that end in empty cells.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -68,7 +70,7 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
         "",
     ]
     for number, (time_s, row) in enumerate(zip(times_s, places.reshape(count, -1), strict=True), 1):
-        cells = (f"{value:.4f}" if np.isfinite(value) else "" for value in row)
+        cells = (f"{value:.4f}" if np.isfinite(value) else "NaN" for value in row)
         lines.append("\t".join([str(number), f"{time_s:.9f}", *cells]))
     return "\n".join(lines) + "\n"
 

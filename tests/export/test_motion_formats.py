@@ -18,7 +18,7 @@ from hfb.errors import InputError
 from hfb.export.amass import write_amass
 from hfb.export.bvh import write_bvh
 from hfb.export.c3d_file import c3d_bytes, write_c3d
-from hfb.export.joint_tables import write_csv, write_trc
+from hfb.export.joint_tables import marker_table, write_csv, write_trc
 from hfb.export.keys import even_keys
 from hfb.motion.sampled import SampledMotion
 from hfb.rotations import axis_angle_to_matrix
@@ -145,10 +145,45 @@ def test_rows_in_which_the_person_is_absent_are_empty(tmp_path: Path) -> None:
     gone = (times_s > 2 / 30 + 0.02) & (times_s < 6 / 30 - 1e-9)
     np.testing.assert_array_equal(np.isnan(read.xyz_m).all((1, 2)), gone)
     assert gone.sum() > 20
+    rows = [line.split("\t") for line in (tmp_path / "joints.trc").read_text().splitlines()[6:]]
+    assert {len(row) for row in rows} == {2 + 3 * 24}
+    assert {cell for row, away in zip(rows, gone, strict=True) if away for cell in row[2:]} == {"NaN"}
     ezc3d = pytest.importorskip("ezc3d")
     write_c3d(tmp_path / "joints.c3d", motion)
     points = ezc3d.c3d(str(tmp_path / "joints.c3d"))["data"]["points"]
     np.testing.assert_array_equal(np.isnan(points[0]).all(0), gone)
+
+
+def test_lost_points_of_a_c3d_are_zeros_with_a_negative_residual(tmp_path: Path) -> None:
+    c3d = pytest.importorskip("c3d")
+    motion = motion_of(BODY, frames=9, missing=(3, 4, 5))
+    write_c3d(tmp_path / "joints.c3d", motion)
+    with (tmp_path / "joints.c3d").open("rb") as file, pytest.warns(UserWarning, match="No analog data"):
+        points = np.array([frame for _, frame, _ in c3d.Reader(file).read_frames()])
+    rate, _, places = marker_table(motion)
+    gone = np.isnan(places[:, 0, 0])
+    assert gone.sum() > 20
+    np.testing.assert_array_equal(points[gone][..., :3], 0)  # not the last place where the person was seen
+    assert (points[gone][..., 3] == -1).all()
+    np.testing.assert_allclose(points[~gone][..., :3], places[~gone], atol=1e-3)
+    assert rate == 350
+
+
+def test_opensim_reads_a_table_with_a_gap(tmp_path: Path) -> None:
+    """OpenSim itself; its wheel has 72 MB, so that it is no requirement of the tests."""
+    opensim = pytest.importorskip("opensim", reason="OpenSim is not here: pip install opensim (Python 3.11)")
+    motion = motion_of(BODY, frames=9, missing=(0, 3, 4, 5, 8))
+    write_trc(tmp_path / "joints.trc", motion)
+    table = opensim.TimeSeriesTableVec3(str(tmp_path / "joints.trc"))
+    rate, times_s, places = marker_table(motion)
+    flat = table.flatten()
+    read = np.stack([flat.getDependentColumn(label).to_numpy() for label in flat.getColumnLabels()], -1)
+    np.testing.assert_allclose(read.reshape(places.shape), places, atol=1e-3)  # NaN at the same places
+    np.testing.assert_allclose(table.getIndependentColumn(), times_s, atol=1e-6)
+    assert table.getColumnLabels() == JOINT_NAMES
+    facts = {key: table.getTableMetaDataString(key) for key in ("DataRate", "Units")}
+    assert (float(facts["DataRate"]), facts["Units"]) == (rate, "mm")
+    assert opensim.MarkerData(str(tmp_path / "joints.trc")).getNumFrames() == len(times_s)
 
 
 def test_the_same_motion_gives_the_same_bytes(tmp_path: Path) -> None:
