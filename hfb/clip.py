@@ -9,7 +9,7 @@
     [camera]
     focal_px = 1460.0              # or the whole matrix:
     K = [[1460, 0, 640], [0, 1460, 360], [0, 0, 1]]
-    calibration = "Calib.toml"     # or a file: Pose2Sim's, OpenCV's .yaml or .json, cameras.json
+    calibration = "Calib.toml"     # or a file: Pose2Sim's, OpenCV's, ROS', Kalibr's
     name = "cam01"                 # which of its cameras
 
     [exposure]

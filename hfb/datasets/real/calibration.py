@@ -1,11 +1,13 @@
 """Calibrated cameras: Pose2Sim's Calib*.toml and cameras.json.
 
-Both follow OpenCV: x = K (R X + t) after the lens distortion k1 k2 p1 p2 (k3), the centre of the first pixel at
-(0, 0). Here it lies at (0.5, 0.5), so half a pixel is added to the principal point on the way out (`pinhole`).
+Both follow OpenCV: x = K (R X + t) after the lens distortion k1 k2 p1 p2 (k3), or a fisheye's k1 k2 k3 k4, the centre
+of the first pixel at (0, 0). Here it lies at (0.5, 0.5), so half a pixel is added to the principal point on the way out
+(`pinhole`).
 """
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +15,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from hfb.datasets.real.lens_models import checked_coefficients, is_fisheye
 from hfb.errors import InputError
+from hfb.media.lens import undistortion_maps
 from hfb.render.camera import PinholeCamera
 from hfb.shapes import Array, Float
 from hfb.toml_file import read_toml
 
 _FILE_LIMIT = 16 << 20
-_DISTORTIONS = (4, 5, 8, 12, 14)  # what OpenCV takes
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class CalibratedCamera:
 
     Attributes:
         K: camera matrix [px]. distortion: OpenCV's coefficients; all zero for a pinhole.
+        fisheye: whether they are of OpenCV's fisheye model, which is no pinhole with zeros either.
         R_camera_world, t_m: world to camera, x = R X + t.
         video: the file's name, where the calibration says it. first_frame: the recording's number of its frame 0.
     """
@@ -41,6 +45,12 @@ class CalibratedCamera:
     t_m: Float[Array, "3"]
     video: str | None = None
     first_frame: int = 0
+    fisheye: bool = False
+
+    @property
+    def bends(self) -> bool:
+        """Whether the lens distorts at all."""
+        return self.fisheye or bool(self.distortion.any())
 
     def to_camera(self, points_m: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
         """World points in camera coordinates [m]; NaN stays NaN."""
@@ -49,8 +59,7 @@ class CalibratedCamera:
     def undistortion(self, left: int, top: int, width: int, height: int) -> Float[Array, "2 h w"]:
         """For each pixel of a window of the pinhole's picture, where (x, y) in the stored picture its light lies."""
         shifted = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
-        x, y = cv2.initUndistortRectifyMap(self.K, self.distortion, None, shifted, (width, height), cv2.CV_32FC1)
-        return np.stack([x, y])
+        return np.stack(undistortion_maps(self.K, self.distortion, self.fisheye, shifted, (width, height)))
 
     def to_stored_pixels(self, points_m: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
         """Pixels (OpenCV's convention) of world points in the picture as stored, distortion included.
@@ -61,7 +70,9 @@ class CalibratedCamera:
         seen = self.to_camera(points_m)[:, 2] > 0.05  # False for NaN too
         if seen.any():
             R, _ = cv2.Rodrigues(self.R_camera_world)
-            pixels[seen] = cv2.projectPoints(points_m[seen], R, self.t_m, self.K, self.distortion)[0][:, 0]
+            project = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
+            found, _ = project(points_m[seen][:, None], R, self.t_m, self.K, self.distortion)
+            pixels[seen] = found.reshape(-1, 2)
         return pixels
 
     def pinhole(self) -> PinholeCamera:
@@ -75,7 +86,7 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     """Read a Calib*.toml of Pose2Sim or a cameras.json; cameras in the file's order.
 
     Raises:
-        InputError: missing, damaged, a fisheye lens, or a camera without one of its entries.
+        InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
     """
     if path.suffix.lower() == ".toml":
         sections = {name: part for name, part in read_toml(path).items() if name != "metadata"}
@@ -88,20 +99,31 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
 
 
 def camera_of(cameras: tuple[CalibratedCamera, ...], video: str) -> CalibratedCamera | None:
+    """The camera that took a video; see `number_of_camera`."""
+    number = number_of_camera([(camera.name, camera.video) for camera in cameras], video)
+    return None if number is None else cameras[number]
+
+
+def number_of_camera(cameras: Sequence[tuple[str, str | None]], video: str) -> int | None:
     """The camera that took a video: the one that names it, else the one whose name its name starts with or holds.
 
     Names are compared without signs: ``cam_01`` took ``cam01_f000-059.mp4``; None where no camera or several fit.
+
+    Args:
+        cameras: their names, and the videos that they name.
     """
-    named = [camera for camera in cameras if camera.video == video]
+    named = [number for number, (_, taken) in enumerate(cameras) if taken == video]
     if named:
         return named[0] if len(named) == 1 else None
+    names = [name for name, _ in cameras]
     stem = _plain(Path(video).stem)
-    fits = [camera for camera in cameras if _plain(camera.name) and stem.startswith(_plain(camera.name))]
+    fits = [number for number, name in enumerate(names) if _plain(name) and stem.startswith(_plain(name))]
     if not fits:
         words = [word for word in re.split(r"[^a-z0-9]+", Path(video).stem.lower()) if word]
-        fits = [camera for camera in cameras if words and words[0] in re.split(r"[^a-z0-9]+", camera.name.lower())]
-    longest = max((len(_plain(camera.name)) for camera in fits), default=0)
-    fits = [camera for camera in fits if len(_plain(camera.name)) == longest]
+        parts = [re.split(r"[^a-z0-9]+", name.lower()) for name in names]
+        fits = [number for number, part in enumerate(parts) if words and words[0] in part]
+    longest = max((len(_plain(names[number])) for number in fits), default=0)
+    fits = [number for number in fits if len(_plain(names[number])) == longest]
     return fits[0] if len(fits) == 1 else None
 
 
@@ -111,28 +133,24 @@ def _plain(name: str) -> str:
 
 def _from_toml(name: str, part: Any, where: str) -> CalibratedCamera:
     part = _table(part, where)
-    if part.get("fisheye"):
-        raise InputError(f"{where} has a fisheye lens, which is not read; undistort its video first.")
     width, height = _size(_numbers(part, "size", (2,), where), where)
-    R, _ = cv2.Rodrigues(_numbers(part, "rotation", (3,), where))
+    distortion, fisheye = _distortion(part, "distortions", where)
     return CalibratedCamera(
-        str(part.get("name", name)), width, height, _matrix(part, "matrix", where),
-        _distortion(part, "distortions", where), R.astype(np.float64), _numbers(part, "translation", (3,), where),
+        str(part.get("name", name)), width, height, _matrix(part, "matrix", where), distortion,
+        _rotation(part, "rotation", where), _vector(part, "translation", where), fisheye=fisheye,
     )  # fmt: skip
 
 
 def _from_json(name: str, part: Any, where: str) -> CalibratedCamera:
     part = _table(part, where)
     width, height = _size(np.array([_number(part, "width", where), _number(part, "height", where)]), where)
-    R = _numbers(part, "R_world_to_cam", (3, 3), where)
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise InputError(f"{where}: R_world_to_cam is no rotation; its rows must be orthonormal.")
+    distortion, fisheye = _distortion(part, "dist_k1k2p1p2", where)
     first, video = part.get("first_frame", 0), part.get("video")
     if not isinstance(first, int) or isinstance(first, bool) or first < 0 or not isinstance(video, str | None):
         raise InputError(f"{where}: first_frame must be a number of 0 or more and video a file's name.")
     return CalibratedCamera(
-        name, width, height, _matrix(part, "K", where), _distortion(part, "dist_k1k2p1p2", where), R,
-        _numbers(part, "t_world_to_cam", (3,), where), video, first,
+        name, width, height, _matrix(part, "K", where), distortion, _rotation(part, "R_world_to_cam", where),
+        _vector(part, "t_world_to_cam", where), video, first, fisheye,
     )  # fmt: skip
 
 
@@ -185,8 +203,32 @@ def _matrix(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
     return K
 
 
-def _distortion(part: dict[str, Any], key: str, where: str) -> Float[Array, "n"]:
+def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
+    """A matrix, as Caliscope has it, or Rodrigues' vector, also as the column of older Pose2Sim."""
+    value = part.get(key)
+    if not isinstance(value, list) or not any(isinstance(row, list) and len(row) == 3 for row in value):
+        return np.asarray(cv2.Rodrigues(_vector(part, key, where))[0], np.float64)
+    R = _numbers(part, key, (3, 3), where)
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise InputError(f"{where}: {key} is no rotation; its rows must be orthonormal.")
+    return R
+
+
+def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
+    """Three numbers in a row, or in a column."""
+    value = part.get(key)
+    if isinstance(value, list) and len(value) == 3 and all(isinstance(row, list) and len(row) == 1 for row in value):
+        part = {key: [row[0] for row in value]}
+    return _numbers(part, key, (3,), where)
+
+
+def _distortion(part: dict[str, Any], key: str, where: str) -> tuple[Float[Array, "n"], bool]:
+    """(coefficients, whether they are a fisheye's)."""
     values = part.get(key, [0.0] * 4)
-    if not isinstance(values, list) or len(values) not in _DISTORTIONS:
+    if not isinstance(values, list):
         raise InputError(f"{where}: {key} must be 4, 5, 8, 12 or 14 numbers, as OpenCV has them.")
-    return _numbers({key: values}, key, (len(values),), where)
+    if all(isinstance(one, list) and len(one) == 1 for one in values):  # a column
+        values = [one[0] for one in values]
+    numbers = _numbers({key: values}, key, (len(values),), where)
+    fisheye = is_fisheye(part, numbers, where)
+    return checked_coefficients(numbers, fisheye, f"{where}: {key}"), fisheye

@@ -1,24 +1,31 @@
-"""The lens that clip.toml names: out of Pose2Sim's Calib.toml, cameras.json, or a calibration as OpenCV writes it."""
+"""The lens that clip.toml names: out of Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
 
-import json
-import re
+Where the camera stands is not asked for: a lens has no place.
+"""
+
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from hfb.clip import ClipCamera
-from hfb.datasets.real.calibration import camera_of, read_calibration
+from hfb.datasets.real.calibration import number_of_camera
+from hfb.datasets.real.lens_documents import read_document
+from hfb.datasets.real.lens_models import checked_coefficients, is_fisheye, named_coefficients, plain
 from hfb.errors import InputError
 from hfb.media.lens import Lens
-from hfb.shapes import Array
+from hfb.shapes import Array, Float
 
-_BYTE_LIMIT, _MOST_ROWS = 1 << 20, 100
-_DEEPEST = 32  # OpenCV's parsers call themselves for every bracket or tag until the stack is used up
-_MATRIX = ("camera_matrix", "cameraMatrix", "K", "mtx", "intrinsic_matrix", "intrinsics")
-_DISTORTION = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "distortion", "dist", "D")
-_WIDTH, _HEIGHT = ("image_width", "imageWidth", "width"), ("image_height", "imageHeight", "height")
+_MATRIX = ("cameramatrix", "matrix", "k", "mtx", "intrinsicmatrix", "intrinsics", "intrinsic", "cameraintrinsics")
+_DISTORTION = (
+    "distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoefs", "distortions", "distortion", "dist",
+    "distk1k2p1p2", "distortionparameters", "distcoef", "d",
+)  # fmt: skip
+_WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
+_SIZE = ("size", "resolution", "imagesize", "imgsize")
+_MOST_SECTIONS = 200
+_HARMLESS_SKEW_PX = 0.05
 
 
 def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens | None:
@@ -29,124 +36,111 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
         height, width: of the footage's frames [px].
 
     Raises:
-        InputError: missing, damaged, no such camera in it, or of pictures of another size.
+        InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of pictures of
+            another size.
     """
     path = camera.calibration
     if path is None:
         return None
-    found = _opencv(path) if _is_opencv(path) else _listed(path, camera.name, video)
-    lens, size = found
+    where, entries = _chosen(path, camera.name, video)
+    size = _size(entries)
     if size is not None and size != (height, width):
         raise InputError(
             f"{path}: is a calibration of {size[1]} x {size[0]} pixels and the footage has {width} x {height}; "
             "give the calibration of this camera at this size."
         )
-    return lens
+    return _lens(where, entries)
 
 
-def _listed(path: Path, name: str | None, video: str) -> tuple[Lens, tuple[int, int]]:
-    cameras = read_calibration(path)
-    if name is not None:
-        chosen = next((one for one in cameras if one.name == name), None)
-    else:
-        chosen = cameras[0] if len(cameras) == 1 else camera_of(cameras, video)
-    if chosen is None:
-        names = ", ".join(one.name for one in cameras[:12])
-        raise InputError(f"{path}: which of its cameras took {video}? Set camera.name to one of {names}.")
-    K = chosen.K
-    lens = Lens(
-        (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])), tuple(float(one) for one in chosen.distortion)
-    )
-    return lens, (chosen.height, chosen.width)
-
-
-def _is_opencv(path: Path) -> bool:
-    if path.suffix.lower() in (".yaml", ".yml", ".xml"):
-        return True
-    return path.suffix.lower() == ".json" and "cameras" not in _json(path)
-
-
-def _opencv(path: Path) -> tuple[Lens, tuple[int, int] | None]:
-    entries = _json(path) if path.suffix.lower() == ".json" else _storage(path)
-    matrix = _array(entries, _MATRIX)
-    if matrix is None or matrix.size != 9:
+def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
+    """(beginning of an error, entries of the camera that took the video)."""
+    document = read_document(path)
+    if _find(document, _MATRIX) is not None:
+        return str(path), document
+    sections = _sections(document)
+    if not sections:
         raise InputError(f"{path}: has no camera_matrix of 3 x 3 numbers; give a calibration as OpenCV writes it.")
-    matrix = matrix.reshape(3, 3)
-    distortion = _array(entries, _DISTORTION)
-    flat = np.zeros(4) if distortion is None else distortion.ravel()
-    finite = np.isfinite(matrix).all() and np.isfinite(flat).all()
-    if not finite or matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or len(flat) not in (4, 5, 8, 12, 14):
-        raise InputError(f"{path}: its camera matrix or distortion is impossible; calibrate again.")
-    width, height = (next((entries[name] for name in names if name in entries), None) for names in (_WIDTH, _HEIGHT))
-    known = isinstance(width, int | float) and isinstance(height, int | float)
-    lens = Lens(
-        (float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])),
-        tuple(float(one) for one in flat),
-    )
-    return lens, (int(height), int(width)) if known else None  # type: ignore[arg-type]
+    titles = [str(part.get("name", key)) for key, part in sections]
+    number: int | None = 0
+    if name is not None:
+        number = next((at for at, (key, _) in enumerate(sections) if name in (titles[at], key)), None)
+    elif len(sections) > 1:
+        videos = [_text(part.get("video")) for _, part in sections]
+        number = number_of_camera(list(zip(titles, videos, strict=True)), video)
+    if number is None:
+        listed = ", ".join(titles[:12])
+        raise InputError(f"{path}: which of its cameras took {video}? Set camera.name to one of {listed}.")
+    key, part = sections[number]
+    # A table called `fisheye` says what its numbers are.
+    return f"{path}: camera {titles[number]}", {"fisheye": True, **part} if "fisheye" in plain(key) else part
 
 
-def _array(entries: dict[str, Any], names: tuple[str, ...]) -> Array | None:
-    for name in names:
-        value = entries.get(name)
-        if isinstance(value, dict):
-            value = value.get("data")
-        if value is not None:
-            try:
-                return np.array(value, np.float64)
-            except (ValueError, TypeError, OverflowError):
-                return None
-    return None
+def _text(value: Any) -> str | None:
+    return value if isinstance(value, str) else None
 
 
-def _text(path: Path) -> str:
+def _sections(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """Cameras by their names: tables that have a matrix, at the top, or within one table as cameras.json has them."""
+    tables = [(str(key), part) for key, part in list(document.items())[:_MOST_SECTIONS] if isinstance(part, dict)]
+    inner = [(str(key), part) for _, table in tables for key, part in list(table.items())[:_MOST_SECTIONS]]
+    for level in (tables, inner):
+        found = [(key, part) for key, part in level if isinstance(part, dict) and _find(part, _MATRIX) is not None]
+        if found:
+            return found[:_MOST_SECTIONS]
+    return []
+
+
+def _lens(where: str, entries: dict[str, Any]) -> Lens:
+    K = _matrix(where, _find(entries, _MATRIX))
+    given = _find(entries, _DISTORTION)
+    if isinstance(given, dict) and "data" in given:
+        given = given["data"]
+    if isinstance(given, dict):  # by their names, maybe with the model's between them
+        words = {key: value for key, value in given.items() if isinstance(value, str)}
+        named = {key: value for key, value in given.items() if key not in words}
+        fisheye = is_fisheye({**entries, **words}, _numbers(list(named.values()), where), where)
+        given = named_coefficients(named, fisheye, where)
+    else:
+        given = [] if given is None else given
+        fisheye = is_fisheye(entries, _numbers(given, where), where)
+    values = checked_coefficients(_numbers(given, where), fisheye, where)
+    fx, fy, cx, cy = (float(one) for one in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    return Lens((fx, fy, cx, cy), tuple(float(one) for one in values), fisheye)
+
+
+def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
+    """K out of nine numbers, or of Kalibr's fx fy cx cy."""
+    flat = _numbers(value.get("data") if isinstance(value, dict) else value, where)
+    if flat.size == 4:
+        K = np.array([[flat[0], 0, flat[2]], [0, flat[1], flat[3]], [0, 0, 1]])
+    elif flat.size == 9:
+        K = flat.reshape(3, 3)
+    else:
+        raise InputError(f"{where}: has no camera_matrix of 3 x 3 numbers; give a calibration as OpenCV writes it.")
+    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError(f"{where}: its camera matrix or distortion is impossible; calibrate again.")
+    if abs(K[0, 1]) > _HARMLESS_SKEW_PX or K[1, 0] != 0 or K[2].tolist() != [0, 0, 1]:
+        raise InputError(f"{where}: its camera matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without a skew.")
+    return K
+
+
+def _find(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """The entry of the first of some names, in any spelling; None where there is none."""
+    known = {plain(str(key)): value for key, value in entries.items() if value is not None}
+    return next((known[name] for name in names if name in known), None)
+
+
+def _numbers(value: Any, where: str) -> Float[Array, "n"]:
     try:
-        if path.stat().st_size > _BYTE_LIMIT:
-            raise InputError(f"{path}: is too large for a calibration.")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check camera.calibration.") from None
-    except (OSError, UnicodeDecodeError):
-        raise InputError(f"{path}: can't be read as text; give a calibration as OpenCV writes it.") from None
+        return np.array(value, np.float64).ravel()
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(f"{where}: its camera matrix or distortion are not numbers; export it again.") from None
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(_text(path))
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not valid JSON; export it again.") from None
-    return content if isinstance(content, dict) else {}
-
-
-def _storage(path: Path) -> dict[str, Any]:
-    """The entries of OpenCV's own YAML or XML that matter."""
-    text = _text(path)
-    sides = re.findall(r"(?:rows|cols)[^\w-]{1,8}(-?\d+)", text)
-    if any(len(side) > 3 or not 0 < int(side) < _MOST_ROWS for side in sides):
-        raise InputError(f"{path}: announces a matrix of a size that no calibration has; export it again.")
-    if _depth(text) > _DEEPEST:
-        raise InputError(f"{path}: is no calibration as OpenCV writes it: it nests without end; export it again.")
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        entries: dict[str, Any] = {}
-        for name in (*_MATRIX, *_DISTORTION):
-            node = storage.getNode(name)
-            if not node.empty():
-                entries[name] = node.mat()
-        for name in (*_WIDTH, *_HEIGHT):
-            node = storage.getNode(name)
-            if not node.empty() and (node.isInt() or node.isReal()):
-                entries[name] = node.real()
-        storage.release()
-    except (cv2.error, SystemError):
-        raise InputError(f"{path}: is no calibration as OpenCV writes it; export it again.") from None
-    return {name: value for name, value in entries.items() if value is not None}
-
-
-def _depth(text: str) -> int:
-    """How many brackets, tags or steps of indentation lie within each other, at most."""
-    deepest, depth = max((len(line) - len(line.lstrip()) for line in text.splitlines()), default=0) // 4, 0
-    for found in re.finditer(r"[\[{]|[\]}]|</|/>|<\w", text):
-        depth += 1 if found[0] in "[{" or found[0][-1].isalnum() else -1
-        deepest = max(deepest, depth)
-    return deepest
+def _size(entries: dict[str, Any]) -> tuple[int, int] | None:
+    """(height, width) [px] where the file says it."""
+    pair = _find(entries, _SIZE)
+    apart = [_find(entries, _HEIGHT), _find(entries, _WIDTH)]
+    sides = [*reversed(pair)] if isinstance(pair, list) and len(pair) == 2 else apart
+    known = all(isinstance(side, int | float) and 0 < side < 1 << 16 for side in sides)
+    return (int(sides[0]), int(sides[1])) if known else None

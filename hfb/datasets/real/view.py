@@ -98,8 +98,8 @@ def make_view(
         raise InputError(f"{footage.path}: the person is {width} x {height} px, too small to show a motion.")
     scale = min(1.0, size_px / max(width, height))
     camera = full.crop(left, top, width, height).resize(max(8, round(height * scale)), max(8, round(width * scale)))
-    distorted = calibrated is not None and bool(calibrated.distortion.any())
-    source = calibrated.undistortion(left, top, width, height) if calibrated and distorted else None
+    bent = calibrated is not None and calibrated.bends
+    source = calibrated.undistortion(left, top, width, height) if calibrated and bent else None
     view = View(footage, left, top, width, height, camera, source)
     return view if body is None else replace(view, body=_seen_region(view, body, full))
 

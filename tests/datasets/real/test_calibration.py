@@ -52,7 +52,8 @@ def test_the_pinhole_of_a_distorted_camera(tmp_path: Path) -> None:
         ("rotation = [0.0, 0.0, 0.0]", "rotation = [0.0, 0.0]", "rotation"),
         ("translation = [0.0, 0.0, 0.0]", 'translation = ["a", 0.0, 0.0]', "translation"),
         ("translation = [0.0, 0.0, 0.0]", "translation = [nan, 0.0, 0.0]", "translation"),
-        ("fisheye = false", "fisheye = true", "fisheye"), ("distortions = [0.0,", "distortions = [", "distortions"),
+        ("fisheye = false", "distortion_model = 'omni'", "omni"),
+        ("distortions = [0.0,", "distortions = [", "distortions"),
         ("size = [160.0", "size = [-160.0", "size"), ("[cam01]", "[cam01", "TOML"),
         ("[cam01]", "cam02 = 3\n[cam01]", "cam02"),
     ],
@@ -62,6 +63,52 @@ def test_a_damaged_toml_is_refused(tmp_path: Path, old: str, new: str, says: str
     assert old in text
     (tmp_path / "Calib.toml").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=says):
+        read_calibration(tmp_path / "Calib.toml")
+
+
+def test_a_fisheye_camera(tmp_path: Path) -> None:
+    """Points lie where OpenCV's fisheye model has them, and the undistorted picture is the pinhole's."""
+    k = (-0.01, 0.03, -0.02, 0.004)
+    text = calibration_toml(k).replace("fisheye = false", "fisheye = true")
+    (tmp_path / "Calib.toml").write_text(text)
+    (camera,) = read_calibration(tmp_path / "Calib.toml")
+    assert camera.fisheye
+    assert camera.bends
+    points = np.random.default_rng(0).uniform([-0.6, -0.6, 1], [0.6, 0.6, 2], (20, 3))
+    stored = camera.to_stored_pixels(points)
+    r = np.hypot(points[:, 0], points[:, 1])
+    angle = np.arctan2(r, points[:, 2])
+    bent = angle * (1 + sum(one * angle ** (2 * power) for power, one in enumerate(k, 1)))
+    K = camera.K
+    expected = bent[:, None] * points[:, :2] / r[:, None] * [K[0, 0], K[1, 1]] + K[:2, 2]
+    np.testing.assert_allclose(stored, expected, atol=1e-6)
+    source = camera.undistortion(0, 0, WIDTH, HEIGHT)
+    straight = points[:, :2] / points[:, 2:] * [K[0, 0], K[1, 1]] + K[:2, 2]
+    inside = ((straight > 1) & (straight < [WIDTH - 2, HEIGHT - 2])).all(1)
+    assert inside.sum() > 10
+    for pixel, light in zip(straight[inside], stored[inside], strict=True):
+        at = cv2.remap(np.moveaxis(source, 0, -1), *(np.float32([[v]]) for v in pixel), cv2.INTER_LINEAR)
+        np.testing.assert_allclose(at[0, 0], light, atol=0.05)
+    (tmp_path / "Calib.toml").write_text(text.replace("[-0.01, 0.03, -0.02, 0.004]", "[0.0, 0.0, 0.0, 0.0]"))
+    (straightest,) = read_calibration(tmp_path / "Calib.toml")
+    assert straightest.bends  # a fisheye without coefficients is equidistant, no pinhole
+    (tmp_path / "Calib.toml").write_text(text.replace("[-0.01, 0.03, -0.02, 0.004]", "[0.1, 0.0, 0.0, 0.0, 0.2]"))
+    with pytest.raises(InputError, match="fisheye lens has 4"):
+        read_calibration(tmp_path / "Calib.toml")
+
+
+def test_rotations_as_older_pose2sim_and_caliscope_write_them(tmp_path: Path) -> None:
+    vector = np.array([0.1, -0.2, 0.3])
+    R, _ = cv2.Rodrigues(vector)
+    for rotation in (vector.tolist(), vector[:, None].tolist(), R.tolist()):
+        text = calibration_toml().replace("rotation = [0.0, 0.0, 0.0]", f"rotation = {rotation}")
+        text = text.replace("translation = [0.0, 0.0, 0.0]", "translation = [[0.32], [0.94], [2.98]]")
+        (tmp_path / "Calib.toml").write_text(text)
+        (camera,) = read_calibration(tmp_path / "Calib.toml")
+        np.testing.assert_allclose(camera.R_camera_world, R, atol=1e-9)
+        np.testing.assert_allclose(camera.t_m, [0.32, 0.94, 2.98])
+    (tmp_path / "Calib.toml").write_text(text.replace(str(R.tolist()), str((2 * R).tolist())))
+    with pytest.raises(InputError, match="no rotation"):
         read_calibration(tmp_path / "Calib.toml")
 
 
