@@ -2,6 +2,7 @@
 
     transfer = "srgb"              # how the files store light: "srgb" (default), "linear", "bt709" or "gamma22"
     video = "walk.mp4"             # or a folder of pictures, beside this file
+    scan = "progressive"           # its frames are whole pictures, although they are flagged as interlaced
     start_s = 1.5                  # time range of the video [s], or in frames: start = 45, stop = 90 (exclusive)
     stop_s = 3.0
     background = "plate.png"       # or "median" (over time), or "still" (a span in which nobody moves)
@@ -136,6 +137,7 @@ class Clip(_ClipRecord):
 
     transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
     video: Path | None = None
+    scan: Literal["auto", "progressive"] = "auto"
     start: Annotated[int, Field(ge=0)] | None = None
     stop: Annotated[int, Field(gt=0)] | None = None
     start_s: Annotated[float, Field(ge=0)] | None = None

@@ -12,7 +12,7 @@ from hfb.initialize.networks import NETWORKS, network_path
 from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
 
-_OF_VIDEOS = ("video", "start", "stop", "start_s", "stop_s", "background", "person")
+_OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
 """Entries of clip.toml that say nothing about single pictures, whose plate is given."""
 
 _ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}

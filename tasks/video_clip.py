@@ -128,6 +128,7 @@ def _look_at_clip(
     footage = open_footage(
         paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
         stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
+        scan=clip.scan,
     )  # fmt: skip
     given = clip.camera.model_copy(update={"calibration": calibrated.path if calibrated else None})
     lens = clip_lens(given, paths[0].name, footage.height, footage.width)

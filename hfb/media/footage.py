@@ -13,7 +13,10 @@ from typing import Literal
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.capture_rate import differs
 from hfb.media.footage_names import PICTURE_SUFFIXES
+from hfb.media.frame_times import irregular, nominal_interval
+from hfb.media.interlacing import Scan
 from hfb.media.lens import Lens
 from hfb.media.picture_files import footage_files, one_size
 from hfb.media.pictures import read_picture_srgb, recorded_exposure
@@ -23,7 +26,6 @@ from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.shapes import Array, Float
 
 _Wanted = tuple[int, int | None, float | None, float | None, Path]
-_JITTER = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,7 @@ class Footage:
         loss: what a damaged file lost, one sentence. remarks: this and all else that a user should know.
         recorded_exposure: (seconds, where the file says so) of its metadata.
         lens: whose distortion is taken out of every frame; see `through`.
+        tick_s: the resolution of the clock of its time stamps.
     """
 
     source: Path
@@ -58,6 +61,7 @@ class Footage:
     remarks: tuple[str, ...] = ()
     recorded_exposure: tuple[float, str] | None = None
     lens: Lens | None = None
+    tick_s: float = 0.0
 
     @property
     def count(self) -> int:
@@ -135,6 +139,7 @@ def open_footage(
     average: int = 1,
     transfer: Transfer = "srgb",
     fps: float | None = None,
+    scan: Literal["auto", "progressive"] = "auto",
     on_progress: OnProgress | None = None,
 ) -> Footage:
     """Look through footage: how many frames decode, when each was taken, what is lost.
@@ -146,10 +151,12 @@ def open_footage(
         average: so many neighbouring frames become one, averaged in linear light.
         transfer: how the file stores light. fps: of pictures, which have no clock; wins over a video's own rate:
             its times are scaled.
+        scan: ``progressive``: frames are whole pictures, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
-        InputError: nothing there, nothing decodes, an empty range, pictures of different sizes, an absurd size.
+        InputError: nothing there, nothing decodes, an empty range, pictures of different sizes, an absurd size,
+            interlaced or high dynamic range video.
     """
     if average < 1:
         raise InputError(f"--average {average}: give 1 or more frames to average.")
@@ -160,7 +167,13 @@ def open_footage(
         whole = _of_pictures(place, files, fps)
         first, last = _range(whole.times_s, *wanted)
     else:
-        whole, first, last = _of_video(place, files, wanted, fps, on_progress)
+        whole, first, last = _of_video(place, files, wanted, scan == "auto", on_progress)
+        if not fps and whole.index and differs(whole.index.capture, 1 / whole.interval_s):
+            assert whole.index.capture is not None
+            fps, told = whole.index.capture
+            whole = replace(whole, remarks=(*whole.remarks, _captured(place.name, fps, told, whole.interval_s)))
+    if whole.index and whole.index.counted and not fps:
+        whole = replace(whole, remarks=(whole.index.counted, *whole.remarks))
     chosen = replace(
         _within(whole, first, last, fps),
         stored=transfer,
@@ -180,13 +193,18 @@ def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None) -> Foo
 
 
 def _of_video(
-    place: Path, files: tuple[Path, ...], wanted: _Wanted, fps: float | None, on_progress: OnProgress | None
+    place: Path, files: tuple[Path, ...], wanted: _Wanted, watched: bool, on_progress: OnProgress | None
 ) -> tuple[Footage, int, int]:
-    """With what is lost of it, and (first, last + 1) of the wanted frames that can be read."""
+    """With what is lost of it, and (first, last + 1) of the wanted frames that can be read.
+
+    Args:
+        watched: refuse interlaced frames.
+    """
     name, index = place.name, index_video(files[0])
     first, last = _range(index.times_s, *wanted)
-    readable = index.look_through(first, last, on_progress)
-    if readable < last and (recounted := index.recounted(on_progress)):
+    scan = Scan(files[0], index.interlaced) if watched else None
+    readable = index.look_through(first, last, on_progress, scan)
+    if readable < last and (recounted := index.recounted(on_progress, scan)):
         index = recounted
         first, last = _range(index.times_s, *wanted)
         readable = last
@@ -197,16 +215,22 @@ def _of_video(
         loss = f"{name} is damaged: frames {readable} to {last - 1} cannot be read and are left out"
     footage = Footage(
         place, files, index.height, index.width, index.times_s, nominal_interval(index.times_s), index.bits, "srgb",
-        index=index, loss=loss, remarks=(*((loss,) if loss else ()), *_remarks(index, fps)),
-        recorded_exposure=index.recorded_exposure,
+        index=index, loss=loss, remarks=tuple(one for one in (loss, *_remarks(index), scan and scan.remark()) if one),
+        recorded_exposure=index.recorded_exposure, tick_s=index.tick_s,
     )  # fmt: skip
     return footage, first, readable
 
 
-def _remarks(index: VideoIndex, fps: float | None) -> Iterator[str]:
-    """What a user should know of how a video is read. `fps`: as told, which settles the rate."""
-    if index.counted and not fps:
-        yield index.counted
+def _captured(name: str, fps: float, told: str, interval_s: float) -> str:
+    return (
+        f"{name} was captured at {fps:.6g} frames per second, by {told}, and plays at {1 / interval_s:.6g}: the "
+        "capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
+    )
+
+
+def _remarks(index: VideoIndex) -> Iterator[str]:
+    """What a user should know of how a video is read."""
+    yield from index.remarks
     if index.aspect != 1:
         yield (
             f"{index.path.name} has pixels that are not square: frames are stretched to {index.width} x "
@@ -220,8 +244,9 @@ def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage
     if fps:
         times_s, interval_s = times_s[0] + (times_s - times_s[0]) / (fps * interval_s), 1 / fps
     times_s = times_s[first:last]
-    remarks = (*whole.remarks, *_irregular(times_s, interval_s))
-    return replace(whole, times_s=times_s, interval_s=interval_s, first=first, remarks=remarks)
+    remarks = (*whole.remarks, *irregular(times_s, interval_s))
+    tick_s = 0.0 if fps else whole.tick_s
+    return replace(whole, times_s=times_s, interval_s=interval_s, first=first, remarks=remarks, tick_s=tick_s)
 
 
 def _averaged(sharp: Footage, average: int) -> Footage:
@@ -240,16 +265,6 @@ def _averaged(sharp: Footage, average: int) -> Footage:
     )  # fmt: skip
 
 
-def nominal_interval(times_s: Float[Array, "T"]) -> float:
-    """The usual interval [s]: the mean of those that are within a quarter of their median; 1/30 s for one frame."""
-    if len(times_s) < 2:
-        return 1 / ASSUMED_FPS
-    steps = np.diff(times_s)
-    usual = float(np.median(steps))
-    near = np.abs(steps - usual) <= _JITTER * usual
-    return float(steps[near].mean()) if usual > 0 and near.any() else 1 / ASSUMED_FPS
-
-
 def _range(
     times_s: Float[Array, "T"], start: int, stop: int | None, start_s: float | None, stop_s: float | None, place: Path
 ) -> tuple[int, int]:
@@ -265,13 +280,3 @@ def _range(
             f"{place}: no frame lies in the chosen range; it has {len(times_s)} frames and lasts {clock[-1]:.3f} s."
         )
     return first, last
-
-
-def _irregular(times_s: Float[Array, "T"], interval_s: float) -> list[str]:
-    odd = int((np.abs(np.diff(times_s) - interval_s) > _JITTER * interval_s).sum())
-    if not odd:
-        return []
-    return [
-        f"{odd} of {len(times_s) - 1} intervals between frames are not the usual {interval_s:.4g} s: the result has "
-        "their true times, the fit takes each for the usual one"
-    ]

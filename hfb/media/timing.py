@@ -43,7 +43,7 @@ def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConf
     """
     interval_s = footage.interval_s
     exposure_s, source = _exposure(footage, exposure, config)
-    if exposure_s > interval_s * 1.001:
+    if exposure_s > interval_s * 1.001 + footage.tick_s:  # a clock of milliseconds makes 60 per second 60.2
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "
             "give the true fps or exposure time"

@@ -10,7 +10,8 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.media.video_file import open_video
+from hfb.media.video_colours import stated_colours
+from hfb.media.video_file import open_video, video_stream
 from hfb.media.video_pixels import pixel_aspect, upright, zero_to_one
 from hfb.photometry import srgb_to_linear
 from hfb.shapes import Array, Float, Shaped
@@ -82,15 +83,15 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
     decoded = 0
     try:
         with open_video(path) as container:
-            stream = container.streams.video[0]
+            stream = video_stream(container)
             stream.thread_type = "AUTO"
-            aspect = pixel_aspect(stream)
+            aspect, stated = pixel_aspect(stream), stated_colours(stream)
             for index, frame in enumerate(container.decode(stream)):
                 decoded = index + 1
                 if stop is not None and index >= stop:
                     return
                 if index >= start:
-                    yield upright(frame, path, aspect)
+                    yield upright(frame, path, aspect, stated)
     except av.FFmpegError as error:
         if decoded <= start:  # a damaged tail is no reason to lose the frames before it
             raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None

@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import av
+from av.stream import Disposition
 
 from hfb.errors import InputError
+from hfb.media.capture_rate import is_time_mapped
 from hfb.media.pictures import PIXEL_LIMIT
 
 FRAME_LIMIT = 1_000_000
@@ -12,6 +14,7 @@ FRAME_LIMIT = 1_000_000
 
 # FFmpeg goes by content: a playlist that is called walk.mp4 names other files, or addresses, and it would open them.
 _CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,asf,mxf,gif,flv,ogg"
+_NO_VIDEO = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
 
 
 def open_video(path: Path) -> av.container.InputContainer:
@@ -24,11 +27,15 @@ def open_video(path: Path) -> av.container.InputContainer:
     # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
     name = f"file:{path.absolute()}"
     options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
+    if is_time_mapped(path):
+        options["ignore_editlist"] = "1"
     container = av.open(name, options=options, metadata_errors="replace")
     try:
         if not container.streams.video:
             raise InputError(f"{path}: holds no video stream; give a video file.")
-        codec = container.streams.video[0].codec_context
+        if not _videos(container):
+            raise InputError(f"{path}: holds only a cover or a thumbnail, no video; give a video file.")
+        codec = video_stream(container).codec_context
         if codec is None:
             raise InputError(f"{path}: holds video of an unknown kind; convert it to H.264.")
         check_size(path, codec.width, codec.height)
@@ -37,6 +44,21 @@ def open_video(path: Path) -> av.container.InputContainer:
     except BaseException:
         container.close()
         raise
+
+
+def video_stream(container: av.container.InputContainer) -> av.VideoStream:
+    """The stream that players show: no cover or thumbnail, more than one frame, marked as the default, the largest."""
+
+    def rank(stream: av.VideoStream) -> tuple[bool, bool, bool, int]:
+        codec = stream.codec_context
+        area = codec.width * codec.height if codec is not None else 0
+        return codec is not None, stream.frames != 1, Disposition.default in stream.disposition, area
+
+    return max(_videos(container), key=rank)  # the first of equals
+
+
+def _videos(container: av.container.InputContainer) -> list[av.VideoStream]:
+    return [stream for stream in container.streams.video if not stream.disposition & _NO_VIDEO]
 
 
 def check_size(path: Path, width: int, height: int) -> None:

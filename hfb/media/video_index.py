@@ -9,14 +9,18 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
+from hfb.media.capture_rate import is_apple_slow_motion, is_time_mapped, stated_capture_rate
 from hfb.media.counted_frames import read_on
-from hfb.media.video_file import FRAME_LIMIT, check_size, open_video
+from hfb.media.frame_times import even_times
+from hfb.media.interlacing import Scan, stated_interlaced
+from hfb.media.video_colours import NOT_STATED, Stated, colour_remarks, refuse_hdr, stated_colours
+from hfb.media.video_file import FRAME_LIMIT, check_size, open_video, video_stream
 from hfb.media.video_packets import loss_of, rate_of, read_packets
 from hfb.media.video_pixels import is_deep, pixel_aspect, upright, zero_to_one
 from hfb.shapes import Array, Float, Int
 
-_HDR = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer characteristics
 _EXPOSURE_KEYS = ("exposuretime", "exposure_time", "com.android.exposure_time", "shutter_speed")
+_SLOW = "{} is a telephone's slow motion: the times at which its frames were captured count, not those of its playing"
 _PROGRESS_EVERY = 32
 _OTHERS_STAMPS = "{} has time stamps that do not fit its frames"
 
@@ -36,6 +40,11 @@ class VideoIndex:
         aspect: width / height of a pixel as stored; see `hfb.media.video_pixels.pixel_aspect`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
         loss: what is known to be missing from the file, one sentence.
+        tick_s: the resolution of `times_s`.
+        colours: as the container states them; see `hfb.media.video_colours.stated_colours`.
+        capture: (frames per second, where that stands) where the file says at what rate it was captured.
+        interlaced: whether the container alone says so; see `hfb.media.interlacing.stated_interlaced`.
+        remarks: what else a user should know, one sentence each.
     """
 
     path: Path
@@ -50,6 +59,11 @@ class VideoIndex:
     recorded_exposure: tuple[float, str] | None = None
     counted: str | None = None
     loss: str | None = None
+    tick_s: float = 0.0
+    colours: Stated = NOT_STATED
+    capture: tuple[float, str] | None = None
+    interlaced: bool = False
+    remarks: tuple[str, ...] = ()
 
     def by_number(self, why: str) -> "VideoIndex":
         """The same frames numbered, at the stated rate; they are never read from the middle then.
@@ -64,12 +78,12 @@ class VideoIndex:
         )
         return replace(self, stamps=numbers, keys=numbers[:0], times_s=numbers / fps, counted=counted)
 
-    def recounted(self, on_progress: OnProgress | None = None) -> "VideoIndex | None":
+    def recounted(self, on_progress: OnProgress | None = None, scan: Scan | None = None) -> "VideoIndex | None":
         """Where frames do not come by their time stamps: by number, if as many decode as there are packets."""
         if self.counted:
             return None
         index = self.by_number(_OTHERS_STAMPS.format(self.path.name))
-        return index if index.look_through(0, len(self.stamps), on_progress) == len(self.stamps) else None
+        return index if index.look_through(0, len(self.stamps), on_progress, scan) == len(self.stamps) else None
 
     def frames(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
         """Frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does."""
@@ -87,14 +101,22 @@ class VideoIndex:
                     yield self._picture(frame)
 
     def _picture(self, frame: av.VideoFrame) -> Float[Array, "H W 3"]:
-        return zero_to_one(upright(frame, self.path, self.aspect))
+        return zero_to_one(upright(frame, self.path, self.aspect, self.colours))
 
-    def look_through(self, start: int, stop: int, on_progress: OnProgress | None = None) -> int:
-        """Decode a range without keeping anything; the number of the first frame that does not come."""
+    def look_through(
+        self, start: int, stop: int, on_progress: OnProgress | None = None, scan: Scan | None = None
+    ) -> int:
+        """Decode a range without keeping anything; the number of the first frame that does not come.
+
+        Args:
+            scan: sees every frame.
+        """
         reached = start
         for frame in self._decoded(start, stop):
             if frame.is_corrupt:
                 break
+            if scan:
+                scan.see(frame)
             reached += 1
             if on_progress and (reached % _PROGRESS_EVERY == 0 or reached == stop):
                 on_progress(reached - start, stop - start)
@@ -139,7 +161,7 @@ class VideoIndex:
         """(stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
             with open_video(self.path) as container:
-                stream = container.streams.video[0]
+                stream = video_stream(container)
                 stream.thread_type = "AUTO"
                 if stamp is not None:
                     container.seek(stamp, stream=stream, backward=True, any_frame=False)
@@ -162,10 +184,12 @@ def index_video(path: Path) -> VideoIndex:
     """
     try:
         with open_video(path) as container:
-            stream = container.streams.video[0]
+            stream = video_stream(container)
             base, aspect = float(stream.time_base or 0), pixel_aspect(stream)
-            exposure = _recorded_exposure({**container.metadata, **stream.metadata})
-            packets = read_packets(container, stream)
+            metadata = {**container.metadata, **stream.metadata}
+            exposure, capture = _recorded_exposure(metadata), stated_capture_rate(path, metadata)
+            slow = is_time_mapped(path) or is_apple_slow_motion(metadata)
+            interlaced, packets = stated_interlaced(stream), read_packets(container, stream)
             stamps = np.array(sorted(stamp for stamp in packets.stamps if stamp is not None and base > 0), np.int64)
             rate, lost = rate_of(stream, stamps * base), loss_of(container, stream, packets, stamps * base)
     except av.FFmpegError as error:
@@ -175,29 +199,32 @@ def index_video(path: Path) -> VideoIndex:
         raise InputError(f"{path}: has over {FRAME_LIMIT} frames; cut it into shorter videos.")
     if not count:
         raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")
-    first = _first_frame(path)
-    height, width, _ = upright(first, path, aspect).shape
+    first, colours, remarks = _first_frame(path)
+    height, width, _ = upright(first, path, aspect, colours).shape
     told = len(np.unique(stamps)) == count
     ordered = stamps if told else np.arange(count)
     index = VideoIndex(
-        path, ordered, np.array(sorted(packets.keys), np.int64), ordered * base, height, width,
-        16 if is_deep(first) else 8, rate, aspect, exposure,
+        path, ordered, np.array(sorted(packets.keys), np.int64), even_times(ordered * base, rate[0], base), height,
+        width, 16 if is_deep(first) else 8, rate, aspect, exposure,
         loss=f"{path.name} is damaged or cut off: {lost}" if lost else None,
+        tick_s=base, colours=colours, capture=capture, interlaced=interlaced,
+        remarks=(*remarks, *((_SLOW.format(path.name),) if slow else ())),
     )  # fmt: skip
     if not told:
         return index.by_number(f"{path.name} {'repeats or lacks' if len(stamps) else 'has no'} time stamps")
     return index.by_number(_OTHERS_STAMPS.format(path.name)) if packets.as_decoded else index
 
 
-def _first_frame(path: Path) -> av.VideoFrame:
+def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
+    """With the colours that the container states, and what a user should know of them."""
     try:
         with open_video(path) as container:
-            for frame in container.decode(container.streams.video[0]):
+            stream = video_stream(container)
+            stated = stated_colours(stream)
+            for frame in container.decode(stream):
                 check_size(path, frame.width, frame.height)
-                if int(frame.color_trc) in _HDR:
-                    kind = _HDR[int(frame.color_trc)]
-                    raise InputError(f"{path}: is high dynamic range video ({kind}); convert it to BT.709 first.")
-                return frame
+                refuse_hdr(frame, stream, str(path))
+                return frame, stated, tuple(colour_remarks(frame, stream, path.name))
     except av.FFmpegError as error:
         raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
     raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")

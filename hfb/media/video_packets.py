@@ -16,6 +16,9 @@ _ROUNDING_FRAMES = 2
 """A container's duration may be longer than its pictures by so many frames: sound, or rounding."""
 
 
+_SOUND_ROUNDING_S = 0.25
+
+
 @dataclass(frozen=True)
 class Packets:
     """The compressed frames of a video.
@@ -28,6 +31,7 @@ class Packets:
         broken: whether the file breaks off.
         as_decoded: whether the stamps, for all that is known, follow the order of decoding, not that of showing. AVI
             stores none, and those that FFmpeg makes up for it do, where frames refer to later ones.
+        sound_s: when the file's sound ends, on the clock of its time stamps; 0 without.
     """
 
     stamps: list[int | None]
@@ -35,15 +39,20 @@ class Packets:
     hidden: int = 0
     broken: bool = False
     as_decoded: bool = False
+    sound_s: float = 0.0
 
 
 def read_packets(container: av.container.InputContainer, stream: av.VideoStream) -> Packets:
     """Go through the file once; at most a little over `FRAME_LIMIT` packets."""
     stamps: list[int | None] = []
     keys: list[int] = []
-    hidden, broken = 0, False
+    hidden, broken, sound_s = 0, False, 0.0
     try:
-        for packet in container.demux(stream):
+        for packet in container.demux(stream, *container.streams.audio):
+            if packet.stream_index != stream.index:
+                if packet.pts is not None and packet.time_base:
+                    sound_s = max(sound_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+                continue
             if not packet.size or packet.is_discard:
                 hidden += packet.size > 0
                 continue
@@ -59,7 +68,7 @@ def read_packets(container: av.container.InputContainer, stream: av.VideoStream)
         broken = True
     reordered = container.format.name == "avi" and bool(stream.codec_context.has_b_frames)
     in_order = stamps == sorted(stamp for stamp in stamps if stamp is not None)
-    return Packets(stamps, keys, hidden, broken, reordered and in_order)
+    return Packets(stamps, keys, hidden, broken, reordered and in_order, sound_s)
 
 
 def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, str]:
@@ -91,8 +100,8 @@ def loss_of(
     if stream.frames:
         # The count is exact, but of all that is stored: what an edit list cuts off at the end is not even hidden.
         missing = min(missing, stream.frames - packets.hidden - len(packets.stamps))
-    elif missing <= _ROUNDING_FRAMES:
-        missing = 0
+    elif missing <= _ROUNDING_FRAMES or packets.sound_s >= stated_s - _SOUND_ROUNDING_S:
+        missing = 0  # ASF states one duration for the whole file: it is the sound's where that is the longer
     if missing > 0:
         return f"about {missing} frames at its end cannot be read and are left out"
     return "its end cannot be read and is left out" if packets.broken else None

@@ -1,12 +1,15 @@
-"""A decoded frame as a picture: RGB, turned as players turn it, with square pixels as players show them."""
+"""A decoded frame as a picture: RGB, turned and mirrored as players do it, with square pixels as players show them."""
 
+import struct
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
+from av.sidedata.sidedata import Type
 
 from hfb.errors import InputError
+from hfb.media.video_colours import NOT_STATED, Stated, source_colours
 from hfb.media.video_file import check_size
 from hfb.shapes import Array, Float, Shaped
 
@@ -15,25 +18,46 @@ _AS_GOOD_AS_SQUARE = 0.01
 _LEVELS = np.arange(256, dtype=np.float32) / np.float32(255)
 
 
-def upright(frame: av.VideoFrame, path: Path, aspect: float) -> Shaped[Array, "H W 3"]:
+def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NOT_STATED) -> Shaped[Array, "H W 3"]:
     """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned and stretched as players show them.
 
     Args:
         path: the video's, for the message. aspect: see `pixel_aspect`.
+        stated: the colours that the container states; see `hfb.media.video_colours.stated_colours`.
 
     Raises:
         InputError: the frame is damaged, or too large once it is stretched.
     """
+    matrix, color_range = source_colours(frame, stated)
     try:
-        pixels = frame.to_ndarray(format="rgb48le" if is_deep(frame) else "rgb24")
+        rgb = frame.reformat(
+            format="rgb48le" if is_deep(frame) else "rgb24", src_colorspace=matrix, src_color_range=color_range
+        )
+        pixels = rgb.to_ndarray()
     except (av.FFmpegError, ValueError, MemoryError):
         raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
     if aspect != 1:
         height, width = square_size(frame.height, frame.width, aspect)
         check_size(path, width, height)
         pixels = stretched(pixels, height, width)
-    # The container's display matrix turns counterclockwise; players apply it, the decoder does not.
-    return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / 90) % 4))
+    return np.ascontiguousarray(_as_shown(pixels, frame))
+
+
+def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
+    """Turned and mirrored by the display matrix: players apply it, the decoder does not.
+
+    The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
+    picture on its sides counts.
+    """
+    told = next((bytes(data) for data in frame.side_data if data.type is Type.DISPLAYMATRIX), b"")
+    if len(told) < 36:
+        return pixels
+    a, b, _, c, d, *_ = struct.unpack("=9i", told[:36])
+    if a * d == b * c:
+        return pixels
+    if a * a + d * d < b * b + c * c:  # columns become rows
+        pixels, a, d = pixels.swapaxes(0, 1), c, b
+    return pixels[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
 
 
 def zero_to_one(levels: Shaped[Array, "H W 3"]) -> Float[Array, "H W 3"]:

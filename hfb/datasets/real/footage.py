@@ -17,7 +17,7 @@ from hfb.errors import InputError
 from hfb.media.footage_names import PICTURE_SUFFIXES
 from hfb.media.pictures import read_picture_srgb
 from hfb.media.video import read_frames
-from hfb.media.video_file import open_video
+from hfb.media.video_file import open_video, video_stream
 from hfb.photometry import as_srgb, srgb_to_linear
 from hfb.shapes import Array, Bool, Float
 
@@ -163,7 +163,7 @@ def _timing(path: Path) -> tuple[float, Bool[Array, "n"]]:
     """(frames per second, which frames are followed by a regular interval), from the container's time stamps."""
     try:
         with open_video(path) as container:
-            stream = container.streams.video[0]
+            stream = video_stream(container)
             stated = float(stream.average_rate or 0)
             base = float(stream.time_base or 0)
             # numbers only: the packets together are the whole video

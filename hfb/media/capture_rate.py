@@ -1,0 +1,123 @@
+"""The rate at which a video was captured, where it is stored to be shown at another one: slow motion and time lapse."""
+
+import re
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+Rate = tuple[float, str]
+"""(frames per second, where it stands)."""
+
+_KEYS = ("com.android.capture.fps", "capture_fps", "capturefps", "captureframerate")
+_APPLE_INTENT = "com.apple.quicktime.full-frame-rate-playback-intent"
+_LEAST_FPS, _MOST_FPS = 0.01, 1_000_000.0
+_BOX_LIMIT, _BOXES_LIMIT = 1 << 20, 10_000
+_MP4_FIRST_BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
+_SAME_SHARE = 0.03
+_UNIT = 0x10000  # 1.0 in fixed point 16.16
+
+
+def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
+    """What a file says of its capture rate: Android's entry, Sony's XML or GoPro's settings; None where nothing.
+
+    Args:
+        metadata: the container's and the stream's.
+    """
+    for name, text in sorted(metadata.items()):
+        if name.lower() in _KEYS and (fps := _rate(text)):
+            return fps, f"its entry {name}"
+    for kind, content in _boxes_of(path, (b"meta", b"xml "), (b"moov", b"meta", b"xml "), (b"moov", b"udta", b"GPMF")):
+        fps = _gopro_rate(content) if kind == b"GPMF" else _sony_rate(content)
+        if fps:
+            return fps, "GoPro's settings in it" if kind == b"GPMF" else "its entry captureFps"
+    return None
+
+
+def differs(capture: Rate | None, stored_fps: float) -> bool:
+    """Whether the capture rate is another one than that of the time stamps; cameras round theirs."""
+    return capture is not None and abs(capture[0] / stored_fps - 1) > _SAME_SHARE
+
+
+def is_time_mapped(path: Path) -> bool:
+    """Whether an MP4's or MOV's list of edits plays parts of it slower or faster, as a telephone's slow motion does.
+
+    FFmpeg takes every edit for one at full speed and repeats frames; the tracks' own time stamps are the camera's.
+    """
+    for _, content in _boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
+        size, at = (20, 16) if content[:1] == b"\x01" else (12, 8)  # version, of 64 or 32 bits
+        for start in range(8, len(content) - size + 1, size):
+            speed = struct.unpack_from(">i", content, start + at)[0]
+            if speed > 0 and abs(speed - _UNIT) > _UNIT * _SAME_SHARE:
+                return True
+    return False
+
+
+def is_apple_slow_motion(metadata: Mapping[str, str]) -> bool:
+    """Whether a telephone of Apple's recorded it to be shown in slow motion; its time stamps are the camera's own."""
+    return metadata.get(_APPLE_INTENT, "").strip() == "0"
+
+
+def _rate(text: str) -> float | None:
+    told = re.fullmatch(r"\s*(\d{1,9}(?:\.\d{1,9})?)(?:/(\d{1,9}))?\s*[pi]?\s*", text)
+    if not told or (told[2] and not int(told[2])):
+        return None
+    fps = float(told[1]) / float(told[2] or 1)
+    return fps if _LEAST_FPS <= fps <= _MOST_FPS else None
+
+
+def _sony_rate(xml: bytes) -> float | None:
+    told = re.search(rb"captureFps\s*=\s*[\"']([0-9./]{1,20}[pi]?)[\"']", xml)
+    return _rate(told[1].decode("ascii")) if told else None
+
+
+def _gopro_rate(settings: bytes) -> float | None:
+    """VFPS of GoPro's key-length-value records: numerator and denominator."""
+    at = settings.find(b"VFPS")
+    if at < 0 or len(settings) < at + 8:
+        return None
+    kind, size, count = struct.unpack_from(">cBH", settings, at + 4)
+    data = settings[at + 8 : at + 8 + size * count]
+    letter = {b"L": "I", b"l": "i", b"S": "H", b"s": "h"}.get(kind)
+    if letter is None or len(data) != size * count or len(data) != 2 * struct.calcsize(letter):
+        return None
+    numerator, denominator = struct.unpack(f">2{letter}", data)
+    return _rate(f"{numerator}/{denominator}") if numerator > 0 and denominator > 0 else None
+
+
+def _boxes_of(path: Path, *wanted: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
+    """(kind, content) of the boxes of an MP4 or MOV at the given places; nothing of other files, or damaged ones."""
+    try:
+        with path.open("rb") as file:
+            end = file.seek(0, 2)
+            file.seek(4)
+            if file.read(4) not in _MP4_FIRST_BOXES:
+                return
+            budget = iter(range(_BOXES_LIMIT))
+            for place in wanted:
+                yield from ((place[-1], content) for content in _descend(file, 0, end, place, budget))
+    except (OSError, struct.error):
+        return
+
+
+def _descend(file: BinaryIO, start: int, end: int, place: tuple[bytes, ...], budget: Iterator[int]) -> Iterator[bytes]:
+    while start + 8 <= end and next(budget, None) is not None:
+        file.seek(start)
+        size, kind = struct.unpack(">I4s", file.read(8))
+        head = 8
+        if size == 1:
+            size, head = struct.unpack(">Q", file.read(8))[0], 16
+        last = end if size == 0 else start + size
+        if (size and size < head) or last > end:
+            return
+        if kind == place[0]:
+            inner = start + head
+            if len(place) == 1:
+                file.seek(inner)
+                yield file.read(min(last - inner, _BOX_LIMIT))
+            else:
+                # ISO's `meta` begins with a version, QuickTime's does not.
+                file.seek(inner + 4)
+                versioned = kind == b"meta" and file.read(4) not in (b"hdlr", b"keys", b"ilst", b"xml ")
+                yield from _descend(file, inner + 4 * versioned, last, place[1:], budget)
+        start = last

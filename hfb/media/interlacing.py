@@ -1,0 +1,88 @@
+"""Interlaced video: frames that hold two instants, told by their flags, by the container, or by how they look."""
+
+import shlex
+from pathlib import Path
+
+import av
+import av.filter
+
+from hfb.errors import InputError
+
+_INTERLACED_ORDERS = (2, 3, 4, 5)  # FFmpeg's AVFieldOrder: top or bottom field first
+_FLAGGED_BY_DECODER = frozenset(
+    {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vc1", "wmv3", "prores", "dvvideo"}
+)
+_FEWEST_COMBED, _LEAST_SHARE, _ONE_ORDER = 2, 0.15, 4
+
+
+def stated_interlaced(stream: av.VideoStream) -> bool:
+    """Whether the container says so of frames whose decoder cannot know; where it can, the frames' own flags count."""
+    codec = stream.codec_context
+    return codec.field_order in _INTERLACED_ORDERS and codec.name not in _FLAGGED_BY_DECODER
+
+
+class Scan:
+    """Watches frames go by in the order in which they are shown."""
+
+    def __init__(self, path: Path, stated: bool) -> None:
+        """
+        Args:
+            stated: see `stated_interlaced`.
+        """
+        self._path, self._stated = path, stated
+        self._filter: av.filter.Graph | None = None
+        self._gave_up = False
+        self._looks = {"tff": 0, "bff": 0, "progressive": 0}
+
+    def see(self, frame: av.VideoFrame) -> None:
+        """Raises InputError where the frame, or the container, says that it holds two fields."""
+        if frame.interlaced_frame or self._stated:
+            raise InputError(
+                f"{self._path}: is interlaced, each frame shows two instants; make each field a frame with "
+                f"`{self._command('bwdif=mode=send_field')}` (telecined film: -vf fieldmatch,decimate), or give "
+                'scan = "progressive" in clip.toml if its frames are whole pictures all the same.'
+            )
+        if not self._gave_up:
+            self._compare(frame)
+
+    def remark(self) -> str | None:
+        """One sentence where frames that no flag calls interlaced are combed wherever something moves."""
+        combed, other = sorted((self._looks["tff"], self._looks["bff"]), reverse=True)
+        seen = combed + other + self._looks["progressive"]
+        if combed < max(_FEWEST_COMBED, _LEAST_SHARE * seen) or combed < _ONE_ORDER * other:
+            return None
+        how = "tff" if self._looks["tff"] >= self._looks["bff"] else "bff"
+        film = self._looks["progressive"] > combed / 2
+        fix = f"setfield={how},fieldmatch,decimate" if film else f"setfield={how},bwdif=mode=send_field"
+        return (
+            f"{self._path.name} seems to be {'telecined film' if film else 'interlaced'}, although it does not say so: "
+            f"what moves is combed in {combed} of {seen} frames; if so, convert it with `{self._command(fix)}`"
+        )
+
+    def _command(self, filters: str) -> str:
+        return f"ffmpeg -i {shlex.quote(self._path.name)} -vf {filters} -crf 12 OUT.mp4"
+
+    def _compare(self, frame: av.VideoFrame) -> None:
+        """With FFmpeg's own detector, which compares each frame's lines with its neighbours'."""
+        try:
+            if self._filter is None:
+                self._filter = _detector(frame)
+            self._filter.push(frame)
+            while True:
+                kind = self._filter.pull().metadata.get("lavfi.idet.multiple.current_frame", "")
+                if kind in self._looks:
+                    self._looks[kind] += 1
+        except (BlockingIOError, EOFError):
+            return
+        except (av.FFmpegError, ValueError):  # a size or kind that changes on the way: reading says so
+            self._gave_up = True
+
+
+def _detector(frame: av.VideoFrame) -> av.filter.Graph:
+    graph = av.filter.Graph()
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    detector, sink = graph.add("idet"), graph.add("buffersink")
+    source.link_to(detector)
+    detector.link_to(sink)
+    graph.configure()
+    return graph

@@ -1,0 +1,67 @@
+"""How a video's numbers are meant as colours, where its frames, its container or the practice of players tell it."""
+
+from collections.abc import Iterator
+
+import av
+from av.sidedata.sidedata import Type
+
+from hfb.errors import InputError
+
+Stated = tuple[int, int]
+"""(matrix, range) as the container states them, by ITU-T H.273 and FFmpeg's `AVColorRange`."""
+
+NOT_STATED: Stated = (2, 0)
+_BT709, _BT601 = 1, 5  # ITU-T H.273, matrix coefficients
+_UNTAGGED = (0, 2)  # 0 is RGB's, which is no statement about luma and chroma
+_MOST_LINES_OF_SD = 576
+_HDR = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer characteristics
+_LINEAR = 8
+_WIDE = {9: "BT.2020", 11: "DCI-P3", 12: "Display P3"}  # ITU-T H.273, colour primaries
+
+
+def stated_colours(stream: av.VideoStream) -> Stated:
+    """The container's own statement (`colr` of MP4, `Colour` of Matroska), which decoders do not give to the frames."""
+    codec = stream.codec_context
+    return int(codec.colorspace), int(codec.color_range)
+
+
+def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, int | None]:
+    """(matrix, range) to decode a frame with; None where the frame tells it, or has no such thing.
+
+    Untagged video is BT.709 to players above 576 lines and BT.601 below; swscale by itself takes all for BT.601.
+    """
+    matrix = color_range = None
+    if is_yuv(frame) and int(frame.colorspace) in _UNTAGGED:
+        usual = _BT709 if frame.height > _MOST_LINES_OF_SD else _BT601
+        matrix = usual if stated[0] in _UNTAGGED else stated[0]
+    if int(frame.color_range) == 0 and stated[1]:
+        color_range = stated[1]
+    return matrix, color_range
+
+
+def is_yuv(frame: av.VideoFrame) -> bool:
+    """Whether its planes are luma and chroma."""
+    return not frame.format.is_rgb and len(frame.format.components) >= 3 and frame.format.name != "pal8"
+
+
+def refuse_hdr(frame: av.VideoFrame, stream: av.VideoStream, name: str) -> None:
+    """Raises InputError for high dynamic range, whether the frames or only the container say so."""
+    transfers = {int(frame.color_trc), int(stream.codec_context.color_trc)}
+    kinds = [kind for code, kind in _HDR.items() if code in transfers]
+    if not kinds and any(data.type is Type.DOVI_METADATA for data in frame.side_data):
+        kinds = ["Dolby Vision"]
+    if kinds:
+        raise InputError(f"{name}: is high dynamic range video ({kinds[0]}); convert it to BT.709 first.")
+
+
+def colour_remarks(frame: av.VideoFrame, stream: av.VideoStream, name: str) -> Iterator[str]:
+    """What a user should know of how the colours are taken."""
+    codec = stream.codec_context
+    tags = int(frame.colorspace), stated_colours(stream)[0]
+    if is_yuv(frame) and all(tag in _UNTAGGED for tag in tags) and frame.height > _MOST_LINES_OF_SD:
+        yield f"{name} does not say how its colours are stored: decoded as BT.709, as players do above 576 lines"
+    if _LINEAR in (int(frame.color_trc), int(codec.color_trc)):
+        yield f'{name} says that it stores linear light: give transfer = "linear" in clip.toml if that is so'
+    wide = _WIDE.get(int(frame.color_primaries)) or _WIDE.get(int(codec.color_primaries))
+    if wide:
+        yield f"{name} has the colours of {wide}: they are taken as sRGB's, so a plate from a file must be stored alike"
