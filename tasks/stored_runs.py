@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -13,6 +12,7 @@ from typing import Any
 
 from hfb.errors import InputError
 from hfb.export.names import RESULT
+from hfb.json_file import read_json
 from hfb.media.footage_names import natural_order
 from tasks import tracking
 from tasks.secrets import without_secrets
@@ -21,7 +21,6 @@ from tasks.store_place import tracking_uri
 _SHORTEST_PREFIX, _ID_LENGTH = 4, 32
 _PAGE = 1000
 _FILE_LIMIT_BYTES = 1 << 30
-_RESULT_LIMIT_BYTES = 64 << 20
 _NAMED_DIFFERENTLY = "; `hfb runs` shows all of them, and a result's folder will do in its place"
 
 
@@ -142,14 +141,9 @@ def _recorded_in(folder: Path) -> list[Path]:
 def _told_in(folder: Path) -> dict[str, Any]:
     """The content of a folder's result.json; nothing where it is no result's."""
     path = folder / RESULT
-    try:
-        if path.stat().st_size > _RESULT_LIMIT_BYTES:
-            raise ValueError("too large")
-        content = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read ({error}): give the run's id") from None
+    if not path.exists():
+        raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id")
+    content = read_json(path, "give the run's id")
     return content if isinstance(content, dict) else {}
 
 
