@@ -110,10 +110,10 @@ def test_a_fragment_does_not_take_over_the_person() -> None:
     """A reflection comes off the feet in one frame and is one with somebody who crouches in the next."""
     pictures = frames([None] * 6)
     for number, picture in enumerate(pictures):
-        top, bottom = (20, 74) if number >= 4 else (10, 55)
+        top, bottom = (20, 80) if number >= 4 else (10, 55)
         picture[top:bottom, 60:74] = (0.9, 0.2, 0.3)
         if number == 3:
-            picture[64:74, 60:74] = (0.9, 0.2, 0.3)
+            picture[68:80, 60:74] = (0.9, 0.2, 0.3)
     assert choose_track(find_tracks(pictures, PLATE, alpha=sharp), PersonChoice()).present.all()
 
 
