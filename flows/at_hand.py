@@ -8,28 +8,35 @@ import os
 from pathlib import Path
 
 from flows import summary
+from hfb.errors import InputError
 
 
 def add_models_flags(parser: argparse.ArgumentParser) -> None:
     """List or fetch, and from where."""
     parser.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
-    parser.add_argument("--wheel", type=Path, help="fetch from a MediaPipe wheel that already lies here")
+    parser.add_argument(
+        "--from", "--wheel", type=Path, action="append", default=[], metavar="FILE", dest="files",
+        help="take a network, MediaPipe's wheel or npm archive that already lies here; may be given again",
+    )  # fmt: skip
     parser.add_argument("--force", action="store_true", help="fetch again what is there")
 
 
 def models(given: argparse.Namespace) -> None:
     """`hfb models`: networks and files that can be used; fetch the rest."""
+    from hfb.initialize.fetch_networks import fetch_networks
     from hfb.initialize.known_models import list_models
-    from hfb.initialize.networks import fetch_networks, list_networks
+    from hfb.initialize.networks import list_networks
 
     if given.out is not None:
         os.environ["HFB_MODELS_DIR"] = str(given.out)
 
+    if given.files and given.action != "fetch":
+        raise InputError("--from goes with `hfb models fetch`")
     if given.action == "fetch":
         from tasks import displays, progress
 
         with progress.showing(displays.display_for(quiet=given.quiet)), progress.step("pose networks"):
-            networks = fetch_networks(progress.say, wheel=given.wheel, force=given.force)
+            networks = fetch_networks(progress.say, given.files, given.force)
     else:
         networks = list_networks()
     if given.json:

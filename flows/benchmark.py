@@ -110,7 +110,8 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
     spec = plan.spec
     with workplace(out) as folder, records_in(folder):
         body = input_file(plan.body) if plan.body else None
-        networks = networks_at_hand() if plan.start == "estimated" and plan.init.method != "matte" else ()
+        estimated = plan.start == "estimated" and plan.init.method != "matte"
+        networks = networks_at_hand(plan.init.landmarks) if estimated else ()
         _, cases, skipped = _made(spec, plan.count, folder, out / "cases")
         seen = run_all(
             see_case,

@@ -123,8 +123,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
     found = {number: one.first for number, one in zip(keys, searched, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"no body is found in any frame ({searched[0].reason})")
-    doubts = tuple(one.doubt for one in searched if one.first is not None)
-    agreed = mend_fronts(tuple(found), tuple(found.values()), doubts, scene.folder)
+    agreed = mend_fronts(tuple(found), tuple(found.values()), scene.folder)
     known = {n: one for n, one in zip(found, agreed.firsts, strict=True) if one is not None}
     others = [number for number in scene.mattes if number not in keys]
     calls = [

@@ -29,6 +29,7 @@ from tasks.result_records import records_in
 from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
 from tasks.strip import strip
 from tasks.task import code_version
+from tasks.video_windows import mend_fronts
 
 
 @flow(name="fit-image", persist_result=False, on_running=[mark_owner])
@@ -90,6 +91,9 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             firsts = tuple(
                 first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
             )
+            if len(firsts) > 1:
+                agreed = mend_fronts(tuple(numbers), firsts, folder)
+                firsts = tuple(one for one in agreed.firsts if one is not None)
         priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
         fitted = fit_motion(
             scene, mattes, firsts, inputs.body, priors, config.fit, config.seed, folder

@@ -6,6 +6,7 @@ import json
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,10 +18,11 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluate.motion_difference import motion_difference
 from hfb.export.motion_file import load_motion
+from hfb.initialize.networks import LandmarkChoice
 from hfb.media.atomic import write_bytes_atomic
 from tasks import progress, tracking
 from tasks.environment import environment
-from tasks.handles import sha256_of
+from tasks.handles import FileHandle, sha256_of
 from tasks.inputs import Inputs, networks_at_hand
 from tasks.present_files import find_present
 from tasks.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
@@ -121,15 +123,20 @@ def _chain(
 
 def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT, RunConfig]:
     """The same fetched pose networks as then; where there were none, `auto` meant the matte alone."""
-    here = networks_at_hand()
     if config.init.method not in _FETCHED_NETWORKS or getattr(inputs, "first_bodies", None):
         return inputs, config
     if not inputs.networks and config.init.method == "auto":
         return inputs, config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
-    if [one.sha256 for one in here] != [one.sha256 for one in inputs.networks]:
-        state = "are other ones now" if here else "are gone"
-        raise InputError(f"the pose networks that run {run} used {state}: `hfb models fetch --force` brings them back")
-    return inputs.model_copy(update={"networks": here}), config
+    found: tuple[FileHandle, ...] = ()
+    choices: tuple[LandmarkChoice, ...] = (config.init.landmarks, "heavy", "full")
+    for choice in choices:  # since then a better network may have been fetched, which auto would take now
+        with suppress(InputError):
+            found = networks_at_hand(choice) or found
+        if [one.sha256 for one in found] == [one.sha256 for one in inputs.networks]:
+            init = config.init.model_copy(update={"landmarks": choice})
+            return inputs.model_copy(update={"networks": found}), config.model_copy(update={"init": init})
+    state = "are other ones now" if found else "are gone"
+    raise InputError(f"the pose networks that run {run} used {state}: `hfb models fetch --force` brings them back")
 
 
 def _fresh(out: Path | None, run_id: str) -> Path:

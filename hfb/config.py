@@ -113,6 +113,9 @@ class InitConfig(Record):
         description="auto: the pose networks where `hfb models` fetched them, else the matte alone; metro: a network "
         "of yours; file: another system's result",
     )
+    landmarks: Literal["auto", "heavy", "full"] = Field(
+        "auto", description="MediaPipe's landmark network; auto: heavy where it was fetched, else full"
+    )
     weights: Path | None = Field(None, description="metro: its TorchScript or ONNX file")
     mesh_sampling: Path | None = Field(
         None, description="metro: its mesh_downsampling.npz, for a network that gives a coarse mesh alone"

@@ -211,6 +211,10 @@ def _starts(
             raise InputError(f"{case.folder} has no {missing[0]}: real video is started with --start estimated")
         return tuple(FileHandle.of(path) for path in case.start_paths())
     from tasks.first_body import first_body
+    from tasks.video_windows import mend_fronts
 
-    found: Any = [first_body.fn(clip, index, mattes, body, init, (), folder) for index in range(case.frames)]
+    numbers = tuple(range(case.frames))
+    found: Any = tuple(first_body.fn(clip, index, mattes, body, init, (), folder) for index in numbers)
+    if len(found) > 1:
+        found = mend_fronts.fn(numbers, found, folder).firsts
     return tuple(FileHandle(path=one.path, sha256=one.sha256) for one in found)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from hfb.config import InitConfig
+from hfb.initialize.clip_bodies import front_doubt
 from hfb.initialize.first_body import load_first_body, save_first_body
 from hfb.initialize.initializer import make_initializer
 from tasks.given_networks import with_pose_network
@@ -21,7 +22,7 @@ def first_body(
     networks: tuple[FileHandle, ...],
     folder: Path,
 ) -> FirstBodyHandle:
-    """Estimate the body of one frame.
+    """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
 
     Args:
         networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
@@ -29,13 +30,15 @@ def first_body(
     Raises:
         InputError: no person was found.
     """
-    seen = load_observation(clip, mattes)
+    alone = clip.model_copy(update={"frames": (clip.frames[index],)})
+    seen, model = load_observation(alone, (mattes[index],)), load_chosen_body(body)
     found = make_initializer(with_pose_network(config, networks))(
-        seen.frames_linear[index], seen.plate_linear, seen.mattes[index], seen.camera, load_chosen_body(body)
+        seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
     )
+    doubt = front_doubt(seen, found, model) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"
     save_first_body(path, found)
-    return FirstBodyHandle.of(path, source=found.source)
+    return FirstBodyHandle.of(path, source=found.source, doubt=doubt)
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
-from hfb.initialize.networks import NETWORKS, network_path
+from hfb.initialize.networks import networks_in_use
 from hfb.initialize.readers.beside import companions
 from hfb.network_files import check_network_file
 from tasks.handles import FileHandle, sha256_of
@@ -83,7 +83,7 @@ def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None
     """
     if config.method not in ("auto", "mediapipe"):
         return
-    here = [sha256_of(path) for network in NETWORKS if (path := network_path(network)) is not None]
+    here = [sha256_of(path) for path in networks_in_use(config.landmarks)]
     if here != [file.sha256 for file in networks]:
         raise InputError(
             f"the pose networks on {socket.gethostname()} are not those of the machine that asked: `hfb models fetch` "

@@ -86,9 +86,14 @@ class ClipHandle(Record):
 
 
 class FirstBodyHandle(FileHandle):
-    """The static body of one frame."""
+    """The static body of one frame.
+
+    Attributes:
+        doubt: of a search, see `hfb.initialize.clip_bodies.front_doubt`; 0 where it was not asked for.
+    """
 
     source: str
+    doubt: float = 0.0
 
 
 class PriorsHandle(Record):

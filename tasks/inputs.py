@@ -8,7 +8,7 @@ from hfb.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.config import ExposureConfig, Record, RunConfig
 from hfb.errors import InputError
 from hfb.export.names import check_formats
-from hfb.initialize.networks import NETWORKS, network_path
+from hfb.initialize.networks import LandmarkChoice, networks_in_use
 from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
 
@@ -159,7 +159,7 @@ def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
     """
     if config.init.method == "metro":
         return tuple(input_file(path) for path in init_files(config))
-    return networks_at_hand() if config.init.method in ("auto", "mediapipe") else ()
+    return networks_at_hand(config.init.landmarks) if config.init.method in ("auto", "mediapipe") else ()
 
 
 def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
@@ -172,10 +172,13 @@ def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
     return tuple(input_file(path) for path in files) if config.init.method == "file" else ()
 
 
-def networks_at_hand() -> tuple[FileHandle, ...]:
-    """The pose networks that `hfb models` has fetched: with new ones the first bodies are estimated again."""
-    found = (network_path(network) for network in NETWORKS)
-    return tuple(FileHandle.of(path) for path in found if path is not None)
+def networks_at_hand(choice: LandmarkChoice = "auto") -> tuple[FileHandle, ...]:
+    """The pose networks that first bodies are found with: with other ones they are estimated again.
+
+    Raises:
+        InputError: as `networks_in_use`.
+    """
+    return tuple(FileHandle.of(path) for path in networks_in_use(choice))
 
 
 def input_files(inputs: Record) -> dict[str, FileHandle]:

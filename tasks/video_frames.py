@@ -141,7 +141,7 @@ def _key_body(
         doubt = front_doubt(seen, found, model)
     except InputError as error:
         return BodyFound(first=None, reason=str(error))
-    return BodyFound(first=saved_body(folder / f"key_body_{number:06d}.npz", found), doubt=doubt)
+    return BodyFound(first=saved_body(folder / f"key_body_{number:06d}.npz", found, doubt))
 
 
 def _body_between(
@@ -165,10 +165,10 @@ def _body_between(
     return BodyFound(first=saved_body(folder / f"first_body_{number:06d}.npz", found))
 
 
-def saved_body(path: Path, found: object) -> FirstBodyHandle:
+def saved_body(path: Path, found: object, doubt: float = 0.0) -> FirstBodyHandle:
     """The handle of a first body that is written now."""
     from hfb.initialize.first_body import FirstBody, save_first_body
 
     assert isinstance(found, FirstBody)
     save_first_body(path, found)
-    return FirstBodyHandle.of(path, source=found.source)
+    return FirstBodyHandle.of(path, source=found.source, doubt=doubt)

@@ -97,15 +97,10 @@ class MatteHandle(Record):
 
 
 class BodyFound(Record):
-    """The first body of a frame; none, but a reason, where it was not found.
-
-    Attributes:
-        doubt: of a search, see `hfb.initialize.clip_bodies.front_doubt`.
-    """
+    """The first body of a frame; none, but a reason, where it was not found."""
 
     first: FirstBodyHandle | None
     reason: str = ""
-    doubt: float = 0.0
 
 
 class ClipBodiesHandle(Record):

@@ -22,11 +22,9 @@ from tasks.workers import compute, remote, spread
 
 
 @task("fronts and backs")
-def mend_fronts(
-    numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], doubts: tuple[float, ...], folder: Path
-) -> ClipBodiesHandle:
-    """Key bodies that agree on which way the person faces; in the order of ``numbers``."""
-    return compute(_mend_fronts, numbers, firsts, doubts, folder)
+def mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], folder: Path) -> ClipBodiesHandle:
+    """Bodies of some frames that agree on which way the person faces; in the order of ``numbers``."""
+    return compute(_mend_fronts, numbers, firsts, folder)
 
 
 @task("missed frames")
@@ -98,16 +96,14 @@ def join_clip(
     return compute(_join, footage, windows, person, body, subframes, longest_fill, folder)
 
 
-def _mend_fronts(
-    numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], doubts: tuple[float, ...], folder: Path
-) -> ClipBodiesHandle:
+def _mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], folder: Path) -> ClipBodiesHandle:
     from hfb.initialize.clip_bodies import agree_on_front
     from hfb.initialize.first_body import load_first_body
     from tasks.video_frames import saved_body
 
     found = agree_on_front(
         {n: load_first_body(one.path) for n, one in zip(numbers, firsts, strict=True)},
-        dict(zip(numbers, doubts, strict=True)),
+        {n: one.doubt for n, one in zip(numbers, firsts, strict=True)},
     )
     agreed = tuple(saved_body(folder / f"agreed_body_{number:06d}.npz", found[number]) for number in numbers)
     return ClipBodiesHandle(firsts=agreed, filled=(False,) * len(agreed), usable=(True,) * len(agreed))

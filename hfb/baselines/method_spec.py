@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 from hfb.baselines.chain_spec import ChainSpec, read_chains
 from hfb.config import DirectionsConfig, FitConfig, Record, RunConfig, SeveralFrames, Stage, Weights, preset
 from hfb.errors import InputError
-from hfb.initialize.networks import NETWORKS, network_path
+from hfb.initialize.networks import networks_in_use
 from hfb.toml_file import merged, read_toml, to_record
 
 Kind = Literal["static", "interpolated", "sfb", "mfb", "fit", "oracle", "chain"]
@@ -154,7 +154,7 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     if spec.kind == "fit":
         paths += [path for path in (spec.config.prior.pose, spec.config.prior.motion) if path is not None]
     if "mediapipe" in (spec.estimator, spec.chain.estimator if spec.chain else None):
-        paths += [path for network in NETWORKS if (path := network_path(network)) is not None]
+        paths += networks_in_use()
     paths += [
         data for path in paths if (data := path.with_name(f"{path.name}.data")).is_file()
     ]  # weights of large ONNX

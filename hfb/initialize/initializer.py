@@ -12,6 +12,7 @@ from hfb.initialize.first_body import FirstBody
 from hfb.initialize.landmarks import Landmarks, PoseNetworks, networks_ready
 from hfb.initialize.matte_search import search_by_matte
 from hfb.initialize.network_body import MetroBody
+from hfb.initialize.networks import LandmarkChoice
 from hfb.initialize.person_landmarks import find_landmarks
 from hfb.initialize.registration import register
 from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine
@@ -62,8 +63,8 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
             raise InputError("--init metro needs the network's file: give it with --init-weights FILE")
         return MetroBody(config.weights, drawing, config.mesh_sampling)
     if config.method == "mediapipe":
-        return LandmarkInitializer(drawing)
-    return AutoInitializer(drawing)
+        return LandmarkInitializer(drawing, config.landmarks)
+    return AutoInitializer(drawing, config.landmarks)
 
 
 class MatteInitializer:
@@ -82,9 +83,9 @@ class MatteInitializer:
 class LandmarkInitializer:
     """MediaPipe's landmarks, registered to the body, then laid onto the matte without leaving the landmarks."""
 
-    def __init__(self, rasterizer: Rasterizer) -> None:
+    def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
-        self._networks = PoseNetworks()
+        self._networks = PoseNetworks(choice)
 
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
@@ -114,9 +115,9 @@ class LandmarkInitializer:
 class AutoInitializer:
     """The networks where they are there and sure, the matte's search where not, the better one where both doubt."""
 
-    def __init__(self, rasterizer: Rasterizer) -> None:
+    def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
-        self._by_landmarks = LandmarkInitializer(rasterizer) if networks_ready() else None
+        self._by_landmarks = LandmarkInitializer(rasterizer, choice) if networks_ready(choice) else None
 
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body

@@ -7,13 +7,14 @@ picture and in metres. The decoding is written from those descriptions. Input pi
 
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.initialize.networks import NETWORKS, POSE_DETECTION, POSE_LANDMARK, NetworkFile, network_path
+from hfb.initialize.networks import LandmarkChoice, networks_in_use
 from hfb.shapes import Array, Float
 
 LANDMARKS = (
@@ -68,13 +69,13 @@ class Landmarks:
     next_region: Region
 
 
-def networks_ready() -> bool:
-    """Whether the files and the interpreter are there."""
+def networks_ready(choice: LandmarkChoice = "auto") -> bool:
+    """Whether the files and the interpreter are there. Raises InputError as `networks_in_use`."""
     try:
         import ai_edge_litert.interpreter  # noqa: F401
     except ImportError:
         return False
-    return all(network_path(network) is not None for network in NETWORKS)
+    return bool(networks_in_use(choice))
 
 
 class PoseNetworks:
@@ -84,9 +85,11 @@ class PoseNetworks:
         InputError: a file or the interpreter is missing; the text says how to get it.
     """
 
-    def __init__(self) -> None:
-        self._detector = _load(POSE_DETECTION)
-        self._landmarker = _load(POSE_LANDMARK)
+    def __init__(self, choice: LandmarkChoice = "auto") -> None:
+        files = networks_in_use(choice)
+        if not files:
+            raise InputError("the pose networks are not there; run `hfb models fetch`, or use `--init.method matte`.")
+        self._detector, self._landmarker = map(_load, files)
 
     def detect(self, picture_srgb: Float[Array, "H W 3"], least_score: float = 0.3, most: int = 3) -> list[Region]:
         """People in a picture, best first, none overlapping another's centre."""
@@ -186,13 +189,8 @@ def _anchors() -> Float[Array, "2254 2"]:
     return np.concatenate(centres)
 
 
-def _load(network: NetworkFile) -> Any:
+def _load(path: Path) -> Any:
     """An interpreter of LiteRT, which has no types."""
-    path = network_path(network)
-    if path is None:
-        raise InputError(
-            f"the pose network {network.name} is not there; run `hfb models fetch`, or use `--init.method matte`."
-        )
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:

@@ -12,6 +12,7 @@ import numpy as np
 
 from hfb.clip import PersonChoice
 from hfb.errors import InputError
+from hfb.initialize.person_pieces import Alpha, Person, join_pieces
 from hfb.initialize.track_rows import read_rows
 from hfb.matting.matting import nobody_found
 from hfb.media.plate import changed_pixels
@@ -76,20 +77,24 @@ def find_tracks(
     frames: Iterable[Float[Array, "H W 3"]],
     plate: Float[Array, "H W 3"],
     on_progress: Callable[[int], None] | None = None,
+    alpha: Alpha | None = None,
 ) -> tuple[Track, ...]:
-    """Everyone seen, in the order of appearance; people who cross count as the one with the larger overlap.
+    """Everyone seen, in the order of appearance; people who cross count as the one whose box agrees more.
 
     Args:
         frames: one after another, encoded like the plate.
         on_progress: called after every frame with the number of frames done.
+        alpha: tells pieces of one person from two people, see `join_pieces`; the shipped matting network's by default.
     """
+    alpha = alpha or _network_alpha
     scale = min(1.0, _LOOK_PX / max(plate.shape[:2]))
     empty = _small(plate, scale)
-    open_tracks: list[dict[int, tuple[float, ...]]] = []
+    open_tracks: list[dict[int, Person]] = []
     done = 0
     for done, frame in enumerate(frames, 1):
         changed = changed_pixels(_small(frame, scale)[None], empty)[0]
-        _follow(open_tracks, _people(changed, scale), done - 1)
+        pieces = join_pieces(_pieces(changed, scale), frame, plate, alpha)
+        _follow(open_tracks, _people(pieces), done - 1)
         if on_progress:
             on_progress(done)
     kept = [track for track in open_tracks if len(track) >= min(_SHORTEST, done)]
@@ -246,25 +251,34 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
     return tuple(sorted(here, key=lambda name: (len(name), name)))
 
 
-def _people(changed: Bool[Array, "h w"], scale: float) -> list[tuple[float, ...]]:
-    """left, top, right, bottom, area of every person-sized change, in full pixels, the largest first."""
+def _network_alpha(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+
+    return NetworkMatting().look(frame_linear, plate_linear)
+
+
+def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
+    """Every change that may be a person or a part of one, in full pixels."""
     closed = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
-    found = sorted((tuple(float(v) for v in row) for row in stats[1:]), key=lambda row: -row[cv2.CC_STAT_AREA])
-    least = max(_LEAST_SHARE * changed.size, _LEAST_OF_LARGEST * found[0][4] if found else 0)
     return [
         (x / scale, y / scale, (x + w) / scale, (y + h) / scale, area / scale**2)
-        for x, y, w, h, area in found
-        if area >= least
+        for x, y, w, h, area in stats[1:].tolist()
+        if area >= _LEAST_SHARE * changed.size
     ]
 
 
-def _follow(tracks: list[dict[int, tuple[float, ...]]], people: list[tuple[float, ...]], frame: int) -> None:
-    """Give every person of a frame to the track whose last box shares most with theirs, or to a new one."""
+def _people(pieces: list[Person]) -> list[Person]:
+    """Those that are large enough to be a person, beside the largest, which comes first."""
+    return [one for one in pieces if one[4] >= _LEAST_OF_LARGEST * pieces[0][4]]
+
+
+def _follow(tracks: list[dict[int, Person]], people: list[Person], frame: int) -> None:
+    """Give every person of a frame to the track whose last box agrees most with theirs, or to a new one."""
     last = [track[max(track)] for track in tracks]
     pairs = sorted(
         (
-            (-_overlap(np.array(box[:4]), np.array(person[:4])), number, index)
+            (-_agreement(np.array(box[:4]), np.array(person[:4])), number, index)
             for number, box in enumerate(last)
             for index, person in enumerate(people)
         ),
@@ -287,7 +301,7 @@ def _follow(tracks: list[dict[int, tuple[float, ...]]], people: list[tuple[float
             tracks.append({frame: person})
 
 
-def _way(track: dict[int, tuple[float, ...]], person: tuple[float, ...], frame: int) -> float:
+def _way(track: dict[int, Person], person: Person, frame: int) -> float:
     """How far a person would have gone since a track's last box, in lengths of the larger box per frame that passed."""
     last = max(track)
     one, other = np.array(track[last][:4]), np.array(person[:4])
@@ -318,7 +332,7 @@ def _shared_px(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
     return float(size.prod()) if (size > 0).all() else 0.0
 
 
-def _as_track(name: str, found: dict[int, tuple[float, ...]], frames: int) -> Track:
+def _as_track(name: str, found: dict[int, Person], frames: int) -> Track:
     boxes, areas = np.full((frames, 4), np.nan), np.full(frames, np.nan)
     for frame, person in found.items():
         boxes[frame], areas[frame] = person[:4], person[4]

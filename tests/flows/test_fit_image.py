@@ -16,7 +16,10 @@ from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, Ru
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.fit.alternatives import LIMB_NAMES, load_alternatives
+from hfb.initialize.clip_bodies import mirrored_in_depth
+from hfb.initialize.first_body import load_first_body
 from hfb.media.pictures import read_matte, read_picture_srgb, write_png
+from hfb.rotations import axis_angle_to_matrix
 from tests.orchestration import Problem, example, mlflow_rows
 
 TINY = RunConfig(
@@ -198,3 +201,19 @@ def test_errors_against_the_truth(problem: Problem, store: Path, tmp_path: Path)
     assert 0 < result["initial_mpjpe_mm"] < 60  # the true middle pose, held still
     assert result["initial_iou"] > 0.5
     assert {"mpjpe_mm", "pa_mpjpe_mm", "iou"} <= result.keys()
+
+
+def test_two_frames_agree_on_the_front(
+    problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Networks mistake front for back in one of two exposures: the person would turn around between them."""
+    other = tmp_path / "other.png"
+    write_png(other, read_picture_srgb(problem.frame) * 0.999)
+    found = load_first_body(problem.first_body)
+    answers = iter([found, mirrored_in_depth(found)])
+    monkeypatch.setattr("tasks.first_body.make_initializer", lambda config: lambda *scene: next(answers))
+    fit_image([problem.frame, other], problem.background, tmp_path / "out", TINY)
+    motion, _ = load_motion(tmp_path / "out" / "motion.npz")
+    roots = axis_angle_to_matrix(torch.from_numpy(motion.poses[:, :3]))
+    cosine = ((roots[0].T @ roots[-1]).trace() - 1) / 2
+    assert torch.rad2deg(torch.arccos(cosine)) < 20

@@ -245,7 +245,7 @@ def test_options_of_another_version(made: dict[str, Any], store: Path, tmp_path:
 def test_pose_networks_of_then(made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there were no networks `auto` meant the matte alone, also once there are; other ones are refused."""
     here: list[FileHandle] = []
-    monkeypatch.setattr(flows.rerun, "networks_at_hand", lambda: tuple(here))
+    monkeypatch.setattr(flows.rerun, "networks_at_hand", lambda choice="auto": tuple(here))
     frame, plate = tmp_path / "pictures" / "frame.png", tmp_path / "pictures" / "background.png"
     auto = RunConfig(init=InitConfig(method="auto"))
     without = Inputs(frames=(input_file(frame),), background=input_file(plate))

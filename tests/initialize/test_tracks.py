@@ -1,7 +1,9 @@
 """Who is where: people followed from frame to frame, chosen, and taken from other systems' files."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,7 +20,9 @@ from hfb.initialize.tracks import (
     read_track_names,
     surroundings,
 )
+from hfb.media.pictures import read_picture_srgb
 
+SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 HEIGHT, WIDTH = 90, 160
 PLATE = np.full((HEIGHT, WIDTH, 3), 0.4, np.float32)
 
@@ -54,6 +58,103 @@ def test_everyone_is_followed_and_the_largest_is_chosen() -> None:
         choose_track(tracks, PersonChoice(box=(80, 1, 90, 9), frame=3))
     with pytest.raises(InputError, match="past the clip's last frame 9"):
         choose_track(tracks, PersonChoice(box=(80, 1, 90, 9), frame=10))
+
+
+def in_pieces(walk: list[tuple[int, int] | None], rows: slice) -> list[np.ndarray]:
+    """Somebody whose clothes look like the background in some rows."""
+    out = frames(walk)
+    for picture in out:
+        picture[rows] = PLATE[rows]
+    return out
+
+
+def faint(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """What a matting network sees of `WALKS`: also where nothing differs enough for `changed_pixels`."""
+    seen = (np.abs(frame - plate).max(-1) > 0.03).astype(np.float32)
+    columns = seen.any(0)
+    first, last = np.flatnonzero(seen.any(1))[[0, -1]]
+    seen[first : last + 1, columns] = np.maximum(seen[first : last + 1, columns], 0.3)
+    return seen
+
+
+def sharp(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
+    """A network that sees two people where there are two."""
+    return (np.abs(frame - plate).max(-1) > 0.03).astype(np.float32)
+
+
+@pytest.mark.parametrize("rows", [slice(48, 62), slice(40, 58), slice(56, 68)])
+def test_pieces_of_one_person_are_one(rows: slice) -> None:
+    """Black shorts before a dark hedge: the box is the whole person's, and no frame is a gap."""
+    (track,) = find_tracks(in_pieces(WALKS, rows), PLATE, alpha=faint)
+    assert track.present.all()
+    assert np.allclose(track.boxes[5], [30, 30, 44, 80], atol=3)
+
+
+def test_one_above_another_are_two() -> None:
+    """Somebody on a roof above somebody on the ground, as near as the pieces of one."""
+    assert len(find_tracks(in_pieces(WALKS, slice(48, 62)), PLATE, alpha=sharp)) == 2
+
+
+def test_side_by_side_and_behind_are_not_asked_about() -> None:
+    """No look at all: the pieces of one person lie above each other."""
+
+    def asked(*_: np.ndarray) -> np.ndarray:
+        raise AssertionError
+
+    beside: list[tuple[int, int] | None] = [(34 + 4 * n, 48) for n in range(10)]
+    assert len(find_tracks(frames(WALKS, beside), PLATE, alpha=asked)) == 2
+    assert len(find_tracks(frames(WALKS, STANDS), PLATE, alpha=asked)) == 2
+
+
+def test_a_fragment_does_not_take_over_the_person() -> None:
+    """A reflection comes off the feet in one frame and is one with somebody who crouches in the next."""
+    pictures = frames([None] * 6)
+    for number, picture in enumerate(pictures):
+        top, bottom = (20, 80) if number >= 4 else (10, 55)
+        picture[top:bottom, 60:74] = (0.9, 0.2, 0.3)
+        if number == 3:
+            picture[68:80, 60:74] = (0.9, 0.2, 0.3)
+    assert choose_track(find_tracks(pictures, PLATE, alpha=sharp), PersonChoice()).present.all()
+
+
+def test_real_people_are_followed_whole() -> None:
+    """The clip of a squat: a reflection below the feet took the person's place (4 frames of 20 missed)."""
+    folder = SHARED / "opencap_squat"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    pictures = [frame for n, frame in enumerate(video(folder / "cam0_f060-299.mp4")) if n % 12 == 0]
+    tracks = find_tracks(pictures, read_picture_srgb(folder / "cam0_plate.png"))
+    track = choose_track(tracks, PersonChoice())
+    assert track.present.all()
+    assert (track.boxes[:, 1] < 700).all()  # with the head
+
+
+def test_real_people_in_pieces_and_above_each_other() -> None:
+    """A woman whose hips hardly differ from the hedge stays whole; the man on the roof above her stays another."""
+    folder = SHARED / "sports2d_park"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    plate = read_picture_srgb(folder / "plate.png")
+    pictures = []
+    for number, frame in enumerate(video(folder / "demo.mp4")):
+        if number in (90, 97, 104, 118, 125, 132, 139):
+            hips = slice(660, 750)
+            frame[hips] = plate[hips] + 0.15 * (frame[hips] - plate[hips])
+            pictures.append(frame)
+        if number > 139:
+            break
+    tracks = find_tracks(pictures, plate)
+    assert [int(track.present.sum()) for track in tracks] == [7, 7]
+    woman = tracks[0] if np.nanmean(tracks[0].boxes[:, 3]) > np.nanmean(tracks[1].boxes[:, 3]) else tracks[1]
+    heights = woman.boxes[:, 3] - woman.boxes[:, 1]
+    assert (heights > 400).all()
+    assert (heights < 520).all()
+
+
+def video(path: Path) -> Iterator[np.ndarray]:
+    reader = cv2.VideoCapture(str(path))
+    while (read := reader.read())[0]:
+        yield read[1][..., ::-1].astype(np.float32) / 255
 
 
 def test_who_leaves_is_absent() -> None:
