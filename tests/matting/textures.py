@@ -27,8 +27,8 @@ def slide(number: int, smear_px: float) -> Composite:
     """Pair `number` of a texture and a background: every texture is worn in turn, over another one each round."""
     rng = np.random.default_rng([number, 77])
     round_of, worn = divmod(number, len(TEXTURES))
-    texture = _texture(TEXTURES[worn], rng)
-    plate = _texture(TEXTURES[(3 * round_of + worn + 2) % len(TEXTURES)], rng)
+    texture = texture(TEXTURES[worn], rng)
+    plate = texture(TEXTURES[(3 * round_of + worn + 2) % len(TEXTURES)], rng)
     mask = _shape(SHAPES[number % len(SHAPES)])
     layers = np.concatenate([texture * mask[..., None], mask[..., None]], -1)
     angle_rad = rng.uniform(0, np.pi)
@@ -43,7 +43,7 @@ def slide(number: int, smear_px: float) -> Composite:
     return Composite(seen(frame, 0.004, rng), seen(plate, 0.004, rng), alpha.astype(np.float32))
 
 
-def _texture(kind: str, rng: np.random.Generator) -> np.ndarray:
+def texture(kind: str, rng: np.random.Generator) -> np.ndarray:
     """(SIDE_PX, SIDE_PX, 3) in linear light."""
     y, x = np.mgrid[:SIDE_PX, :SIDE_PX].astype(np.float32)
     one, other = rng.uniform(0, 0.9, (2, 3)).astype(np.float32)

@@ -12,7 +12,7 @@ from hfb.media.footage import open_footage
 from hfb.media.pictures import write_png
 from hfb.media.plate import find_plate
 from hfb.media.video import read_frames
-from hfb.media.video_pixels import square_size
+from hfb.media.video_pixels import square_size, stretched
 from tests.media.videos import write_video
 
 HEIGHT, WIDTH, RADIUS = 96, 120, 30
@@ -92,3 +92,12 @@ def test_a_stretched_frame_is_measured(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("hfb.media.video_file.PIXEL_LIMIT", 2 * HEIGHT * WIDTH)
     with pytest.raises(InputError, match=f"{3 * WIDTH} x {HEIGHT} pixels are over the limit"):
         open_footage(path)
+
+
+@pytest.mark.parametrize("width", [160, 137, 91])
+def test_what_is_stretched_stays_in_place(width: int) -> None:
+    """A ramp shows where each pixel's light is from."""
+    ramp = np.tile(np.arange(64, dtype=np.float32), (8, 1))[..., None].repeat(3, -1)
+    wanted = (np.arange(width) + 0.5) * 64 / width - 0.5
+    inside = slice(width // 8, -width // 8)
+    np.testing.assert_allclose(stretched(ramp, 8, width)[4, inside, 0], wanted[inside], atol=0.02)
