@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
+from tasks.result_folder import result_content
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
     from hfb.motion.sampled import SampledMotion
 
 _SAME_BODY_M = 1e-3
-_RESULT_LIMIT_BYTES = 64 << 20
 
 
 def named_body(result: Path) -> Path | None:
     """The body model that result.json names; None where it names none or cannot be read."""
     try:
-        if result.stat().st_size > _RESULT_LIMIT_BYTES:
-            return None
-        named = json.loads(result.read_bytes())["config"]["body"]["model"]
-    except (OSError, ValueError, KeyError, TypeError):
+        named = result_content(result.parent)["config"]["body"]["model"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return Path(named) if isinstance(named, str) else None
 

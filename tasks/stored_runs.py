@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -14,14 +13,15 @@ from typing import Any
 from hfb.errors import InputError
 from hfb.export.names import RESULT
 from hfb.media.footage_names import natural_order
+from hfb.media.safe_folder import NotOrdinary, special_kind
 from tasks import tracking
+from tasks.result_folder import UNFINISHED, result_content, unfinished_result
 from tasks.secrets import without_secrets
 from tasks.store_place import tracking_uri
 
 _SHORTEST_PREFIX, _ID_LENGTH = 4, 32
 _PAGE = 1000
 _FILE_LIMIT_BYTES = 1 << 30
-_RESULT_LIMIT_BYTES = 64 << 20
 _NAMED_DIFFERENTLY = "; `hfb runs` shows all of them, and a result's folder will do in its place"
 
 
@@ -133,6 +133,8 @@ def _recorded_in(folder: Path) -> list[Path]:
     """The people of a clip whose runs were recorded; of some no motion may have been found."""
     found = []
     for one in natural_order(folder.glob("person-*")):
+        if special_kind(one) is not None:
+            continue
         with suppress(InputError):
             if isinstance(_told_in(one).get("mlflow_run_id"), str):
                 found.append(one)
@@ -143,14 +145,16 @@ def _told_in(folder: Path) -> dict[str, Any]:
     """The content of a folder's result.json; nothing where it is no result's."""
     path = folder / RESULT
     try:
-        if path.stat().st_size > _RESULT_LIMIT_BYTES:
-            raise ValueError("too large")
-        content = json.loads(path.read_bytes())
+        content = result_content(folder)
+    except NotOrdinary:
+        raise
     except FileNotFoundError:
         raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id") from None
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read ({error}): give the run's id") from None
-    return content if isinstance(content, dict) else {}
+    if UNFINISHED in content:
+        raise unfinished_result(folder)
+    return content
 
 
 def _stored(run: Any) -> StoredRun:
