@@ -19,12 +19,16 @@ from hfb.config import RunConfig
 from hfb.errors import InputError, NotNow, ServerLost, Unavailable
 from hfb.export.names import REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.safe_folder import check_ordinary
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking
 from tasks.batch_ledger import Entry, Ledger, stamp_of
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
 from tasks.engine import Engine, engine_of
+from tasks.handles import files_in
+from tasks.out_place import check_batch_out
+from tasks.result_folder import is_finished
 from tasks.video_inputs import check_options, take_video_inputs
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
@@ -63,6 +67,7 @@ def batch(
         ServerLost: Prefect's server went away; what is finished is kept.
     """
     folder, out = Path(folder), Path(out)
+    check_batch_out(folder, out)
     content = read_toml(Path(config)) if isinstance(config, str) else config or {}
     options = to_record(RunConfig, content, "options")
     check_options(options)
@@ -118,7 +123,7 @@ class _Rounds:
     def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
         """What is known of a clip; None too where its result is gone: it is made again."""
         entry = self.ledger.entry(place.name, stamp)
-        gone = entry is not None and entry.status == "done" and not (self._out / place.name / RESULT).exists()
+        gone = entry is not None and entry.status == "done" and not is_finished(self._out / place.name)
         return None if gone else entry
 
     def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
@@ -145,8 +150,12 @@ class _Rounds:
         hopeless = False
         try:
             place.check()
-            inputs = take_video_inputs(place.source, self._config, clip=place.clip)
-            result = run_clip(inputs, self._out / place.name, self._config, self._engine)
+            target = self._out / place.name
+            check_batch_out(self._folder, target)
+            check_ordinary(self._out, place.name)
+            inputs = take_video_inputs(place.source, self._config, clip=place.clip, out=target)
+            place.check_read(files_in((inputs.video, inputs.background, inputs.calibration, inputs.track)))
+            result = run_clip(inputs, target, self._config, self._engine)
         except ServerLost:  # no clip's fault, and nothing can be reported any more: the next look goes on
             raise
         except (NotNow, Unavailable) as error:
@@ -194,7 +203,7 @@ class _Rounds:
         clips = []
         for place, status, entry in self._states():
             done = self._out / place.name
-            finished = status == "done" and (done / RESULT).exists()
+            finished = status == "done" and is_finished(done)
             figures = json.loads((done / RESULT).read_bytes()) if finished else {}
             reason, link = (entry.reason, entry.link) if entry else ("", None)
             strip, report = (_strip_in(done), self._report_in(done)) if finished else (None, None)

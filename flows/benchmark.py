@@ -12,10 +12,12 @@ from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.baselines.method_spec import MethodSpec
 from hfb.config import InitConfig, MattingConfig, Record
+from hfb.datasets.case import case_name
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
 from hfb.evaluate.experiments import Experiment
 from hfb.export.names import REPORT
+from hfb.media.safe_folder import check_tree
 from tasks import progress, tracking
 from tasks.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from tasks.benchmark_results import gallery, record_benchmark, tabulate
@@ -34,6 +36,7 @@ from tasks.engine import Engine
 from tasks.inputs import input_file, networks_at_hand
 from tasks.judge_case import judge_case
 from tasks.many import Outcome, run_all
+from tasks.out_place import check_sources_out
 from tasks.result_records import records_in
 from tasks.workers import worker_count, workers
 
@@ -83,7 +86,9 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
         InputError: not one case could be made.
     """
     with workplace(out) as folder, records_in(folder):
-        sources, cases, skipped = _made(spec, count, folder, out)
+        for number in range(1, count + 1):
+            check_tree(out, case_name(number))
+        sources, cases, skipped = _made(spec, count, folder, out, out)
         result = {
             "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
             "seed": spec.seed, "out": str(out.resolve()), "sources": len(sources.usable),
@@ -109,10 +114,12 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
     """
     spec = plan.spec
     with workplace(out) as folder, records_in(folder):
+        for inner in ("cases", "methods"):
+            check_tree(out, inner)
         body = input_file(plan.body) if plan.body else None
         estimated = plan.start == "estimated" and plan.init.method != "matte"
         networks = networks_at_hand(plan.init.landmarks) if estimated else ()
-        _, cases, skipped = _made(spec, plan.count, folder, out / "cases")
+        _, cases, skipped = _made(spec, plan.count, folder, out / "cases", out)
         seen = run_all(
             see_case,
             [(case, plan.start, plan.matting, plan.init, networks, body, folder) for case in cases],
@@ -151,10 +158,11 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
 
 
 def _made(
-    spec: Spec, count: int, folder: Path, cases_folder: Path
+    spec: Spec, count: int, folder: Path, cases_folder: Path, out: Path
 ) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
     """The cases that could be made, and why others could not."""
     folders = [getattr(spec, name, None) for name in ("motions", "backgrounds", "textures", "videos")]
+    check_sources_out(folders, out)
     for given in folders:
         if given is not None and not given.is_dir():
             raise InputError(f"{given} is no folder")

@@ -195,7 +195,7 @@ def _fit(given: argparse.Namespace) -> None:
 
     config = run_config(given)
     out = given.out or Path("runs") / given.frames[0].stem
-    inputs = take_inputs(given.frames, given.background, config, given.clip)  # what is missing is said at once
+    inputs = take_inputs(given.frames, given.background, config, given.clip, out=out)  # what is missing is said at once
     if not given.quiet:
         for assumed in assumptions(inputs, config):
             print(f"hfb: {assumed}", file=sys.stderr)

@@ -13,6 +13,7 @@ from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
 from hfb.errors import InputError
 from tasks.engine import engine_of
+from tasks.out_place import check_batch_out, default_out
 
 VIDEO_KEYS = (
     "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
@@ -61,8 +62,8 @@ def video(given: argparse.Namespace) -> None:
     from tasks.video_inputs import take_video_inputs
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
-    out = given.out or Path("runs") / given.source.resolve().stem
-    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone)
+    out = given.out or default_out(given.source)
+    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone, out)
 
     def load() -> Chain:
         from flows.people import run_clip
@@ -81,7 +82,8 @@ def batch(given: argparse.Namespace) -> int:
 
     config = run_config(given)
     engine_of(given.workers, given.store)  # what is wrong with it is said at once
-    out = given.out or Path("runs") / given.folder.resolve().name
+    out = given.out or default_out(given.folder)
+    check_batch_out(given.folder, out)
     find_clips(given.folder, out)  # a folder that is none is said at once
 
     def load() -> Chain:

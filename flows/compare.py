@@ -16,6 +16,7 @@ from hfb.evaluate.motion_difference import MotionDifference, motion_difference
 from hfb.export.motion_file import load_motion
 from hfb.media.atomic import write_bytes_atomic
 from hfb.media.pictures import read_picture_srgb, stored_png
+from hfb.media.safe_folder import check_ordinary, read_file
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, small_picture
 from hfb.report.run_page import PageTable, RunLook, run_page
@@ -23,6 +24,7 @@ from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tasks import progress
 from tasks.fitted_body import fitted_body, named_body
+from tasks.out_place import check_no_clip
 from tasks.run_comparison import RunComparison, Words, compare_records
 from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
 
@@ -30,6 +32,7 @@ _PICTURES = ("strip.png", "sheet.png", "gallery.png")
 _MOTION, _TEXTURE, _RESULT = "motion.npz", "texture.png", "result.json"
 _GROUP = "runs"
 _PICTURE_PX = 2400
+_FIGURES_LIMIT = 64 << 20
 PAGE, PICTURE, FIGURES = "comparison.html", "comparison.png", "comparison.json"
 
 
@@ -60,6 +63,8 @@ def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
         comparison = compare_records([find_run(word) for word in words])
     folder = out or Path("runs") / "-".join(["compare", *(run.run_id[:8] for run in comparison.runs)])
     check_writable(folder)
+    check_no_clip(folder)
+    _check_room(folder)
     shown = []
     with progress.step("pictures"), tempfile.TemporaryDirectory() as fetched, readable_store():
         for number, run in enumerate(comparison.runs):
@@ -194,6 +199,22 @@ def _plain(every: Sequence[tuple[str, tuple[Any, ...]]]) -> list[dict[str, Any]]
         {"name": name, "a": values[0], "b": values[1], **({"more": list(values[2:])} if len(values) > 2 else {})}
         for name, values in every
     ]
+
+
+def _check_room(folder: Path) -> None:
+    """Raises InputError where files lie that an earlier comparison did not leave, or an input would be replaced."""
+    for name in (FIGURES, PAGE, PICTURE):
+        check_ordinary(folder, name)
+    try:
+        ours = "run_a" in json.loads(read_file(folder, FIGURES, limit=_FIGURES_LIMIT))
+    except (OSError, ValueError, TypeError, RecursionError):
+        ours = False
+    there = [name for name in (FIGURES, PAGE, PICTURE) if (folder / name).exists()]
+    if there and not ours:
+        raise InputError(
+            f"{folder} holds {', '.join(there)}, which `hfb compare` did not put there: move it away, or choose "
+            "another --out"
+        )
 
 
 def _publish(folder: Path, page: str, picture: bytes | None, result: dict[str, Any]) -> None:

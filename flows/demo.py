@@ -9,7 +9,10 @@ from typing import Any
 from flows.fit_image import fit_image
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
+from hfb.media.safe_folder import check_tree
 from tasks import progress
+
+_EXAMPLE = "example"
 
 
 def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda: None) -> dict[str, Any]:
@@ -23,7 +26,8 @@ def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda
     """
     if config.init.method == "auto":
         config = config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
+    check_tree(out, _EXAMPLE)
     with progress.step("example"):
-        paths = write_example(out / "example", config.seed)
+        paths = write_example(out / _EXAMPLE, config.seed)
     ready()
     return fit_image([paths.frame], paths.background, out, config, truth=paths.truth)

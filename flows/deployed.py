@@ -112,7 +112,7 @@ def video(
     """
     config = options.config()
     with _on_a_worker(out):
-        inputs = take_video_inputs(source, config, clip, background, None, everyone)
+        inputs = take_video_inputs(source, config, clip, background, None, everyone, out)
         return people.run_clip(inputs, out, config, engine_of(workers, store))
 
 

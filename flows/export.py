@@ -16,11 +16,14 @@ from hfb.export.mesh_files import earlier_meshes, write_meshes
 from hfb.export.motion_file import load_motion
 from hfb.export.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
 from hfb.media.pictures import stored_png
+from hfb.media.safe_folder import check_tree
 from tasks import progress
 from tasks.fitted_body import fitted_body, named_body
 from tasks.found_result import TEXTURE, FoundResult, found_result
+from tasks.out_place import check_no_clip
 
 MESHES = "meshes"
+_FOLDER = "export"
 
 
 def export_result(
@@ -55,17 +58,23 @@ def export_result(
         model = fitted_body(motion, space, body or named_body(place.folder / RESULT)) if surface else None
         texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
-        folder = out or place.new_folder("export", place.folder / "export")
+        folder = out or place.new_folder("export", place.folder / _FOLDER)
+        if place.fetched is None:
+            check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
+        check_no_clip(folder)
+        check_tree(folder, MESHES)
         for form in meshes:
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
-        with beside_result(folder, [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]):
-            written = _draw_films(folder, films, place, exported, inputs) if films else []
+        names = [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]
+        with beside_result(folder, names) as target:
+            written = _draw_films(target, films, place, exported, inputs) if films else []
             if formats:
                 with progress.step("motion files"):
-                    written = [write_motion_file(folder, form, exported) for form in formats] + written
+                    written = [write_motion_file(target, form, exported) for form in formats] + written
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     return {
-        "out": str(folder.resolve()), "files": {path.name: path.stat().st_size for path in written}, "meshes": count,
+        "out": str(folder.resolve()), "meshes": count,
+        "files": {path.name: (folder / path.name).stat().st_size for path in written},
         "sub_frames": len(motion.times_s), "betas_space": space,
     }  # fmt: skip
 

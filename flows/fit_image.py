@@ -54,7 +54,7 @@ def fit_image(
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
     """
-    return _fitted(take_inputs(frames, background, config, clip, truth, first_bodies), out, config)
+    return _fitted(take_inputs(frames, background, config, clip, truth, first_bodies, out), out, config)
 
 
 @flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])

@@ -12,9 +12,10 @@ from prefect import flow
 from flows.clip_place import clip_place
 from flows.reaper import mark_owner
 from flows.video import run_video
-from flows.workplace import publish, workplace
+from flows.workplace import mark_unfinished, publish, workplace
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
+from hfb.media.safe_folder import check_ordinary
 from tasks import progress
 from tasks.engine import Engine
 from tasks.task import code_version
@@ -46,6 +47,10 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
     began = time.perf_counter()
     people = everyone_in(inputs, out, config)
     progress.say(f"hfb: {len(people)} people, one after the other: {', '.join(one.name for one in people)}")
+    with workplace(out):
+        mark_unfinished(out)  # of an earlier result some people would be the old ones, some the new ones
+        for number in range(1, len(people) + 1):
+            check_ordinary(out, f"person-{number}")
     told = [_motion_of(one, inputs, out / f"person-{number}", config, engine) for number, one in enumerate(people, 1)]
     found = [one for one in told if one["error"] is None]
     if not found:

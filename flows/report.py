@@ -27,6 +27,7 @@ from tasks.stored_runs import StoredRun, find_run
 _OTHERS = {"texture": TEXTURE, "strip": "strip.png", "alternatives": "alternatives.npz"}
 _FETCHED = (RESULT, CURVES, *_OTHERS.values(), FILM_NAMES["slowmotion"])
 _HISTORY = "history.json"  # what results left before there was a curves.json
+_INNER = (f"{INTERMEDIATE}/{_HISTORY}", f"{INTERMEDIATE}/{PAGE_FILM}")
 _LARGEST_FILM_BYTES = 16 << 20
 
 
@@ -45,7 +46,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
     Raises:
         InputError: there is no such result, it is damaged, or the page cannot be written.
     """
-    with found_result(source, _FETCHED) as place, tempfile.TemporaryDirectory() as made:
+    with found_result(source, _FETCHED, _INNER) as place, tempfile.TemporaryDirectory() as made:
         run = place.fetched or _run_of(place.folder)
         folder = out or place.new_folder("report", place.folder)
         check_writable(folder)
@@ -60,8 +61,8 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         }
         if run is not None:
             facts = {**facts, "mlflow_run_id": run.run_id, "mlflow_link": run.link}
-        with progress.step("report"), beside_result(folder, [REPORT]):
-            write_page(parts, model, facts, versions, folder / REPORT)
+        with progress.step("report"), beside_result(folder, [REPORT]) as target:
+            write_page(parts, model, facts, versions, target / REPORT)
     path = (folder / REPORT).resolve()
     return {"report": str(path), "bytes": path.stat().st_size, "film": film is not None, "surface": model is not None}
 

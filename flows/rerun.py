@@ -24,9 +24,11 @@ from tasks import progress, tracking
 from tasks.environment import environment
 from tasks.handles import FileHandle, sha256_of
 from tasks.inputs import Inputs, networks_at_hand
+from tasks.out_place import check_clip_out, check_pictures_out
 from tasks.present_files import find_present
 from tasks.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 from tasks.repetition import Repetition, repeating
+from tasks.result_folder import unfinished_files
 from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from tasks.task import code_version
 from tasks.video_inputs import VideoInputs
@@ -116,8 +118,10 @@ def _chain(
     """The command's chain with its inputs where they lie now."""
     if recipe.command == "fit":
         inputs, settled = with_networks(recipe_inputs(Inputs, recipe, places, run), config, run)
+        check_pictures_out([one.path for one in inputs.frames], out)
         return lambda: fit_image_again(inputs, out, settled)
     clip, settled = with_networks(recipe_inputs(VideoInputs, recipe, places, run), config, run)
+    check_clip_out(clip.video[0].path, [one.path for one in clip.video], out)
     return lambda: run_video(clip, out, settled, workers)
 
 
@@ -155,7 +159,9 @@ def _fresh(out: Path | None, run_id: str) -> Path:
 
 def _is_fresh(folder: Path) -> bool:
     """Nothing there, or what an interrupted run leaves."""
-    return not folder.exists() or (folder.is_dir() and {path.name for path in folder.iterdir()} <= {INTERMEDIATE})
+    if not folder.exists() or not folder.is_dir():
+        return not folder.exists()
+    return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *unfinished_files(folder)}
 
 
 def _changed(run: StoredRun) -> tuple[str, ...]:

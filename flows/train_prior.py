@@ -18,6 +18,7 @@ from hfb.priors.training_spec import MotionTraining, PoseTraining
 from tasks import progress, tracking
 from tasks.cases import listing_of
 from tasks.handles import FileHandle
+from tasks.out_place import check_sources_out
 from tasks.result_records import records_in
 from tasks.task import code_version
 from tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
@@ -54,6 +55,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         raise InputError(f"{out}: a prior is one file; give --out a name that ends in .safetensors")
     if not plan.motions.is_dir():
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
+    check_sources_out([plan.motions], out.parent)
     spec = plan.motion if plan.kind == "motion" else plan.pose
     with workplace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)

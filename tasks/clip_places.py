@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
-from hfb.errors import InputError
-from hfb.export.names import RESULT
+from hfb.errors import InputError, NotNow
 from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
+from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below
 from tasks.handles import FileHandle, StaleFile
+from tasks.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS, same_place
+from tasks.result_folder import result_content
 
-CLIP_FILE = "clip.toml"
-VIDEOS = {
-    ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".ts", ".wmv", ".mxf", ".gif",
-}  # fmt: skip
-_FRAMES_FOLDER = "frames"
 _PLATE_NAMES = ("background", "plate")
+_LEADS_OUT = "is a link that leads out of the folder of clips: put the file itself there"
+_LINKED = "is a link to a folder, whose files cannot be watched: put the folder itself there"
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,7 @@ class ClipPlace:
     Attributes:
         source: what `hfb video` would be given. clip: its clip.toml, where it has one.
         files: everything that its result depends on, as far as the folder tells.
-        stray: one of these that is a link to a place outside of the folder.
+        stray: an entry because of which the clip is not worked on, and why.
         twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
     """
 
@@ -37,12 +35,13 @@ class ClipPlace:
     clip: Path | None
     files: tuple[Path, ...]
     stray: Path | None = None
+    why: str = ""
     twin: Path | None = None
 
     def check(self) -> None:
-        """Raises InputError where another clip has the same name, or a file lies elsewhere.
+        """Raises InputError where another clip has the same name, or files are not the folder's own.
 
-        Who may put clips into a folder may not see other files.
+        Who may put clips into a folder may not see other files. What is watched and what is read are the same files.
         """
         if self.twin is not None:
             raise InputError(
@@ -50,7 +49,13 @@ class ClipPlace:
                 "rename one of them"
             )
         if self.stray is not None:
-            raise InputError(f"{self.stray} is a link that leads out of the folder of clips: put the file itself there")
+            raise InputError(f"{self.stray} {self.why}")
+
+    def check_read(self, read: Iterable[FileHandle]) -> None:
+        """Raises NotNow where a file was read that is not watched, since the folder was changed meanwhile."""
+        watched = {path.resolve() for path in self.files}
+        if other := next((file.path for file in read if file.path not in watched), None):
+            raise NotNow(f"{other} came to {self.source} while it was being read: it is looked at again")
 
 
 def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
@@ -67,7 +72,7 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     results = out.resolve()
     named: dict[str, list[ClipPlace]] = {}
     for path in natural_order(folder.iterdir()):
-        place = None if path.resolve() == results or is_hidden(path) else _clip_at(path)
+        place = None if is_hidden(path) or same_place(path, out) else _clip_at(path)
         if place is not None:
             named.setdefault(place.name, []).append(place)
     return tuple(place for name, same in named.items() for place in _told_apart(same, results / name))
@@ -75,19 +80,47 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
 
 def _clip_at(path: Path) -> ClipPlace | None:
     """The clip that a file or a folder in a folder of clips is."""
-    if path.is_file() and path.suffix.lower() in VIDEOS:
+    if path.suffix.lower() in VIDEOS and path.exists() and not path.is_dir():
         sidecar = path.with_suffix(".toml")
         name, clip = path.stem, sidecar if sidecar.exists() else None
         own = [path, sidecar] if clip else [path]
     elif path.is_dir() and (path / CLIP_FILE).exists():
         name, clip = path.name, path / CLIP_FILE
-        own = sorted(one for one in path.rglob("*") if one.is_file())
+        if path.is_symlink():
+            return ClipPlace(name, path, clip, (clip,), path, _LINKED)
+        try:
+            own = sorted(entries_below(path))
+        except NotOrdinary as error:
+            return ClipPlace(name, path, clip, (clip,), path, f"is not read, since {error}")
     else:
         return None
-    files = tuple(dict.fromkeys((*own, *_named_or_beside(path, clip))))
-    ground = path.parent.resolve()
-    stray = next((one for one in (path, *files) if not one.resolve().is_relative_to(ground)), None)
-    return ClipPlace(name, path, clip, files, stray)
+    files = tuple(one for one in own if not one.is_dir())
+    stray = _first_stray(path.parent, own)  # before anything is opened or listed that it leads to
+    if stray is None:
+        files = tuple(dict.fromkeys((*(one for one in files if one.is_file()), *_named_or_beside(path, clip))))
+        stray = _first_stray(path.parent, files)
+    return ClipPlace(name, path, clip, files, *(stray or ()))
+
+
+def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None:
+    """The first entry of a clip that is not taken, and why: what is read has to be what is watched."""
+    inside = ground.resolve()
+    for path in files:
+        steps = path.relative_to(ground).parts
+        folders = [ground.joinpath(*steps[:count]) for count in range(1, len(steps))]
+        if linked := next((one for one in folders if one.is_symlink()), None):
+            return linked, _LINKED
+        if path.is_symlink() and path.is_dir():
+            return path, _LINKED
+        try:
+            if not path.resolve().is_relative_to(inside):
+                return path, _LEADS_OUT
+            check_readable(path)
+        except FileNotFoundError:
+            continue
+        except (OSError, RuntimeError) as error:  # links in a circle
+            return path, f"cannot be read ({getattr(error, 'strerror', None) or error}): put the file itself there"
+    return None
 
 
 def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
@@ -118,7 +151,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = json.loads((result / RESULT).read_bytes())["inputs"]["video"]
+        sha256 = result_content(result)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False
@@ -188,7 +221,7 @@ def _inside(folder: Path) -> tuple[Path, ...]:
         return (videos[0],)
     if videos:
         raise InputError(f"{folder} holds {len(videos)} videos: name one, or write `video = ...` into its {CLIP_FILE}")
-    place = folder / _FRAMES_FOLDER if (folder / _FRAMES_FOLDER).is_dir() else folder
+    place = folder / FRAMES_FOLDER if (folder / FRAMES_FOLDER).is_dir() else folder
     frames = tuple(path for path in pictures_in(place) if not is_plate(path))
     if not frames:
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
-from hfb.json_file import read_json
+from tasks.result_folder import result_content
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
@@ -18,8 +18,8 @@ _SAME_BODY_M = 1e-3
 def named_body(result: Path) -> Path | None:
     """The body model that result.json names; None where it names none or cannot be read."""
     try:
-        named = read_json(result)["config"]["body"]["model"]
-    except (InputError, KeyError, TypeError):
+        named = result_content(result.parent)["config"]["body"]["model"]
+    except (OSError, InputError, KeyError, TypeError):
         return None
     return Path(named) if isinstance(named, str) else None
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
+from hfb.media.safe_folder import check_readable
+from tasks.result_folder import check_result
 
 if TYPE_CHECKING:
     from tasks.stored_runs import StoredRun
@@ -47,15 +49,24 @@ class FoundResult:
 
 
 @contextmanager
-def found_result(source: str, names: Sequence[str]) -> Iterator[FoundResult]:
+def found_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -> Iterator[FoundResult]:
     """The result; of a run those of its files are fetched that are named here, and its motion.
 
+    Args:
+        inner: further files that are read where the result is a folder.
+
     Raises:
-        InputError: there is no such folder or run, or the run has no motion.
+        InputError: there is no such folder or run, the run has no motion, or the folder holds a link or a special file
+            in the place of one of these files, or an unfinished result.
     """
     path = Path(source)
     if path.exists():
         folder = path if path.is_dir() else path.parent
+        check_result(folder, [*names, *inner, *([MOTION] if path.is_dir() else [])])
+        try:
+            check_readable(path)
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}") from None
         yield FoundResult(folder, path / MOTION if path.is_dir() else path, None)
         return
     if path.suffix or len(path.parts) > 1:

@@ -16,6 +16,7 @@ from typing import Any, Literal, Self, TypeVar, cast
 from pydantic import BaseModel
 
 from hfb.config import Record
+from hfb.media.safe_folder import check_readable
 
 T = TypeVar("T")
 
@@ -130,7 +131,12 @@ class ScoresHandle(FileHandle):
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file's content."""
+    """The sha256 of a file's content.
+
+    Raises:
+        OSError: it cannot be read, or is a named pipe, a device or a socket.
+    """
+    check_readable(path)
     before = _stamp(path)
     with path.open("rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()

@@ -11,6 +11,7 @@ from hfb.export.names import check_formats
 from hfb.initialize.networks import LandmarkChoice, networks_in_use
 from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
+from tasks.out_place import check_pictures_out
 
 _OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
 """Entries of clip.toml that say nothing about single pictures, whose plate is given."""
@@ -59,12 +60,19 @@ def take_inputs(
     clip: Path | None = None,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
+    out: Path | None = None,
 ) -> Inputs:
     """Everything the user names, hashed.
 
+    Args:
+        out: where results go, to be checked.
+
     Raises:
-        InputError: a file is missing, cannot be read, or clip.toml is wrong.
+        InputError: a file is missing, cannot be read, clip.toml is wrong, or results in ``out`` would be taken for
+            frames.
     """
+    if out is not None:
+        check_pictures_out(frames, out)
     if first_bodies and len(first_bodies) != len(frames):
         raise InputError(f"{len(first_bodies)} first bodies for {len(frames)} frames: give one per frame")
     check_formats(config.export.formats)

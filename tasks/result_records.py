@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import secrets
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,8 +19,11 @@ from prefect.context import FlowRunContext
 from prefect.serializers import JSONSerializer
 from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
+from hfb.media.safe_folder import check_tree, open_folder, read_file
+
 _NAME = "hfb-"  # of a task's record: `tasks.task.cache_key`; failures and flows leave others, which nobody reads again
 _OURS = ("tasks.", "hfb.")
+_ASIDE, _LONGEST_NAME = "records-set-aside", 200
 _BYTE_LIMIT = 64 << 20
 _log = logging.getLogger(__name__)
 
@@ -37,20 +42,29 @@ def records_in(folder: Path) -> Iterator[None]:
 
 
 def drop_foreign(place: Path) -> int:
-    """Remove every record that is not one of ours; what it stood for is made again. Returns how many there were."""
+    """Move every record that is not one of ours out of Prefect's sight; what it stood for is made again.
+
+    Moved and not removed: what hfb did not write is not hfb's to remove. Returns how many there were.
+
+    Raises:
+        NotOrdinary: the folder of records, or a record, is a link or a special file.
+    """
+    check_tree(place.parent, place.name)
     foreign = [path for path in place.iterdir() if not _is_ours(path)] if place.is_dir() else []
-    for path in foreign:
-        if path.is_file() or path.is_symlink():
-            path.unlink(missing_ok=True)
-            _log.info("%s: no record of ours, removed", path)
+    if foreign:
+        with open_folder(place.parent, place.name) as here, open_folder(place.parent, _ASIDE, make=True) as aside:
+            for path in foreign:
+                name = f"{path.name[:_LONGEST_NAME]}.{secrets.token_hex(4)}"
+                os.rename(path.name, name, src_dir_fd=here, dst_dir_fd=aside)
+                _log.info("%s: no record of ours, moved to %s", path, _ASIDE)
     return len(foreign)
 
 
 def _is_ours(path: Path) -> bool:
     try:
-        if not path.name.startswith(_NAME) or path.is_symlink() or path.stat().st_size > _BYTE_LIMIT:
+        if not path.name.startswith(_NAME):
             return False
-        record = json.loads(path.read_bytes())
+        record = json.loads(read_file(path.parent, path.name, limit=_BYTE_LIMIT))
         if record["metadata"]["serializer"] != JSONSerializer().model_dump(mode="json"):
             return False
         json.loads(record["result"], object_hook=_only_handles)

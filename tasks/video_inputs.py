@@ -13,6 +13,7 @@ from tasks.clip_places import plate_beside, resolve_source
 from tasks.given_networks import matting_file
 from tasks.handles import FileHandle, digest
 from tasks.inputs import input_file, input_files, optional_file, pose_networks, result_files
+from tasks.out_place import check_clip_out
 
 _FOUND: tuple[Literal["median"], Literal["still"]] = ("median", "still")
 
@@ -48,6 +49,7 @@ def take_video_inputs(
     background: str | None = None,
     truth: Path | None = None,
     everyone: bool = False,
+    out: Path | None = None,
 ) -> VideoInputs:
     """Everything the user names, hashed.
 
@@ -55,12 +57,16 @@ def take_video_inputs(
         source: see `tasks.clip_places.resolve_source`.
         background: a file, ``"median"`` or ``"still"``; wins over clip.toml, which wins over a plate beside the clip.
         everyone: whatever clip.toml says of the person, all who are seen (or are in its file of tracks).
+        out: where results go, to be checked.
 
     Raises:
-        InputError: a file is missing or cannot be read, clip.toml is wrong, or it is not clear which video is meant.
+        InputError: a file is missing or cannot be read, clip.toml is wrong, it is not clear which video is meant, or
+            results in ``out`` would be taken for frames.
     """
     check_formats(config.export.formats)
     files, clip_path = resolve_source(source, clip)
+    if out is not None:
+        check_clip_out(source, files, out)
     known = read_clip(clip_path) if clip_path else Clip()
     how, plate = _plate(background or known.background, files)
     person, camera = known.person, known.camera

@@ -27,6 +27,7 @@ from hfb.formation import compose
 from hfb.media.atomic import write_bytes_atomic
 from hfb.media.footage_names import pictures_in
 from hfb.media.pictures import write_png
+from hfb.media.safe_folder import check_ordinary, check_tree
 from hfb.media.video_writing import VideoWriter
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.sampled import SampledMotion
@@ -112,6 +113,9 @@ def make_clip(
 
 def _make_room(folder: Path) -> None:
     """Take away what an earlier clip left: of a longer one frames would stay, of another kind all of them."""
+    check_tree(folder, "frames")
+    for name in (*_BESIDE_FRAMES, "clip.mp4"):
+        check_ordinary(folder, name)
     ours, there = _made_before(folder), {name for name in (*_BESIDE_FRAMES, "clip.mp4") if (folder / name).exists()}
     there |= {f"frames/{path.name}" for path in pictures_in(folder / "frames")}
     if strange := sorted(there - ours):

@@ -15,11 +15,13 @@ from hfb.body.model import Body, ShapedBody
 from hfb.config import MeshFormat
 from hfb.errors import NotNow
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.safe_folder import check_tree, is_regular
 from hfb.motion.sampled import SampledMotion
 from hfb.rotations import axis_angle_to_matrix
 from hfb.shapes import Array, Float
 
 _MATERIAL, _TEXTURE = "person.mtl", "texture.png"
+_MATERIAL_TEXT = f"newmtl person\nKd 1 1 1\nillum 1\nmap_Kd {_TEXTURE}\n".encode()
 _Y_UP = np.array([1.0, -1.0, -1.0])
 _NAME = re.compile(r"frame_\d{4,}_sub_\d{2,}\.(obj|ply)")
 _MARK = "hfb, metres, y up"
@@ -37,12 +39,24 @@ def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
     Raises:
         NotNow: a file of such a name is not from hfb.
     """
+    check_tree(folder)
     named = [path for path in sorted(folder.glob(f"frame_*.{form}")) if _NAME.fullmatch(path.name)]
     for path in named:
-        with path.open("rb") as file:
-            if _MARK.encode() not in file.read(80):
-                raise NotNow(f"{path} is not from this version of hfb: move it away, or choose another --out")
+        if not is_regular(path) or not _is_marked(path):
+            raise NotNow(f"{path} is not from this version of hfb: move it away, or choose another --out")
+    texture = folder / _TEXTURE
+    if form == "obj" and texture.exists() and not _is_material(folder / _MATERIAL):
+        raise NotNow(f"{texture} is not from hfb, and meshes bring one: move it away, or choose another --out")
     return named
+
+
+def _is_marked(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _MARK.encode() in file.read(80)
+
+
+def _is_material(path: Path) -> bool:
+    return is_regular(path) and path.stat().st_size == len(_MATERIAL_TEXT) and path.read_bytes() == _MATERIAL_TEXT
 
 
 def write_meshes(
@@ -62,8 +76,8 @@ def write_meshes(
     textured = form == "obj" and texture_png is not None
     if textured:
         assert texture_png is not None
+        write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it tells that the texture is ours
         write_bytes_atomic(folder / _TEXTURE, texture_png)
-        write_bytes_atomic(folder / _MATERIAL, f"newmtl person\nKd 1 1 1\nillum 1\nmap_Kd {_TEXTURE}\n".encode())
     surface = _obj_surface(body, textured) if form == "obj" else _ply_surface(body)
     for row in range(len(motion.poses)):
         vertices = _posed(shaped, motion, row)

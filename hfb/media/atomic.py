@@ -1,15 +1,33 @@
 """Files that appear whole or not at all: write beside the target, fsync, rename."""
 
 import os
+import re
 import secrets
 from pathlib import Path
+
+_TEMPORARY = re.compile(r"\.(.+)\.\d+-[0-9a-f]+\.part(\.\w+)?", re.DOTALL)
+
+
+def temporary_beside(path: Path, suffix: str = "") -> Path:
+    """A name beside a file, for the time in which it is written.
+
+    Args:
+        suffix: of a file whose writer goes by the suffix; ``path`` is then given without it.
+    """
+    return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
+
+
+def leftover_of(name: str) -> str | None:
+    """The name of the file that a killed writer's temporary file was to become; None for any other file."""
+    found = _TEMPORARY.fullmatch(name)
+    return found[1] + (found[2] or "") if found else None
 
 
 def write_bytes_atomic(path: Path, data: bytes) -> None:
     """Put `data` at `path`; a reader (or a crash) sees the old file or the new one, never half of one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    temporary = temporary_beside(path)
     try:
         with temporary.open("xb") as file:
             file.write(data)
@@ -18,10 +36,10 @@ def write_bytes_atomic(path: Path, data: bytes) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
     """Make the rename itself durable, where the system can (not on every network file system)."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)

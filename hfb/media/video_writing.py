@@ -1,7 +1,5 @@
 """Video out: H.264 that browsers and players show, written beside its place and renamed when whole."""
 
-import os
-import secrets
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
@@ -10,6 +8,7 @@ from types import TracebackType
 import av
 import numpy as np
 
+from hfb.media.atomic import temporary_beside
 from hfb.shapes import Array, Float, Shaped
 
 _QUALITY = {"crf": "12"}  # constant rate factor: visually the same, some 1 bit per pixel
@@ -39,7 +38,7 @@ class VideoWriter:
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
         self._comment = comment
         self._options = _SMALL if small else _TO_LOOK_AT if to_look_at else _QUALITY
-        self._temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.part{path.suffix}")
+        self._temporary = temporary_beside(path.with_suffix(""), path.suffix)
         self._container: av.container.OutputContainer | None = None
         self._stream: av.VideoStream | None = None
         self._encoder = ThreadPoolExecutor(1, "hfb-video")

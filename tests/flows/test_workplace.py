@@ -75,8 +75,9 @@ def test_what_was_made_of_a_result_goes_with_it(tmp_path: Path) -> None:
     """As the page of `hfb report`: it would show another fit."""
     published(tmp_path, {"motion.npz": "1"})
     (tmp_path / "overlay.mp4").write_text("mine")
-    with beside_result(tmp_path, ["report.html"]):
-        (tmp_path / "report.html").write_text("of 1")
+    with beside_result(tmp_path, ["report.html"]) as place:
+        (place / "report.html").write_text("of 1")
+    assert (tmp_path / "report.html").read_text() == "of 1"
     assert json.loads((tmp_path / "result.json").read_text())["files"] == ["motion.npz", "report.html"]
     published(tmp_path, {"motion.npz": "2"})
     assert held(tmp_path) == {"motion.npz": "2", "overlay.mp4": "mine"}
