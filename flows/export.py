@@ -58,7 +58,7 @@ def export_result(
         texture = (place.folder / TEXTURE).read_bytes() if (place.folder / TEXTURE).is_file() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
-        if place.fetched is None:
+        if out is None and place.fetched is None:
             check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
         check_no_clip(folder)
         check_tree(folder, MESHES)
