@@ -27,7 +27,7 @@ from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
 from tasks.engine import Engine, engine_of
 from tasks.handles import files_in
-from tasks.out_place import check_batch_out
+from tasks.out_place import check_batch_out, check_not_clips
 from tasks.result_folder import is_finished
 from tasks.video_inputs import check_options, take_video_inputs
 
@@ -151,7 +151,7 @@ class _Rounds:
         try:
             place.check()
             target = self._out / place.name
-            check_batch_out(self._folder, target)
+            check_not_clips(self._folder, target)  # as of a clip `b` in `a/b` with --out a
             check_ordinary(self._out, place.name)
             inputs = take_video_inputs(place.source, self._config, clip=place.clip, out=target)
             place.check_read(files_in((inputs.video, inputs.background, inputs.calibration, inputs.track)))

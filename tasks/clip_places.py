@@ -9,7 +9,7 @@ from pathlib import Path
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError, NotNow
 from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
-from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below
+from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
 from tasks.handles import FileHandle, StaleFile
 from tasks.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS, same_place
 from tasks.result_folder import result_content
@@ -104,12 +104,16 @@ def _clip_at(path: Path) -> ClipPlace | None:
 
 def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None:
     """The first entry of a clip that is not taken, and why: what is read has to be what is watched."""
-    inside = ground.resolve()
+    inside, own = ground.resolve(), {ground}  # folders that are no links
     for path in files:
-        steps = path.relative_to(ground).parts
-        folders = [ground.joinpath(*steps[:count]) for count in range(1, len(steps))]
-        if linked := next((one for one in folders if one.is_symlink()), None):
-            return linked, _LINKED
+        if path.parent not in own:
+            steps = path.relative_to(ground).parts
+            folders = [ground.joinpath(*steps[:count]) for count in range(1, len(steps))]
+            if linked := next((one for one in folders if one.is_symlink()), None):
+                return linked, _LINKED
+            own.update(folders)
+        if is_regular(path):
+            continue
         if path.is_symlink() and path.is_dir():
             return path, _LINKED
         try:
