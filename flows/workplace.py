@@ -19,6 +19,7 @@ from typing import Any
 from hfb.errors import Busy, InputError, NotNow
 from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.names import is_text
 from tasks.handles import sha256_of
 
 INTERMEDIATE = "intermediate"
@@ -70,6 +71,8 @@ def workplace(out: Path) -> Iterator[Path]:
 
 def check_writable(out: Path) -> None:
     """Raises InputError where a folder cannot be made, or written into; makes nothing."""
+    if not is_text(out.absolute()):
+        raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     ground = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if not ground.is_dir():
         raise NotNow(f"{out} cannot be a folder, since {ground} is a file: choose another --out")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import errno
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,10 +11,15 @@ from pathlib import Path
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError
 from hfb.export.names import RESULT
+from hfb.json_file import read_json
 from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
+from hfb.media.names import is_text, shown_name
 from tasks.handles import FileHandle, StaleFile
 
 CLIP_FILE = "clip.toml"
+RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
+"""What a folder of results holds beside the clips' own folders; letter cases are one on some disks."""
+
 VIDEOS = {
     ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".ts", ".wmv", ".mxf", ".gif",
 }  # fmt: skip
@@ -30,6 +36,7 @@ class ClipPlace:
         files: everything that its result depends on, as far as the folder tells.
         stray: one of these that is a link to a place outside of the folder.
         twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
+        trouble: why it cannot be looked at.
     """
 
     name: str
@@ -38,12 +45,24 @@ class ClipPlace:
     files: tuple[Path, ...]
     stray: Path | None = None
     twin: Path | None = None
+    trouble: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The name for a line of text."""
+        return shown_name(self.name)
 
     def check(self) -> None:
-        """Raises InputError where another clip has the same name, or a file lies elsewhere.
+        """Raises InputError where no folder can have the clip's name, another clip has it, or a file lies elsewhere.
 
         Who may put clips into a folder may not see other files.
         """
+        if self.trouble:
+            raise InputError(f"{self.source} cannot be read ({self.trouble}): mend its permissions or its name")
+        if not is_text(self.name):
+            raise InputError(f"{self.source} has a name that is not text in UTF-8: rename it")
+        if RESERVED.fullmatch(self.name.casefold()):
+            raise InputError(f"{self.shown} is what hfb calls a file of its own beside results: rename the clip")
         if self.twin is not None:
             raise InputError(
                 f"{self.source} and {self.twin} are clips of one name, so both results would go into one folder: "
@@ -67,7 +86,13 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     results = out.resolve()
     named: dict[str, list[ClipPlace]] = {}
     for path in natural_order(folder.iterdir()):
-        place = None if path.resolve() == results or is_hidden(path) else _clip_at(path)
+        try:
+            place = None if path.resolve() == results or is_hidden(path) else _clip_at(path)
+        except (
+            OSError,
+            RuntimeError,
+        ) as error:  # not to be opened, too long a name, links in a circle
+            place = ClipPlace(path.stem, path, None, (path,), trouble=getattr(error, "strerror", None) or str(error))
         if place is not None:
             named.setdefault(place.name, []).append(place)
     return tuple(place for name, same in named.items() for place in _told_apart(same, results / name))
@@ -77,7 +102,7 @@ def _clip_at(path: Path) -> ClipPlace | None:
     """The clip that a file or a folder in a folder of clips is."""
     if path.is_file() and path.suffix.lower() in VIDEOS:
         sidecar = path.with_suffix(".toml")
-        name, clip = path.stem, sidecar if sidecar.exists() else None
+        name, clip = path.stem, sidecar if _exists(sidecar) else None
         own = [path, sidecar] if clip else [path]
     elif path.is_dir() and (path / CLIP_FILE).exists():
         name, clip = path.name, path / CLIP_FILE
@@ -88,6 +113,16 @@ def _clip_at(path: Path) -> ClipPlace | None:
     ground = path.parent.resolve()
     stray = next((one for one in (path, *files) if not one.resolve().is_relative_to(ground)), None)
     return ClipPlace(name, path, clip, files, stray)
+
+
+def _exists(path: Path) -> bool:
+    """Whether a file is there; none has a name that is too long, as NAME.toml may be where NAME.ts is not."""
+    try:
+        return path.exists()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return False
+        raise
 
 
 def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
@@ -118,7 +153,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = json.loads((result / RESULT).read_bytes())["inputs"]["video"]
+        sha256 = read_json(result / RESULT)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False
