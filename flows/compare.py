@@ -15,7 +15,7 @@ from hfb.errors import InputError
 from hfb.evaluate.motion_difference import MotionDifference, motion_difference
 from hfb.export.motion_file import load_motion
 from hfb.media.atomic import write_bytes_atomic
-from hfb.media.pictures import read_picture_srgb
+from hfb.media.pictures import read_picture_srgb, stored_png
 from hfb.media.safe_folder import check_ordinary, read_file
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, small_picture
@@ -108,7 +108,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
         progress.say(f"run {run.title} is shown as a skeleton: {error}")
         body = None
     turning = viewer(
-        [ViewedMotion(run.title, motion)], body, texture.read_bytes() if texture and body else None, run.title, _GROUP
+        [ViewedMotion(run.title, motion)], body, stored_png(texture) if texture and body else None, run.title, _GROUP
     )  # fmt: skip
     return _Shown(run, motion, _picture(run, folder), turning)
 

@@ -15,6 +15,7 @@ from hfb.export.files import Exported, write_motion_file
 from hfb.export.mesh_files import earlier_meshes, write_meshes
 from hfb.export.motion_file import load_motion
 from hfb.export.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.media.pictures import stored_png
 from hfb.media.safe_folder import check_tree
 from tasks import progress
 from tasks.fitted_body import fitted_body, named_body
@@ -55,7 +56,7 @@ def export_result(
         motion, space = load_motion(place.motion)
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = fitted_body(motion, space, body or named_body(place.folder / RESULT)) if surface else None
-        texture = (place.folder / TEXTURE).read_bytes() if (place.folder / TEXTURE).is_file() else None
+        texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
         if out is None and place.fetched is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,14 @@ from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.export.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
+from hfb.json_file import read_json
 from hfb.media.atomic import write_bytes_atomic
+from hfb.report.result_facts import read_facts
 from tasks import progress, tracking
 from tasks.fitted_body import fitted_body, named_body
 from tasks.found_result import TEXTURE, FoundResult, found_result
 from tasks.handles import FileHandle, sha256_of
+from tasks.inputs import input_file
 from tasks.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from tasks.store_place import check_store, tracking_uri
 from tasks.stored_runs import StoredRun, find_run
@@ -26,7 +28,6 @@ _OTHERS = {"texture": TEXTURE, "strip": "strip.png", "alternatives": "alternativ
 _FETCHED = (RESULT, CURVES, *_OTHERS.values(), FILM_NAMES["slowmotion"])
 _HISTORY = "history.json"  # what results left before there was a curves.json
 _INNER = (f"{INTERMEDIATE}/{_HISTORY}", f"{INTERMEDIATE}/{PAGE_FILM}")
-_LIMIT_BYTES = 64 << 20
 _LARGEST_FILM_BYTES = 16 << 20
 
 
@@ -76,24 +77,8 @@ def _run_of(folder: Path) -> StoredRun | None:
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    """The content of result.json; nothing where there is none.
-
-    Raises:
-        InputError: it is something else.
-    """
-    content = _json(path) if path.is_file() else {}
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is not a result of hfb: give the folder of one")
-    return content
-
-
-def _json(path: Path) -> Any:
-    try:
-        if path.stat().st_size > _LIMIT_BYTES:
-            raise ValueError("it is too large")
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read ({error}): make the result again") from None
+    """The content of result.json; nothing where there is none. Raises InputError where it is something else."""
+    return read_facts(path) if path.exists() else {}
 
 
 def _model(motion: Any, space: str, path: Path | None) -> Body | None:
@@ -109,15 +94,13 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
     """What there is."""
     folder = place.folder
     curves, history = folder / CURVES, folder / INTERMEDIATE / _HISTORY
-    if not curves.is_file():
-        known: Mapping[str, Any] = {"losses": _json(history)} if history.is_file() else {}
+    if not curves.exists():
+        known = {"losses": read_json(history)} if history.is_file() else {}
         curves = made / CURVES
         write_bytes_atomic(curves, json.dumps(known).encode())
-    elif not isinstance(_json(curves), dict):
-        raise InputError(f"{curves} holds no curves of hfb: make the result again")
-    others = {part: FileHandle.of(folder / name) for part, name in _OTHERS.items() if (folder / name).is_file()}
+    others = {part: input_file(folder / name) for part, name in _OTHERS.items() if (folder / name).exists()}
     return ReportParts(
-        motion=FileHandle.of(place.motion), curves=FileHandle.of(curves),
+        motion=FileHandle.of(place.motion), curves=input_file(curves),
         film=FileHandle.of(film) if film else None, **others,
     )  # fmt: skip
 
@@ -127,14 +110,20 @@ def _film(
 ) -> Path | None:  # fmt: skip
     """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
-    if drawn.is_file() and not shows_another_motion(drawn, sha256_of(place.motion)):
+    if drawn.is_file() and _fits_a_page(drawn) and not shows_another_motion(drawn, sha256_of(place.motion)):
         return drawn
     if run is not None and body is not None and (place.folder / TEXTURE).is_file():
         try:
             return _drawn_again(place, run, body, inputs, made)
         except InputError as error:
             progress.say(f"hfb: no film is drawn: {error}")
-    return own if own.is_file() and own.stat().st_size <= _LARGEST_FILM_BYTES else None
+    return own if own.is_file() and _fits_a_page(own) else None
+
+
+def _fits_a_page(film: Path) -> bool:
+    """Whether it is a film of a bearable size; another file could be anything."""
+    with film.open("rb") as file:
+        return film.stat().st_size <= _LARGEST_FILM_BYTES and file.read(12)[4:8] == b"ftyp"
 
 
 def _drawn_again(place: FoundResult, run: StoredRun, body: Body, inputs: Path | None, made: Path) -> Path:

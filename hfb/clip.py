@@ -34,13 +34,14 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from hfb.config import HeightM, Record
+from hfb.config import ExposureSeconds, FocalPx, FramesPerS, HeightM, Record, within
 from hfb.errors import InputError
 from hfb.toml_file import read_toml, to_record
 
 BACKGROUND_WORDS = ("median", "still")
 """Backgrounds that are made from the clip itself."""
 
+_MOST_FRAMES, _LONGEST_S, _LARGEST_PX = 10**9, 1e10, 1e7
 _Row = tuple[float, float, float]
 
 
@@ -53,7 +54,7 @@ class _ClipRecord(Record):
 class ClipCamera(_ClipRecord):
     """A calibration of the full picture [px]; pixel (0, 0)'s centre lies at (0.5, 0.5)."""
 
-    focal_px: Annotated[float, Field(gt=0)] | None = None
+    focal_px: FocalPx | None = None
     K: tuple[_Row, _Row, _Row] | None = None
     calibration: Path | None = None
     name: str | None = None
@@ -69,6 +70,8 @@ class ClipCamera(_ClipRecord):
         if self.focal_px is not None:
             raise ValueError("give focal_px or K, not both")
         (fx, skew, _), (zero, fy, _), last = self.K
+        if max(map(abs, (*self.K[0], *self.K[1]))) > _LARGEST_PX:
+            raise ValueError(f"K must have no number above {_LARGEST_PX:g}: it is in pixels")
         if fx <= 0 or fy <= 0 or skew != 0 or zero != 0 or list(last) != [0, 0, 1]:
             raise ValueError("K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0: undistort the pictures")
         return self
@@ -77,10 +80,10 @@ class ClipCamera(_ClipRecord):
 class ClipExposure(_ClipRecord):
     """When the shutter was open. At most one of the three lengths, or ``auto``: what the footage itself tells."""
 
-    fps: Annotated[float, Field(gt=0)] | None = None
-    seconds: Annotated[float, Field(gt=0)] | None = None
-    shutter_fraction: Annotated[float, Field(gt=0, le=1)] | None = None
-    shutter_angle: Annotated[float, Field(gt=0, le=360)] | None = None
+    fps: FramesPerS | None = None
+    seconds: ExposureSeconds | None = None
+    shutter_fraction: Annotated[float, Field(gt=0, le=1), within(1e-4, 1)] | None = None
+    shutter_angle: Annotated[float, Field(gt=0, le=360), within(0.036, 360)] | None = None
     auto: bool = False
     position: Literal["start", "middle", "end"] = "start"
 
@@ -137,10 +140,10 @@ class Clip(_ClipRecord):
 
     transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
     video: Path | None = None
-    start: Annotated[int, Field(ge=0)] | None = None
-    stop: Annotated[int, Field(gt=0)] | None = None
-    start_s: Annotated[float, Field(ge=0)] | None = None
-    stop_s: Annotated[float, Field(gt=0)] | None = None
+    start: Annotated[int, Field(ge=0, le=_MOST_FRAMES)] | None = None
+    stop: Annotated[int, Field(gt=0, le=_MOST_FRAMES)] | None = None
+    start_s: Annotated[float, Field(ge=0, le=_LONGEST_S)] | None = None
+    stop_s: Annotated[float, Field(gt=0, le=_LONGEST_S)] | None = None
     background: str | None = None
     camera: ClipCamera = ClipCamera()
     exposure: ClipExposure = ClipExposure()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def _in_order(schema: dict[str, Any]) -> None:
@@ -27,6 +27,22 @@ HeightM = Annotated[float, Field(ge=1.4, le=2.4)]
 """A person's height [m]. Body models know grown people: at 1.2 m the embedded one is a caricature, no child."""
 
 
+def within(least: float, most: float) -> AfterValidator:
+    """Refuses what no camera has, such as 1e300: products of such numbers overflow."""
+
+    def check(value: float) -> float:
+        if not least <= value <= most:
+            raise ValueError(f"must lie between {least:g} and {most:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+FramesPerS = Annotated[float, Field(gt=0), within(1e-4, 1e6)]
+ExposureSeconds = Annotated[float, Field(gt=0), within(1e-8, 1e4)]
+FocalPx = Annotated[float, Field(gt=0), within(1, 1e7)]
+
+
 class BodyConfig(Record):
     """Which body model is fitted."""
 
@@ -36,14 +52,16 @@ class BodyConfig(Record):
 class CameraConfig(Record):
     """The pinhole camera; a calibration in clip.toml wins over the guess."""
 
-    focal_px: float | None = Field(None, gt=0, description="focal length [px]; the picture's diagonal when not given")
+    focal_px: FocalPx | None = Field(None, description="focal length [px]; the picture's diagonal when not given")
 
 
 class ExposureConfig(Record):
     """When light was collected. Seconds scale the result's times; ratios matter to the fit of several frames."""
 
-    seconds: float | None = Field(None, gt=0, description="exposure time [s]; the whole frame interval when not given")
-    fps: float | None = Field(None, gt=0, description="frames per second; 30 where nothing says otherwise")
+    seconds: ExposureSeconds | None = Field(
+        None, description="exposure time [s]; the whole frame interval when not given"
+    )
+    fps: FramesPerS | None = Field(None, description="frames per second; 30 where nothing says otherwise")
     light: Literal["linear", "srgb"] = Field(
         "linear", description="the light in which blur is an average; real cameras average linear light"
     )

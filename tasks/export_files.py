@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from hfb.config import ExportConfig, Record
-from hfb.export.names import NEEDS_BODY
+from hfb.errors import InputError
+from hfb.export.names import FILE_NAMES, NEEDS_BODY
+from tasks import progress
 from tasks.handles import FileHandle
 from tasks.task import task
 from tasks.workers import compute
@@ -16,9 +18,14 @@ if TYPE_CHECKING:
 
 
 class ExportsHandle(Record):
-    """Files for other programs and for people, each under the name that it is published by."""
+    """Files for other programs and for people, each under the name that it is published by.
+
+    Attributes:
+        left_out: why a format has no file, one sentence each.
+    """
 
     files: tuple[FileHandle, ...]
+    left_out: tuple[str, ...] = ()
 
     def by_name(self) -> dict[str, FileHandle]:
         return {file.path.name: file for file in self.files}
@@ -28,15 +35,15 @@ class ExportsHandle(Record):
 def export_files(
     motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
 ) -> ExportsHandle:
-    """Write the asked-for formats; see `hfb.export`.
+    """Write the asked-for formats; see `hfb.export`. A motion that one of them cannot hold is left out of it, and said.
 
     Args:
         texture: the person's texture as a picture. body: the user's body model; None for the embedded one.
-
-    Raises:
-        InputError: a format needs a library that is not installed.
     """
-    return compute(_export_files, motion, texture, body, config, folder)
+    written: ExportsHandle = compute(_export_files, motion, texture, body, config, folder)
+    for reason in written.left_out:
+        progress.say(f"hfb: {reason}")
+    return written
 
 
 def _export_files(
@@ -54,5 +61,10 @@ def _export_files(
         texture.path.read_bytes() if texture else None,
         config.amass_rate,
     )
-    formats = dict.fromkeys(config.formats)
-    return ExportsHandle(files=tuple(FileHandle.of(write_motion_file(folder, form, exported)) for form in formats))
+    files, left_out = [], []
+    for form in dict.fromkeys(config.formats):
+        try:
+            files.append(FileHandle.of(write_motion_file(folder, form, exported)))
+        except InputError as error:  # the motion is found: a format that cannot hold it does not keep it back
+            left_out.append(f"there is no {FILE_NAMES[form]}: {error}")
+    return ExportsHandle(files=tuple(files), left_out=tuple(left_out))

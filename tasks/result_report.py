@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.config import FitConfig, Record
+from hfb.errors import InputError
 from hfb.export.names import CURVES, PAGE_FILM, REPORT
 from tasks import progress, tracking
 from tasks.environment import environment
@@ -20,6 +21,8 @@ from tasks.workers import compute
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
+    from hfb.fit.alternatives import Alternatives
+    from hfb.motion.sampled import SampledMotion
     from hfb.report.slow_motion import Shot
 
 
@@ -104,45 +107,64 @@ def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
 def write_page(
     parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], path: Path
 ) -> None:
-    """Put the page together; whole or not at all.
+    """Put the page together; whole or not at all. Arguments and errors as in `page_text`."""
+    from hfb.media.atomic import write_bytes_atomic
+
+    write_bytes_atomic(path, page_text(parts, body, facts, versions, path.parent.name).encode())
+
+
+def page_text(
+    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], name: str
+) -> str:
+    """The page.
 
     Args:
         body: the model that was fitted, where it is at hand.
         versions: of the machine that made the result.
+        name: of the result, where the facts do not tell.
 
     Raises:
         InputError: a file is not what it should be.
     """
     from hfb.export.motion_file import load_motion
-    from hfb.fit.alternatives import load_alternatives
-    from hfb.media.atomic import write_bytes_atomic
+    from hfb.media.pictures import stored_png
     from hfb.report.page_film import page_slow_factor
+    from hfb.report.result_curves import read_curves
     from hfb.report.result_page import ResultContents, result_page
 
     motion, _ = load_motion(parts.motion.path)
     slow = page_slow_factor(motion)
     pace = f"{slow:.0f} times slower" if slow >= 1.5 else "at its own pace" if slow > 0.8 else "faster than it was"
     contents = ResultContents(
-        title=_title(facts, path),
+        title=_title(facts, name),
         facts=facts,
         motion=motion,
         body=body,
-        texture_png=parts.texture.path.read_bytes() if parts.texture else None,
+        texture_png=stored_png(parts.texture.path) if parts.texture else None,
         strip=parts.strip.path if parts.strip else None,
-        alternatives=load_alternatives(parts.alternatives.path)[0] if parts.alternatives else None,
-        curves=json.loads(parts.curves.path.read_text()),
+        alternatives=_alternatives_of(motion, parts.alternatives.path) if parts.alternatives else None,
+        curves=read_curves(parts.curves.path),
         film=parts.film.path.read_bytes() if parts.film else None,
         film_caption=f"What was seen, and the body at one instant after another, {pace}.",
         environment=versions,
         repeat=_repeat(facts),
     )
-    write_bytes_atomic(path, result_page(contents).encode())
+    return result_page(contents)
 
 
-def _title(facts: Mapping[str, Any], path: Path) -> str:
+def _alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
+    """The alternatives of a motion. Raises InputError where they are another motion's."""
+    from hfb.fit.alternatives import load_alternatives
+
+    found = load_alternatives(path)[0]
+    if found.frame_index.tolist() != motion.frame_index.tolist():
+        raise InputError(f"{path} belongs to another motion: make the result again, or move it away")
+    return found
+
+
+def _title(facts: Mapping[str, Any], name: str) -> str:
     out = facts.get("out")
-    name = Path(out).name if isinstance(out, str) and Path(out).name else path.parent.name
-    return f"Human from Blur: {name}"
+    return f"Human from Blur: {(Path(out).name if isinstance(out, str) else '') or name}"
 
 
 def _repeat(facts: Mapping[str, Any]) -> str | None:

@@ -23,10 +23,11 @@ def csv_text(motion: SampledMotion) -> str:
     if radius is not None:
         head += [f"{name}_radius_mm" for name in JOINT_NAMES]
     lines = [",".join(head)]
+    number = -1
     for row, (frame, time_s, joints) in enumerate(
         zip(motion.frame_index, motion.times_s, motion.joints.reshape(-1, 72), strict=True)
     ):
-        number = row - int(motion.rows_of(int(frame))[0])
+        number = number + 1 if row and frame == motion.frame_index[row - 1] else 0
         cells = [str(int(frame)), str(number), f"{time_s:.9f}", *(f"{value:.6f}" for value in joints)]
         if radius is not None:
             cells += [f"{value:.2f}" if np.isfinite(value) else "" for value in radius[row]]

@@ -6,6 +6,7 @@ sub-frames; over a closed shutter a cubic continues both sides with their veloci
 missing the body is carried from one side to the other, starting and ending at rest, and is marked as absent.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,7 +22,8 @@ from hfb.shapes import Array, Bool, Float, Int
 
 _SAME_INSTANT = 0.01  # of the time between sub-frames
 _ABSENT_INTERVALS = 1.5  # where openings are further apart than this many frame intervals, frames are missing
-_MOST_KEYS = 2_000_000
+_MOST_KEYS = 400_000  # as many as the longest motion file has rows; as text they take 2 GB
+_AT_ONCE = 1 << 13  # keys between which a cubic is evaluated at a time: its coefficients take far more than it does
 
 
 @dataclass(frozen=True)
@@ -72,10 +74,13 @@ def even_keys(motion: SampledMotion, rate_hz: float) -> MotionKeys:
     """
     knots = _knots(motion)
     first, last = float(knots.times_s[0]), float(knots.times_s[-1])
-    steps = int(np.floor((last - first) * rate_hz + _SAME_INSTANT))
-    if steps >= _MOST_KEYS:
-        raise InputError(f"{steps} keys at {rate_hz:g} per second are too many; export a shorter part or a lower rate")
-    return _keys(knots, np.minimum(first + np.arange(steps + 1) / rate_hz, last))
+    steps = np.floor((last - first) * rate_hz + _SAME_INSTANT)
+    if not steps < _MOST_KEYS:
+        raise InputError(
+            f"{steps:.4g} keys at {rate_hz:g} per second are too many: export csv or glb, which have the sub-frames "
+            "alone, or a shorter part"
+        )
+    return _keys(knots, np.minimum(first + np.arange(int(steps) + 1) / rate_hz, last))
 
 
 def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
@@ -85,6 +90,18 @@ def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
         InputError: the motion's own instants are not in order.
     """
     return _keys(_knots(motion), times_s)
+
+
+def present_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> Bool[Array, "F"]:
+    """`MotionKeys.present` at any instants, without the poses.
+
+    Raises:
+        InputError: the motion's own instants are not in order.
+    """
+    present = np.ones(len(times_s), bool)
+    for _, inside in _absences(_knots(motion), times_s):
+        present[inside] = False
+    return present
 
 
 def subframe_rate_hz(motion: SampledMotion) -> float:
@@ -137,19 +154,27 @@ def _knots(motion: SampledMotion) -> _Knots:
     values = np.concatenate(
         [_signs_aligned(quaternions).reshape(len(times), 96), motion.trans, motion.joints.reshape(len(times), 72)], 1
     )
-    slopes = np.concatenate([_slopes(times[rows], values[rows]) for rows in _runs(frames)])
+    del quaternions
+    runs, slopes = _runs(frames), np.empty_like(values)
+    for rows in runs:
+        slopes[rows] = _slopes(times[rows], values[rows])
     tolerance = _SAME_INSTANT / subframe_rate_hz(motion)
     new = np.concatenate([[True], np.diff(times) > tolerance])
     key = np.cumsum(new) - 1
-    count = np.bincount(key)[:, None].astype(np.float64)
-    summed = [np.zeros((len(count), values.shape[1])) for _ in range(2)]
-    np.add.at(summed[0], key, values)
-    np.add.at(summed[1], key, slopes)
-    runs = _runs(frames)
     return _Knots(
-        times[new], summed[0] / count, summed[1] / count,
+        times[new], _means(values, new), _means(slopes, new),
         key[[run.start for run in runs]], key[[run.stop - 1 for run in runs]],
     )  # fmt: skip
+
+
+def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "M c"]:
+    """Of every run of rows that begins where it is new."""
+    starts = np.flatnonzero(new)
+    if len(starts) == len(values):
+        return values
+    summed = np.add.reduceat(values, starts)
+    summed /= np.diff(starts, append=len(values))[:, None]
+    return summed
 
 
 def _runs(frames: Int[Array, "R"]) -> list[slice]:
@@ -166,20 +191,21 @@ def _slopes(times: Float[Array, "n"], values: Float[Array, "n c"]) -> Float[Arra
 
 
 def _keys(knots: _Knots, times_s: Float[Array, "F"]) -> MotionKeys:
-    values = CubicHermiteSpline(knots.times_s, knots.values, knots.slopes, axis=0)(times_s)
+    values = np.empty((len(times_s), knots.values.shape[1]))
+    for start in range(0, len(times_s), _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        values[some] = _between(knots, times_s[some])
     opens, closes = knots.times_s[knots.opening], knots.times_s[knots.closing]
     tolerance = 1e-9 * max(1.0, float(knots.times_s[-1]))
     exposure = np.clip(np.searchsorted(opens, times_s + tolerance, side="right") - 1, 0, None)
     observed = times_s <= closes[exposure] + tolerance
     absent = np.zeros(len(times_s), bool)
-    interval = float(np.median(np.diff(opens))) if len(opens) > 1 else np.inf
-    for left in np.flatnonzero(np.diff(opens) > _ABSENT_INTERVALS * interval):
-        inside = (times_s > closes[left] + tolerance) & (times_s < opens[left + 1] - tolerance)
+    for left, inside in _absences(knots, times_s):
         share = ((times_s[inside] - closes[left]) / (opens[left + 1] - closes[left]))[:, None]
         smooth = share * share * (3 - 2 * share)
-        start, end = knots.values[knots.closing[left]], knots.values[knots.opening[left + 1]]
-        values[inside] = start + smooth * (end - start)
-        absent |= inside
+        begin, end = knots.values[knots.closing[left]], knots.values[knots.opening[left + 1]]
+        values[inside] = begin + smooth * (end - begin)
+        absent[inside] = True
     quaternions = values[:, :96].reshape(-1, 24, 4)
     return MotionKeys(
         times_s=times_s.copy(),
@@ -189,6 +215,23 @@ def _keys(knots: _Knots, times_s: Float[Array, "F"]) -> MotionKeys:
         observed=observed,
         present=~absent,
     )
+
+
+def _between(knots: _Knots, times_s: Float[Array, "n"]) -> Float[Array, "n c"]:
+    """The cubics through the knots around some instants, which increase."""
+    first, last = np.searchsorted(knots.times_s, times_s[[0, -1]], side="right")
+    near = slice(int(np.clip(first - 1, 0, len(knots.times_s) - 2)), int(max(last, first)) + 1)
+    return CubicHermiteSpline(knots.times_s[near], knots.values[near], knots.slopes[near], axis=0)(times_s)
+
+
+def _absences(knots: _Knots, times_s: Float[Array, "F"]) -> Iterator[tuple[int, slice]]:
+    """(the exposure before it, the instants in it) of every stretch in which the person is missing."""
+    opens, closes = knots.times_s[knots.opening], knots.times_s[knots.closing]
+    tolerance = 1e-9 * max(1.0, float(knots.times_s[-1]))
+    interval = float(np.median(np.diff(opens))) if len(opens) > 1 else np.inf
+    for left in np.flatnonzero(np.diff(opens) > _ABSENT_INTERVALS * interval).tolist():
+        first = int(np.searchsorted(times_s, closes[left] + tolerance, side="right"))
+        yield left, slice(first, max(first, int(np.searchsorted(times_s, opens[left + 1] - tolerance))))
 
 
 def _signs_aligned(quaternions: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:

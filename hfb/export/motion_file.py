@@ -14,6 +14,13 @@ from hfb.shapes import Array
 
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
+_LARGEST = {
+    "poses": 1e4, "trans": 1e6, "betas": 1e4, "joints": 1e6, "K": 1e9, "times_s": 1e10, "frame_index": 1e6,
+    "joint_radius_mm": 1e9,
+}  # fmt: skip
+"""Beyond what a person in front of a camera can be: numbers that are read as they are would take memory or time."""
+
+_SHORTEST_STEP_S = 1e-12
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
@@ -72,3 +79,17 @@ def _check(found: Mapping[str, Array]) -> None:
             raise ValueError(f"its {name} is not finite")
     if not rows or found["frame_index"].min() < 0:
         raise ValueError("it has no instant, or a frame before the first")
+    for name, largest in _LARGEST.items():
+        if name in found and np.nanmax(np.abs(found[name]), initial=0, where=np.isfinite(found[name])) > largest:
+            raise ValueError(f"its {name} has a number beyond {largest:g}")
+    _check_clock(found["times_s"], found["frame_index"])
+
+
+def _check_clock(times_s: Array, frame_index: Array) -> None:
+    """Raises ValueError where instants cannot be those of a recording: everything made of them would be as absurd."""
+    if (frame_index[1:] < frame_index[:-1]).any():
+        raise ValueError("its frames are not in order")
+    steps = np.diff(times_s)[frame_index[1:] == frame_index[:-1]]
+    steps = steps[steps != 0]
+    if len(steps) and np.abs(steps).min() < _SHORTEST_STEP_S:
+        raise ValueError(f"its times_s has two sub-frames within {_SHORTEST_STEP_S:g} s")

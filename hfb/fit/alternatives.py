@@ -18,6 +18,8 @@ MOVES_M = 0.015
 """What ends less far from its own reverse than this has no direction worth asking for."""
 
 _UNSURE = 0.75
+_UNPACKED_LIMIT, _LARGEST = 128 << 20, 1e6
+_KINDS = {"reversed_limbs": "b", "chosen": "iu", "frame_index": "iu", "score_names": "U", "feature_names": "U"}
 _ARRAYS = ("reversed_limbs", "poses", "trans", "joints", "probability", "chosen", "frame_index")
 
 
@@ -153,8 +155,9 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         InputError: no such file, or another one.
     """
     try:
-        found = read_arrays(path)
+        found = read_arrays(path, limit=_UNPACKED_LIMIT)
         read = {name: found[name] for name in _ARRAYS}
+        _check(found)
         scores = dict(zip(found["score_names"].tolist(), found["scores"].T, strict=True))
         features = dict(zip(found["feature_names"].tolist(), found["features"].astype(np.float64), strict=True))
     except FileNotFoundError:
@@ -163,3 +166,30 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         raise InputError(f"{path} holds no alternatives of hfb ({error}); make one with `hfb fit`") from None
     read |= {name: read[name].astype(np.float64) for name in ("poses", "trans", "joints")}
     return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores}), features
+
+
+def _check(found: Mapping[str, Array]) -> None:
+    """Raises ValueError where arrays do not belong together or hold what no fit leaves, KeyError where one is missing.
+
+    Wherever a frame's number is used it is the place in a table: it has to be as small as a fit's are.
+    """
+    several, rows = found["poses"].shape[:2] if found["poses"].ndim == 3 else (0, 0)
+    frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0
+    scores, features = (len(np.atleast_1d(found[name])) for name in ("score_names", "feature_names"))
+    shapes = {
+        "poses": (several, rows, 72), "trans": (several, rows, 3), "joints": (several, rows, 24, 3),
+        "reversed_limbs": (several, frames, len(LIMB_NAMES)), "probability": (several,), "chosen": (),
+        "frame_index": (rows,), "scores": (several, scores), "features": (features, rows, 24),
+        "score_names": (scores,), "feature_names": (features,),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        array = found[name]
+        if array.shape != shape or array.dtype.kind not in _KINDS.get(name, "f"):
+            raise ValueError(f"its {name} is {str(array.dtype)[:20]} {array.shape}, not {shape}")
+    for name in ("poses", "trans", "joints", "probability"):
+        if not (np.abs(found[name]) <= _LARGEST).all():
+            raise ValueError(f"its {name} has a number beyond {_LARGEST:g}, or one that is not finite")
+    if not rows or not 0 <= found["chosen"] < several or not (found["probability"] >= 0).all():
+        raise ValueError("it has no motion that was chosen")
+    if sorted(set(found["frame_index"].tolist())) != list(range(frames)):
+        raise ValueError("its frames are not numbered from 0 on")

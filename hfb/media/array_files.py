@@ -85,6 +85,8 @@ def weights_file(path: Path) -> io.BytesIO:
 def _opened(file: Path | bytes) -> zipfile.ZipFile:
     if isinstance(file, Path) and file.stat().st_size > _FILE_LIMIT:
         raise ValueError(f"it is larger than {_FILE_LIMIT >> 20} MB")
+    if isinstance(file, Path) and not file.is_file():  # a pipe would be waited for
+        raise ValueError("it is no plain file")
     try:
         return zipfile.ZipFile(io.BytesIO(file) if isinstance(file, bytes) else file)
     except OSError:

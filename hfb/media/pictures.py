@@ -52,6 +52,19 @@ def _decoded(path: Path, data: bytes) -> tuple[Shaped[Array, "H W 3"], int]:
     return np.asarray(ImageOps.exif_transpose(image).convert("RGB")), 255
 
 
+def stored_png(path: Path) -> bytes:
+    """A PNG file as it is, once it has been seen to hold a picture: it is handed on into pages and other files.
+
+    Raises:
+        InputError: as `read_picture_srgb`, or it is a picture of another kind.
+    """
+    read_picture_srgb(path)
+    data = _read_bytes(Path(path))
+    if not data.startswith(b"\x89PNG"):
+        raise InputError(f"{path}: is no PNG picture, whatever it is called; make the result again.")
+    return data
+
+
 def picture_size(path: Path) -> tuple[int, int, int]:
     """(height, width, bits to store it with) as `read_picture_srgb` would give it; only the file's head is read.
 

@@ -1,6 +1,7 @@
 """The motion as a table: one row per sub-frame of every frame."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -39,7 +40,14 @@ class SampledMotion:
 
     def rows_of(self, frame: int) -> Int[Array, "S"]:
         """Row numbers of one frame's sub-frames, in time."""
+        if self._in_order:  # asked for frame by frame, a search of all rows each time would take their square
+            first, last = np.searchsorted(self.frame_index, (frame, frame + 1)).tolist()
+            return np.arange(first, last)
         return np.flatnonzero(self.frame_index == frame)
+
+    @cached_property
+    def _in_order(self) -> bool:
+        return bool((np.diff(self.frame_index) >= 0).all())
 
 
 def sample_motion(

@@ -11,6 +11,7 @@ from hfb.report.plot_style import GRAY, png, sheet
 from hfb.shapes import Array
 
 _INCHES = (7.0, 3.6)
+_SMALLEST = 1e-30  # what a logarithmic axis shows
 _SINGLE_FRAMES = 12  # beyond, the speeds within an exposure are too fine to be seen
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D31", "#7F7F7F")
 
@@ -57,7 +58,7 @@ def speed_chart(motion: SampledMotion) -> bytes:
     times, speeds, frames = instant_speeds(motion)
     short = float(times[-1]) < 1
     if len(np.unique(frames)) > _SINGLE_FRAMES:
-        rows = [np.flatnonzero(frames == frame) for frame in np.unique(frames)]
+        rows = np.split(np.arange(len(frames)), np.flatnonzero(np.diff(frames)) + 1)
         times, speeds = np.array([times[one].mean() for one in rows]), np.array([speeds[one].mean(0) for one in rows])
         frames = np.cumsum(np.diff(np.unique(frames), prepend=frames[0]) > 1).astype(np.float64)
     figure, axes = sheet(inches=_INCHES)
@@ -85,5 +86,5 @@ def frames_chart(values: Mapping[int, float], label: str) -> bytes:
 def _line(axes: Any, values: Sequence[float | None], colour: str, label: str, width: float) -> None:
     """A curve on a logarithmic axis, where what is not positive is left out."""
     known: Array = np.array([np.nan if value is None else value for value in values], np.float64)
-    if (known > 0).any():
-        axes.plot(np.where(known > 0, known, np.nan), color=colour, label=label, linewidth=width)
+    if (known > _SMALLEST).any():
+        axes.plot(np.where(known > _SMALLEST, known, np.nan), color=colour, label=label, linewidth=width)

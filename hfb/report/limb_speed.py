@@ -74,7 +74,7 @@ def shutter_for(peak_px_s: float, allowed_px: float) -> int | None:
 
 def exposure_s(motion: SampledMotion) -> float:
     """How long the shutter was open, of the usual frame."""
-    spans = [float(np.ptp(motion.times_s[motion.frame_index == frame])) for frame in np.unique(motion.frame_index)]
+    spans = [float(np.ptp(motion.times_s[motion.rows_of(frame)])) for frame in np.unique(motion.frame_index).tolist()]
     return float(np.median(spans))
 
 

@@ -25,6 +25,7 @@ _VOID = frozenset({"img", "input", "br", "meta", "col"})
 _KINDS = (
     (b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"<svg", "image/svg+xml"), (b"<?xml", "image/svg+xml"),
 )  # fmt: skip
+_SHOWN_BY_BROWSERS = (b"\x89PNG", b"\xff\xd8")
 _JPEG_QUALITY = 85
 _DATA = "data"
 
@@ -100,6 +101,19 @@ def small_picture(source: Path | Float[Array, "H W 3"], width_px: int) -> bytes:
     return encoded.tobytes()
 
 
+def checked_picture(file: Path, width_px: int, kept_bytes: int) -> bytes:
+    """A picture from anywhere, as a file that browsers show: as it is where it is small, else as `small_picture`.
+
+    It is decoded in any case: what is no picture, or one of far too many pixels, must not reach a reader's browser.
+
+    Raises:
+        InputError: it is damaged, or no picture.
+    """
+    pixels = read_picture_srgb(file)
+    content = file.read_bytes() if file.stat().st_size <= kept_bytes else b""
+    return content if content.startswith(_SHOWN_BY_BROWSERS) else small_picture(pixels, width_px)
+
+
 def film(content: bytes, caption: str) -> Html:
     """An H.264 film inside the page."""
     shown = element(
@@ -140,7 +154,8 @@ def page(title: str, *parts: object, scripts: Sequence[str] = ()) -> str:
         element("title", title), element("style", Html(page_file("page.css"))),
     )  # fmt: skip
     body = element("body", element("main", element("h1", title), *parts), *(_script(script) for script in scripts))
-    return f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
+    document = f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
+    return document.encode("utf-8", "backslashreplace").decode()  # a file's name may have bytes that are no text
 
 
 @cache

@@ -5,12 +5,58 @@
 """
 
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hfb.errors import InputError
+from hfb.json_file import read_json
 from hfb.report.charts import frames_chart, loss_chart, window_chart
 from hfb.report.page import Html, element, picture, section
 
 _LABELS = {"matte_iou": "IoU with the matte", "psnr_db": "PSNR of the re-blurred frame [dB]", "mpjpe_mm": "error [mm]"}
+
+_MOST_TERMS, _MOST_FIGURES, _MOST_STAGES = 200, 20, 100
+_MOST_VALUES = 1 << 24  # of all windows: a table of windows times iterations
+_Value = Annotated[float, Field(ge=-1e30, le=1e30)]
+_Loss = Annotated[list[_Value | None], Field(max_length=10**6)]
+_FrameValue = tuple[Annotated[int, Field(ge=0, le=10**9)], _Value]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(extra="ignore")
+
+
+class _Window(_Stored):
+    total: list[_Value] = []
+
+
+class _Curves(_Stored):
+    losses: Annotated[dict[str, _Loss], Field(max_length=_MOST_TERMS)] = {}
+    windows: list[_Window] = []
+    frames: Annotated[
+        dict[str, Annotated[list[_FrameValue], Field(max_length=10**6)]], Field(max_length=_MOST_FIGURES)
+    ] = {}
+
+
+def read_curves(path: Path) -> dict[str, Any]:
+    """The content of a curves.json.
+
+    Raises:
+        InputError: it is missing, damaged, or holds something else than curves.
+    """
+    content = read_json(path)
+    try:
+        curves = _Curves.model_validate(content)
+    except ValidationError as error:
+        where = ".".join(map(str, error.errors()[0]["loc"]))[:80]
+        raise InputError(
+            f"{path} holds no curves of hfb ({where or 'it'} is something else): make the result again"
+        ) from None
+    if len(curves.windows) * max((len(one.total) for one in curves.windows), default=0) > _MOST_VALUES:
+        raise InputError(f"{path} holds no curves of hfb (windows of too many iterations): make the result again")
+    return curves.model_dump()
 
 
 def curves_section(curves: Mapping[str, Any], facts: Mapping[str, Any]) -> Html | None:
@@ -41,5 +87,8 @@ def _figure(chart: bytes, caption: str) -> Html:
 def _iterations(facts: Mapping[str, Any]) -> list[int]:
     """Of every stage, as the configuration has them."""
     config = facts.get("config")
-    stages = config.get("fit", {}).get("stages", []) if isinstance(config, Mapping) else []
-    return [int(stage["iterations"]) for stage in stages if isinstance(stage, Mapping) and "iterations" in stage]
+    fit = config.get("fit") if isinstance(config, Mapping) else None
+    stages = fit.get("stages") if isinstance(fit, Mapping) else None
+    counts = [one.get("iterations") for one in stages if isinstance(one, Mapping)] if isinstance(stages, list) else []
+    known = [count for count in counts if isinstance(count, int) and 0 <= count <= 10**6]
+    return known if len(known) == len(counts) <= _MOST_STAGES else []

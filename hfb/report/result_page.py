@@ -8,13 +8,14 @@ from typing import Any
 from hfb.body.model import Body
 from hfb.fit.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import Html, element, film, folded, joined, page, picture, section, small_picture, table
+from hfb.report.page import Html, checked_picture, element, film, folded, joined, page, picture, section, table
 from hfb.report.result_curves import curves_section
 from hfb.report.result_speeds import advice_section, speeds_section
 from hfb.report.result_unknown import alternative_motions, alternatives_section, unknown_section
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 
 _STRIP_WIDTH_PX, _KEPT_BYTES = 2600, 1 << 20
+_MOST_ROWS, _LONGEST_WORDS = 5000, 2000
 _FIGURES = (
     ("IoU with the matte", "matte_iou", ".3f", ""), ("picture explained", "psnr_db", ".1f", " dB PSNR"),
     ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"), ("IoU with the truth", "iou", ".3f", ""),
@@ -90,8 +91,7 @@ def _head(contents: ResultContents) -> Html:
 def _strip(strip: Path | None) -> Html | None:
     if strip is None:
         return None
-    small = strip.stat().st_size <= _KEPT_BYTES
-    content = strip.read_bytes() if small else small_picture(strip, _STRIP_WIDTH_PX)
+    content = checked_picture(strip, _STRIP_WIDTH_PX, _KEPT_BYTES)
     alt = "input, matte, sub-frames, re-blurred, residual, from the side"
     return section(
         "What was seen, and how it is explained",
@@ -131,7 +131,7 @@ def _made_from(contents: ResultContents) -> Html:
         where = element("a", link, href=link, target="_blank", rel="noopener") if _is_page(link) else link
         parts.append(element("p", "In MLflow: ", where))
     config, inputs = facts.get("config"), facts.get("inputs")
-    hashes = list(inputs.items()) if isinstance(inputs, Mapping) else []
+    hashes = _flat(inputs) if isinstance(inputs, Mapping) else []
     parts += [
         folded("Inputs (sha256)", table(hashes, classes="long")),
         folded("Options", table(_flat(config if isinstance(config, Mapping) else {}), classes="long")),
@@ -155,5 +155,7 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]
         if isinstance(value, Mapping) and value:
             rows += _flat(value, f"{prefix}{name}.")
         else:
-            rows.append((f"{prefix}{name}", "-" if value is None else str(value)))
+            rows.append((f"{prefix}{name}", "-" if value is None else str(value)[:_LONGEST_WORDS]))
+        if len(rows) > _MOST_ROWS:
+            return [*rows[:_MOST_ROWS], ("...", "the rest is in result.json")]
     return rows

@@ -14,8 +14,9 @@ import torch
 
 from hfb.body.model import Body, PosedBody
 from hfb.config import Film
+from hfb.errors import InputError
 from hfb.evaluate.protocol import pose_rows
-from hfb.export.keys import MotionKeys, exact_keys, keys_at, subframe_rate_hz
+from hfb.export.keys import MotionKeys, exact_keys, keys_at, present_at, subframe_rate_hz
 from hfb.formation import compose
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
@@ -32,6 +33,7 @@ _PANEL_HEIGHT_PX, _PANEL_WIDTH_PX = (360, 480), 636  # three panels and their ma
 _SHORT_S = 2.0  # a motion that takes less is shown so long at least
 _HOLD_S = 0.5
 _BODY_OPACITY = 0.75
+_MOST_INSTANTS = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -64,12 +66,17 @@ def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Arr
 
     Args:
         slow: how many times slower it is; `film_slow_factor` where nothing is said.
+
+    Raises:
+        InputError: so many that no film could show them.
     """
     slow = film_slow_factor(motion) if slow is None else slow
     first, last = float(motion.times_s[0]), float(motion.times_s[-1])
-    steps = int(np.ceil((last - first) * slow * FILM_FPS - 1e-6))
-    instants = np.minimum(first + np.arange(steps + 1) / (slow * FILM_FPS), last)
-    return instants[keys_at(motion, instants).present]
+    steps = np.ceil((last - first) * slow * FILM_FPS - 1e-6)
+    if not steps < _MOST_INSTANTS:
+        raise InputError(f"the film would go through {steps:.4g} instants: the motion's clock is damaged, or too long")
+    instants = np.minimum(first + np.arange(int(steps) + 1) / (slow * FILM_FPS), last)
+    return instants[present_at(motion, instants)]
 
 
 def slow_motion(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:

@@ -1,6 +1,6 @@
 """Damaged files by the thousand: processes that open them, and what must never happen.
 
-    python -m tests.fuzz.campaign --count 10000 [--seed 0] [--workers 2] [--only NUMBER]
+    python -m tests.fuzz.campaign --count 10000 [--seed 0] [--workers 2] [--only NUMBER] [--kinds KIND,...]
 
 Every file is either read or refused by one sentence (`hfb.errors.InputError`), within 10 s of processor time and 2 GB,
 without a crash, a file written or code of the file run. Prints one JSON object; the exit code is 1 where one is not.
@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -93,11 +93,13 @@ class _Worker:
         return f"hung for {_PATIENCE_S:.0f} s" if hung else f"crashed with {code}: {last}"
 
 
-def run(numbers: Sequence[int], campaign: int, workers: int, folder: Path) -> Report:
-    """Judge the damaged files of some numbers."""
+def run(
+    numbers: Sequence[int], campaign: int, workers: int, folder: Path, kinds: Collection[str] | None = None
+) -> Report:
+    """Judge the damaged files of some numbers; of some kinds alone where they are named."""
     report, waiting = Report(), list(reversed(numbers))
     seeds = folder / "seeds"
-    seeds.write_bytes(pickle.dumps(make_seeds()))
+    seeds.write_bytes(pickle.dumps([seed for seed in make_seeds() if kinds is None or seed.kind in kinds]))
     pool = [_Worker(folder / f"worker-{index}", seeds, campaign) for index in range(workers)]
     try:
         while waiting or any(one.number is not None for one in pool):
@@ -140,11 +142,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", type=int, help="this case alone")
+    parser.add_argument("--kinds", type=lambda words: words.split(","), help="files of these kinds alone")
     given = parser.parse_args()
     numbers = [given.only] if given.only is not None else range(given.first, given.first + given.count)
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="hfb-fuzz-") as folder:
-        report = run(numbers, given.seed, given.workers, Path(folder))
+        report = run(numbers, given.seed, given.workers, Path(folder), given.kinds)
     print(json.dumps({
         "cases": len(numbers), "outcomes": report.outcomes, "slowest (s, case)": report.slowest,
         "largest (MB, case)": report.largest, "seconds": round(time.perf_counter() - began),

@@ -19,10 +19,13 @@ from tests.fuzz.seeds import Seed
 
 Random = np.random.Generator
 
-_TEXTS = {"clip", "options", "chains", "recipe", "ledger", "own result", "case"}
+_TEXTS = {"clip", "options", "chains", "recipe", "ledger", "own result", "case", "facts", "curves"}
 _TEXT_SUFFIXES = (".toml", ".json", ".csv", ".yaml", ".xml", ".bvh", ".trc")
 _EDGES = (
     0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1,
+)  # fmt: skip
+_ABSURD = (
+    np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 5e-324, 0, -1, 1, 1e4, 1e5, 3333, 1e9, -1e9, 2**31, 2**62, 1e18,
 )  # fmt: skip
 _NUMBERS = (
     b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"99999999999999999999", b"1e300", b"''", b"9" * 5000,
@@ -152,7 +155,7 @@ def _member(data: bytes, rng: Random) -> bytes:
         return _flip(data, rng)
     names = sorted(members)
     name = names[rng.integers(len(names))]
-    ways = (_flip, _truncate, _header, _array_header, _array_header, _double)
+    ways = (_flip, _truncate, _header, _array_header, _array_header, _double, _absurd, _absurd, _absurd)
     members[name] = ways[rng.integers(len(ways))](members[name], rng)
     return archive(members.items())
 
@@ -180,6 +183,31 @@ def _array_header(data: bytes, rng: Random) -> bytes:
         text = b"{" * 200 + text if rng.random() < 0.5 else text[: rng.integers(0, len(text) + 1)]
     text = text.rstrip() + b"\n"
     return data[:8] + len(text).to_bytes(2, "little") + text + body
+
+
+def _absurd(data: bytes, rng: Random) -> bytes:
+    """Numbers that nothing can be, or a leap from some row on, in a .npy file that is otherwise whole."""
+    try:
+        array = np.load(io.BytesIO(data), allow_pickle=False)
+        flat = array.copy().reshape(-1)
+        value = _ABSURD[rng.integers(len(_ABSURD))]
+        first = int(rng.integers(0, len(flat)))
+        with np.errstate(all="ignore"):
+            value = np.array(value).astype(array.dtype)
+            what = rng.integers(4)
+            if what == 0:
+                flat[:] = value
+            elif what == 1:
+                flat[first] = value
+            elif what == 2:
+                flat[first:] += value
+            else:
+                flat = flat[rng.permutation(len(flat))]
+    except Exception:  # damaged before, or texts
+        return _flip(data, rng)
+    stream = io.BytesIO()
+    np.save(stream, flat.reshape(array.shape), allow_pickle=False)
+    return stream.getvalue()
 
 
 def _number(data: bytes, rng: Random) -> bytes:

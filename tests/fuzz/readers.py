@@ -37,6 +37,7 @@ from tasks.batch_ledger import Ledger
 from tasks.clip_places import resolve_source
 from tasks.recipe import read_recipe
 from tasks.stored_runs import _id_in
+from tests.fuzz.results import RESULT_READERS
 
 _SHARP = {"sharp": [[0, 0, 32, 24]], "camera": {"height": 48, "width": 64}}
 _body = lru_cache(maxsize=1)(load_default_body)
@@ -100,5 +101,6 @@ READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "ledger": (Ledger,),
     "own result": (lambda path: _id_in(path.parent),),
     "case": (lambda path: load_case(path.parent),),
+    **RESULT_READERS,
 }
 """Kind of file -> everything that opens one."""

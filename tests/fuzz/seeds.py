@@ -24,6 +24,7 @@ from hfb.priors.training_spec import NetworkSizes
 from tests.baselines.networks import ShiftedCopies, moments, save_identity_onnx, save_linear_onnx, save_torchscript
 from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 from tests.datasets.real.videos import calibration_toml, cameras_json, write_trc
+from tests.fuzz.results import write_result
 from tests.initialize.readers import files
 from tests.media.videos import picture, write_video
 from tests.priors.test_gmm import make_mixture
@@ -101,7 +102,7 @@ def make_seeds() -> tuple[Seed, ...]:
     """Every kind of file, in a fixed order."""
     with tempfile.TemporaryDirectory(prefix="hfb-seeds-") as folder:
         place = Path(folder)
-        makers = (_pictures, _videos, _texts, _archives, _results, _bodies, _priors, _networks, _records)
+        makers = (_pictures, _videos, _texts, _archives, _results, _bodies, _priors, _networks, _records, write_result)
         return tuple(
             Seed(kind, path.name, _without_addresses(path.read_bytes()))
             for number, make in enumerate(makers)

@@ -19,7 +19,7 @@ from hfb.body.placeholders import JoblibArray, NumpyArray, NumpyScalar
 from hfb.body.torch_files import load_torch, looks_like_torch
 from hfb.errors import InputError
 from hfb.media.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
-from hfb.shapes import Array, Float
+from hfb.shapes import Array, Float, Int, Shaped
 
 _MAX_BYTES = 768 << 20
 _MAX_JSON_BYTES = 32 << 20  # Python takes twenty times as much for nested lists
@@ -82,6 +82,17 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
     if finite and not np.isfinite(result).all():
         raise InputError("it holds numbers that are not finite")
     return result
+
+
+def frame_numbers(values: Shaped[Array, "R"], most: float = 1e9) -> Int[Array, "R"]:
+    """Frames' numbers as whole ones.
+
+    Raises:
+        InputError: one is so large that no recording has so many; the text continues "FILE cannot be used: ".
+    """
+    if not (np.abs(values) <= most).all():
+        raise InputError(f"it holds a frame's number beyond {most:g}")
+    return values.astype(np.int64)
 
 
 def array_in(value: Any) -> Float[Array, "..."]:

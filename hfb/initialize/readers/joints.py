@@ -17,7 +17,7 @@ import numpy as np
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
 from hfb.initialize.joint_layouts import JOINT_COUNTS, joints_as_24
-from hfb.initialize.readers.contents import array_in, named, numbers, text_of
+from hfb.initialize.readers.contents import array_in, frame_numbers, named, numbers, text_of
 from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack
 from hfb.initialize.readers.units import in_metres
@@ -38,7 +38,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         joints = joints * np.array([1.0, -1.0, -1.0])
     frames = numbers_at(one, "frame_index", len(joints)) if "frame_index" in one else np.arange(len(joints))
     K = _cameras(one["K"], len(joints)) if "K" in one else None
-    return [PoseTrack(SYSTEM, "0", frames.astype(np.int64), size, joints=in_metres(joints), K=K)]
+    return [PoseTrack(SYSTEM, "0", frame_numbers(frames), size, joints=in_metres(joints), K=K)]
 
 
 def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from hfb.initialize.readers.contents import named, text_of
+from hfb.initialize.readers.contents import frame_numbers, named, text_of
 from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack, track_of
 
 SYSTEM = "hfb"
+_MOST_FRAMES = 1e6  # as many as a video has (`hfb.media.video_file`)
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
@@ -19,7 +20,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     if not {"poses", "trans", "betas", "frame_index", "K", "betas_space"} <= one.keys():
         return None
     poses = numbers_at(one, "poses", None, 72, finite=False)
-    frame_of_row = numbers_at(one, "frame_index", len(poses)).astype(np.int64)
+    frame_of_row = frame_numbers(numbers_at(one, "frame_index", len(poses)), _MOST_FRAMES)
     frames, begins, counts = np.unique(np.sort(frame_of_row), return_index=True, return_counts=True)
     middle = np.argsort(frame_of_row, kind="stable")[begins + counts // 2]
     return [

@@ -9,7 +9,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.export.motion_file import write_arrays
-from hfb.initialize.readers.contents import array_in, named, numbers, read_contents, text_of
+from hfb.initialize.readers.contents import array_in, frame_numbers, named, numbers, read_contents, text_of
 from hfb.shapes import Array, Bool, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
@@ -160,7 +160,7 @@ def track_of(content: dict[str, Any]) -> PoseTrack:
     Raises:
         InputError: numbers of other shapes. KeyError: it is no such file.
     """
-    frames = numbers(content["frame_index"], None).astype(np.int64)
+    frames = frame_numbers(numbers(content["frame_index"], None))
     count = len(frames)
     shapes = {"poses": (count, 24, 3), "joints": (count, 24, 3), "K": (count, 3, 3), "betas": (count, 10)}
     read = {

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hfb.initialize.readers.contents import frame_numbers
 from hfb.initialize.readers.parts import numbers_at, read_people
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole
 from hfb.shapes import Array, Float
@@ -34,7 +35,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
     return PoseTrack(
         SYSTEM,
         name,
-        frames.astype(np.int64),
+        frame_numbers(frames),
         (height, width),
         poses=poses.reshape(count, 24, 3),
         trans=np.stack([camera[:, 2], camera[:, 3], depth], 1),

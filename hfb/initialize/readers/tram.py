@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.initialize.readers.contents import named
+from hfb.initialize.readers.contents import frame_numbers, named
 from hfb.initialize.readers.parts import numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.initialize.readers.rotations import from_matrices
@@ -32,7 +32,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         PoseTrack(
             SYSTEM,
             "0",
-            frames.astype(np.int64),
+            frame_numbers(frames),
             size_seen(K, size),
             poses=from_matrices(numbers_at(one, "pred_rotmat", count, 24, 3, 3, finite=False)),
             trans=numbers_at(one, "pred_trans", count, 1, 3, finite=False)[:, 0],

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hfb.initialize.readers.contents import frame_numbers
 from hfb.initialize.readers.parts import numbers_at, read_people
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole
 
@@ -27,7 +28,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
     return PoseTrack(
         SYSTEM,
         name,
-        numbers_at(one, "frame_ids", count).astype(np.int64),
+        frame_numbers(numbers_at(one, "frame_ids", count)),
         size,
         poses=poses.reshape(count, 24, 3),
         trans=numbers_at(one, "trans", count, 3, finite=False),

@@ -1,0 +1,61 @@
+"""JSON files that may come from anywhere: bounded, and refused in one sentence that names the file."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hfb.errors import InputError
+
+JSON_LIMIT_BYTES = 32 << 20
+"""Python takes some twenty times as much for nested lists."""
+
+_DEEPEST = 32
+
+
+def read_json(path: Path, fix: str = "make the result again") -> Any:
+    """The content of a JSON file; every number in it is finite.
+
+    Args:
+        fix: ends the sentence of an error.
+
+    Raises:
+        InputError: it is missing, no plain file, too large, no JSON or nested without end.
+    """
+    try:
+        if not path.is_file():  # a pipe in its place would be waited for
+            raise InputError(f"{path} is {'no file' if path.exists() else 'missing'}: {fix}")
+        size = path.stat().st_size
+        if size > JSON_LIMIT_BYTES:
+            raise InputError(f"{path} has {size >> 20} MB, far more than hfb writes: {fix}")
+        content = json.loads(path.read_bytes(), parse_constant=_not_finite, parse_float=_finite)
+        _check_depth(content)
+        return content
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): {fix}") from None
+    except RecursionError:
+        raise InputError(f"{path} is damaged (brackets within brackets without end): {fix}") from None
+    except (ValueError, MemoryError) as error:
+        raise InputError(f"{path} is damaged ({str(error)[:80] or type(error).__name__}): {fix}") from None
+
+
+def _check_depth(content: Any) -> None:
+    """Raises RecursionError where it is nested deeper than anything of hfb: whoever walks through it would fail."""
+    level = [content]
+    for _ in range(_DEEPEST):
+        parents = (one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list))
+        level = [child for parent in parents for child in parent if isinstance(child, dict | list)]
+        if not level:
+            return
+    raise RecursionError
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _not_finite(text[:20])
+
+
+def _not_finite(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not a finite number")
