@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
+import os
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,23 +16,23 @@ from flows.reaper import end_abandoned_flow_runs, mark_owner
 from flows.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import InputError, NotNow, ServerLost, Unavailable
-from hfb.export.names import REPORT, RESULT
-from hfb.media.atomic import write_bytes_atomic
+from hfb.export.names import RESULT
 from hfb.media.safe_folder import check_ordinary
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking
-from tasks.batch_ledger import Entry, Ledger, stamp_of
+from tasks.batch_ledger import Entry, Ledger, set_aside, stamp_of
+from tasks.batch_summary import PAGE, BatchSummary
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
 from tasks.engine import Engine, engine_of
 from tasks.handles import files_in
-from tasks.out_place import check_batch_out
-from tasks.result_folder import is_finished
+from tasks.out_place import check_batch_out, check_not_clips
+from tasks.result_folder import is_unfinished
 from tasks.video_inputs import check_options, take_video_inputs
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
 _LOG = "batch.json"
-_PAGE = "summary.html"
+_THUMBNAILS = "thumbnails"  # among the intermediate files: no clip has a folder there
 _log = logging.getLogger(__name__)
 
 
@@ -50,6 +49,8 @@ def batch(
     store: str | None = None,
 ) -> dict[str, Any]:
     """Every clip of a folder through `flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
+
+    One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
 
     Args:
         config: options as plain content, or the file that holds them.
@@ -74,8 +75,9 @@ def batch(
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
-    with shown_somewhere(), workplace(out):
-        round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s)
+    with shown_somewhere(), workplace(out) as intermediate:
+        summary = BatchSummary(f"Clips of {folder.resolve().name}", out, intermediate / _THUMBNAILS)
+        round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s, summary)
         if again:
             round_.ledger.again()
         while True:
@@ -91,18 +93,21 @@ class _Rounds:
     """A folder, looked through again and again."""
 
     def __init__(
-        self, folder: Path, out: Path, config: RunConfig, engine: Engine, attempts: int, wait_s: float
+        self, folder: Path, out: Path, config: RunConfig, engine: Engine, attempts: int, wait_s: float,
+        summary: BatchSummary,
     ) -> None:  # fmt: skip
         self._folder, self._out, self._config = folder, out, config
         self._engine, self._attempts, self._wait_s = engine, attempts, wait_s
-        self._options = config.model_dump(mode="json")
+        self._options, self._summary = config.model_dump(mode="json"), summary
         self.ledger = Ledger(out / _LOG)
+        if self.ledger.damage:
+            progress.say(f"hfb: {self.ledger.damage}; the file is now {set_aside(out / _LOG).name}")
         self._seen: dict[str, float] = {}  # stamp of a clip -> when it was first seen, on a clock that does not jump
 
     def once(self) -> float | None:
         """Work on every clip whose time has come; the seconds until the next one's, None where nothing waits."""
         due: list[float] = []
-        for place in find_clips(self._folder, self._out):
+        for place in self._look():
             stamp, written = stamp_of(place.files, self._options)
             entry = self._entry(place, stamp)
             if entry is not None and entry.status != "failed":
@@ -117,13 +122,15 @@ class _Rounds:
             due.append(time.monotonic() + wait_s)
         with suppress(Exception):  # those whose end a server took no word of; it may still be away
             end_abandoned_flow_runs()
-        self._write_page()
+        self._look()
         return max(0.2, min(due) - time.monotonic()) if due else None
 
     def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
         """What is known of a clip; None too where its result is gone: it is made again."""
         entry = self.ledger.entry(place.name, stamp)
-        gone = entry is not None and entry.status == "done" and not is_finished(self._out / place.name)
+        result = self._out / place.name / RESULT
+        there = os.path.lexists(result) and not is_unfinished(self._out, place.name)
+        gone = entry is not None and entry.status == "done" and not there
         return None if gone else entry
 
     def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
@@ -146,12 +153,12 @@ class _Rounds:
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
         """One clip; None where it is done."""
-        progress.say(f"hfb: {place.name}")
+        progress.say(f"hfb: {place.shown}")
         hopeless = False
         try:
             place.check()
             target = self._out / place.name
-            check_batch_out(self._folder, target)
+            check_not_clips(self._folder, target)  # as of a clip `b` in `a/b` with --out a
             check_ordinary(self._out, place.name)
             inputs = take_video_inputs(place.source, self._config, clip=place.clip, out=target)
             place.check_read(files_in((inputs.video, inputs.background, inputs.calibration, inputs.track)))
@@ -164,69 +171,50 @@ class _Rounds:
             reason, kind = str(error), "InputError"
             hopeless = True  # only another file can mend it, and then it is a new clip
         except Exception as error:
-            _log.exception("%s", place.name)
+            _log.exception("%s", place.shown)
             kind = type(error).__name__
             reason = f"unexpected {kind}: {error}"
         else:
             if not _unrecorded(result):
-                self.ledger.finished(place.name, stamp, result.get("mlflow_link"))
-                self._write_page()
+                link = result.get("mlflow_link")
+                self.ledger.finished(place.name, stamp, link)
+                self._summary.show(place.name, "done", link=link)
                 return None
             reason, kind = "it is finished, but MLflow did not take its record: that is tried again", "StoreLost"
         progress.fail(kind)
         entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
-        progress.say(f"hfb: {place.name}: {entry.status}: {reason}")
-        _log.info("%s: %s: %s", place.name, entry.status, reason)
-        self._write_page()
+        progress.say(f"hfb: {place.shown}: {entry.status}: {reason}")
+        _log.info("%s: %s: %s", place.shown, entry.status, reason)
+        self._summary.show(place.name, _state(entry), entry.reason)
         return entry
 
     def summary(self) -> dict[str, Any]:
         """How many clips there are, and what became of them."""
-        states = [status for _, status, _ in self._states()]
+        counts, out = self._summary.counts(), self._out.resolve()
         return {
-            "clips": len(states), "done": states.count("done"), "set_aside": states.count("set aside"),
-            "waiting": len(states) - states.count("done") - states.count("set aside"),
-            "out": str(self._out.resolve()), "page": str(self._out.resolve() / _PAGE),
+            "clips": counts.clips, "done": counts.done, "set_aside": counts.set_aside, "waiting": counts.waiting,
+            "out": str(out), "page": str(out / PAGE),
         }  # fmt: skip
 
-    def _states(self) -> Sequence[tuple[ClipPlace, str, Entry | None]]:
+    def _look(self) -> tuple[ClipPlace, ...]:
+        """The clips as they are now; the pages show these."""
+        places = find_clips(self._folder, self._out)
         states = []
-        for place in find_clips(self._folder, self._out):
+        for place in places:
             entry = self._entry(place, stamp_of(place.files, self._options)[0])
-            waits = f"tried {entry.attempts} times, again later" if entry else "new"
-            states.append((place, entry.status if entry and entry.status != "failed" else waits, entry))
-        return states
+            states.append((place.name, _state(entry), *((entry.reason, entry.link) if entry else ("", None))))
+        self._summary.show_all(states)
+        return places
 
-    def _write_page(self) -> None:
-        from hfb.report.batch_page import BatchClip, batch_page
 
-        clips = []
-        for place, status, entry in self._states():
-            done = self._out / place.name
-            finished = status == "done" and is_finished(done)
-            figures = json.loads((done / RESULT).read_bytes()) if finished else {}
-            reason, link = (entry.reason, entry.link) if entry else ("", None)
-            strip, report = (_strip_in(done), self._report_in(done)) if finished else (None, None)
-            clips.append(BatchClip(place.name, status, reason, figures, strip, link, report=report))
-            for one in figures.get("people", ()):
-                state = "no motion" if one["error"] else "done"
-                name = f"{place.name}: {one['name']}"
-                theirs = Path(one["out"])
-                shown, report = _strip_in(theirs), self._report_in(theirs)
-                clips.append(BatchClip(name, state, one["error"] or "", one, shown, person=True, report=report))
-        write_bytes_atomic(self._out / _PAGE, batch_page(f"Clips of {self._folder.resolve().name}", clips).encode())
-
-    def _report_in(self, folder: Path) -> Path | None:
-        """A result's page, from the folder of the summary."""
-        whole, here = folder.resolve() / REPORT, self._out.resolve()
-        return whole.relative_to(here) if whole.is_file() and whole.is_relative_to(here) else None
+def _state(entry: Entry | None) -> str:
+    """What the pages say of a clip."""
+    if entry is None:
+        return "new"
+    return entry.status if entry.status != "failed" else f"tried {entry.attempts} times, again later"
 
 
 def _unrecorded(result: dict[str, Any]) -> bool:
     """Whether the tracking store was away when a finished clip, or somebody in it, was to be recorded."""
     parts = [one for one in result["people"] if not one["error"]] if result.get("people") else [result]
     return any(one.get("mlflow_run_id") is None for one in parts)
-
-
-def _strip_in(folder: Path) -> Path | None:
-    return folder / "strip.png" if (folder / "strip.png").exists() else None

@@ -59,7 +59,7 @@ def export_result(
         texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
-        if place.fetched is None:
+        if out is None and place.fetched is None:
             check_tree(place.folder, _FOLDER)  # nobody's link may lead the files elsewhere
         check_no_clip(folder)
         check_tree(folder, MESHES)

@@ -20,6 +20,7 @@ from typing import Any
 from hfb.errors import Busy, InputError, NotNow
 from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
 from hfb.media.atomic import leftover_of, sync_folder, write_bytes_atomic
+from hfb.media.names import is_text
 from hfb.media.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from tasks.handles import sha256_of
 from tasks.result_folder import UNFINISHED, result_content
@@ -106,6 +107,8 @@ def _remove_leftovers(out: Path, folder: Path) -> None:
 
 def check_writable(out: Path) -> None:
     """Raises InputError where a folder cannot be made, or written into; makes nothing."""
+    if not is_text(out.absolute()):
+        raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     for folder in (out.absolute(), *out.absolute().parents):
         if folder.name == INTERMEDIATE and is_regular(folder / _LOCK):
             raise NotNow(f"{out} lies among the intermediate files of {folder.parent}: choose another --out")

@@ -2,7 +2,13 @@
 
 
 class InputError(ValueError):
-    """Something the user gave cannot be used; the command line prints the message and exits with 2."""
+    """Something the user gave cannot be used; the command line prints the message and exits with 2.
+
+    Bytes of a file's name that are no text in UTF-8 are shown as escapes: the sentence can be written anywhere.
+    """
+
+    def __init__(self, sentence: str = "") -> None:
+        super().__init__(sentence.encode("utf-8", "backslashreplace").decode())
 
 
 class NotNow(InputError):

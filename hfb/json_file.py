@@ -28,22 +28,13 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
         size = path.stat().st_size
         if size > JSON_LIMIT_BYTES:
             raise InputError(f"{path} has {size >> 20} MB, far more than hfb writes: {fix}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): {fix}") from None
-    return parse_json(data, path, fix)
-
-
-def parse_json(data: bytes, path: Path, fix: str = "make the result again") -> Any:
-    """The content of a JSON file that was read already; ``path`` names it in errors.
-
-    Raises:
-        InputError: no JSON, a number that is not finite, or nested without end.
-    """
-    try:
-        content = json.loads(data, parse_constant=_not_finite, parse_float=_finite)
+        content = json.loads(path.read_bytes(), parse_constant=_not_finite, parse_float=_finite)
         _check_depth(content)
         return content
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): {fix}") from None
     except RecursionError:
         raise InputError(f"{path} is damaged (brackets within brackets without end): {fix}") from None
     except (ValueError, MemoryError) as error:

@@ -7,17 +7,21 @@ it is a new clip. Light to import.
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from hfb.config import Record
+from hfb.errors import InputError
+from hfb.json_file import read_json
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import digest
 
+_FOUND_AGAIN = "finished clips are found again in their folders"
 Status = Literal["done", "failed", "set aside"]
 
 
@@ -30,25 +34,36 @@ class Entry(Record):
         due: when it is tried again [s since 1970].
     """
 
-    stamp: str
+    stamp: Annotated[str, Field(max_length=200)]
     status: Status
-    attempts: int = 0
-    reason: str = ""
-    due: float = 0.0
-    link: str | None = None
+    attempts: Annotated[int, Field(ge=0, le=10**6)] = 0
+    reason: Annotated[str, Field(max_length=20_000)] = ""
+    due: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    link: Annotated[str, Field(max_length=20_000)] | None = None
 
 
 class Ledger:
-    """All clips of a batch, by name."""
+    """All clips of a batch, by name.
+
+    Attributes:
+        damage: what was wrong with the file, a sentence; finished clips are found again in their folders, at once.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._entries: dict[str, Entry] = {}
+        self.damage = ""
         try:
-            content = json.loads(path.read_bytes())
-            self._entries = {name: Entry.model_validate(entry) for name, entry in content.items()}
-        except (FileNotFoundError, ValueError, AttributeError, ValidationError, RecursionError):
-            pass  # none yet, or a damaged one: finished clips are found again in their folders, at once
+            content = read_json(path, _FOUND_AGAIN) if os.path.lexists(path) else {}
+        except InputError as error:
+            self.damage, content = str(error), {}
+        if not isinstance(content, dict):
+            self.damage, content = f"{path} is no record of a batch: {_FOUND_AGAIN}", {}
+        for name, entry in content.items():
+            try:
+                self._entries[name] = Entry.model_validate(entry)
+            except ValidationError:
+                self.damage = f"{path} has entries that are no record of a clip: they are forgotten"
 
     def entry(self, name: str, stamp: str) -> Entry | None:
         """What is known of a clip as it is now; None for a new or a changed one."""
@@ -84,6 +99,15 @@ class Ledger:
         self._entries[name] = entry
         content = {key: one.model_dump() for key, one in sorted(self._entries.items())}
         write_bytes_atomic(self._path, json.dumps(content, indent=2).encode() + b"\n")
+
+
+def set_aside(path: Path) -> Path:
+    """Give what lies in the place of a file of hfb's another name beside it; returns that."""
+    number = 1
+    while os.path.lexists(place := path.with_name(f"{path.name}.set-aside-{number}")):
+        number += 1
+    path.rename(place)
+    return place
 
 
 def stamp_of(files: Sequence[Path], options: Mapping[str, object]) -> tuple[str, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,10 +11,14 @@ from pathlib import Path
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError, NotNow
 from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
-from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below
+from hfb.media.names import is_text, shown_name
+from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
 from tasks.handles import FileHandle, StaleFile
-from tasks.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS, same_place
+from tasks.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
 from tasks.result_folder import result_content
+
+RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
+"""What a folder of results holds beside the clips' own folders; letter cases are one on some disks."""
 
 _PLATE_NAMES = ("background", "plate")
 _LEADS_OUT = "is a link that leads out of the folder of clips: put the file itself there"
@@ -28,6 +34,7 @@ class ClipPlace:
         files: everything that its result depends on, as far as the folder tells.
         stray: an entry because of which the clip is not worked on, and why.
         twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
+        trouble: why it cannot be looked at.
     """
 
     name: str
@@ -37,12 +44,24 @@ class ClipPlace:
     stray: Path | None = None
     why: str = ""
     twin: Path | None = None
+    trouble: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The name for a line of text."""
+        return shown_name(self.name)
 
     def check(self) -> None:
-        """Raises InputError where another clip has the same name, or files are not the folder's own.
+        """Raises InputError where no folder can have this name, another clip has it, or files are not the folder's own.
 
         Who may put clips into a folder may not see other files. What is watched and what is read are the same files.
         """
+        if self.trouble:
+            raise InputError(f"{self.source} cannot be read ({self.trouble}): mend its permissions or its name")
+        if not is_text(self.name):
+            raise InputError(f"{self.source} has a name that is not text in UTF-8: rename it")
+        if RESERVED.fullmatch(self.name.casefold()):
+            raise InputError(f"{self.shown} is what hfb calls a file of its own beside results: rename the clip")
         if self.twin is not None:
             raise InputError(
                 f"{self.source} and {self.twin} are clips of one name, so both results would go into one folder: "
@@ -69,10 +88,14 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder: give one that holds clips")
-    results = out.resolve()
+    results, identity = out.resolve(), _identity(out) or ()
     named: dict[str, list[ClipPlace]] = {}
     for path in natural_order(folder.iterdir()):
-        place = None if is_hidden(path) or same_place(path, out) else _clip_at(path)
+        try:
+            skipped = is_hidden(path) or path.resolve() == results or _identity(path) == identity
+            place = None if skipped else _clip_at(path)
+        except (OSError, RuntimeError) as error:  # not to be opened, too long a name, links in a circle
+            place = ClipPlace(path.stem, path, None, (path,), trouble=getattr(error, "strerror", None) or str(error))
         if place is not None:
             named.setdefault(place.name, []).append(place)
     return tuple(place for name, same in named.items() for place in _told_apart(same, results / name))
@@ -82,7 +105,7 @@ def _clip_at(path: Path) -> ClipPlace | None:
     """The clip that a file or a folder in a folder of clips is."""
     if path.suffix.lower() in VIDEOS and path.exists() and not path.is_dir():
         sidecar = path.with_suffix(".toml")
-        name, clip = path.stem, sidecar if sidecar.exists() else None
+        name, clip = path.stem, sidecar if _exists(sidecar) else None
         own = [path, sidecar] if clip else [path]
     elif path.is_dir() and (path / CLIP_FILE).exists():
         name, clip = path.name, path / CLIP_FILE
@@ -104,12 +127,16 @@ def _clip_at(path: Path) -> ClipPlace | None:
 
 def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None:
     """The first entry of a clip that is not taken, and why: what is read has to be what is watched."""
-    inside = ground.resolve()
+    inside, own = ground.resolve(), {ground}  # folders that are no links
     for path in files:
-        steps = path.relative_to(ground).parts
-        folders = [ground.joinpath(*steps[:count]) for count in range(1, len(steps))]
-        if linked := next((one for one in folders if one.is_symlink()), None):
-            return linked, _LINKED
+        if path.parent not in own:
+            steps = path.relative_to(ground).parts
+            folders = [ground.joinpath(*steps[:count]) for count in range(1, len(steps))]
+            if linked := next((one for one in folders if one.is_symlink()), None):
+                return linked, _LINKED
+            own.update(folders)
+        if is_regular(path):
+            continue
         if path.is_symlink() and path.is_dir():
             return path, _LINKED
         try:
@@ -121,6 +148,25 @@ def _first_stray(ground: Path, files: Sequence[Path]) -> tuple[Path, str] | None
         except (OSError, RuntimeError) as error:  # links in a circle
             return path, f"cannot be read ({getattr(error, 'strerror', None) or error}): put the file itself there"
     return None
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What is the same under every name of a folder."""
+    try:
+        facts = path.stat()
+    except OSError:
+        return None
+    return facts.st_dev, facts.st_ino
+
+
+def _exists(path: Path) -> bool:
+    """Whether a file is there; none has a name that is too long, as NAME.toml may be where NAME.ts is not."""
+    try:
+        return path.exists()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return False
+        raise
 
 
 def _named_or_beside(source: Path, clip: Path | None) -> Iterator[Path]:
@@ -151,7 +197,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = result_content(result)["inputs"]["video"]
+        sha256 = result_content(result.parent, result.name)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False

@@ -19,7 +19,7 @@ def named_body(result: Path) -> Path | None:
     """The body model that result.json names; None where it names none or cannot be read."""
     try:
         named = result_content(result.parent)["config"]["body"]["model"]
-    except (OSError, InputError, KeyError, TypeError):
+    except (InputError, KeyError, TypeError):
         return None
     return Path(named) if isinstance(named, str) else None
 

@@ -9,6 +9,7 @@ from hfb.config import ExposureConfig, Record, RunConfig
 from hfb.errors import InputError
 from hfb.export.names import check_formats
 from hfb.initialize.networks import LandmarkChoice, networks_in_use
+from hfb.media.names import is_text
 from tasks.given_networks import init_files, matting_file
 from tasks.handles import FileHandle, files_in
 from tasks.out_place import check_pictures_out
@@ -39,18 +40,21 @@ def input_file(path: Path) -> FileHandle:
     """The handle of a user's file.
 
     Raises:
-        InputError: it is not there, or cannot be read.
+        InputError: it is not there, cannot be read, or has a name that servers and records cannot hold.
     """
     if "\0" in str(path):
         raise InputError(f"{str(path)!r} is no name of a file")
     if path.is_dir():
         raise InputError(f"{path} is a folder; give the file itself")
     try:
-        return FileHandle.of(path)
+        handle = FileHandle.of(path)
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist") from error
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from error
+    if not is_text(handle.path):
+        raise InputError(f"{handle.path} has a name that is not text in UTF-8: rename it, or the folder that it is in")
+    return handle
 
 
 def take_inputs(

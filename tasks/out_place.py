@@ -77,11 +77,16 @@ def check_pictures_out(frames: Sequence[Path], out: Path) -> None:
 
 def check_batch_out(folder: Path, out: Path) -> None:
     """Raises InputError where results of a folder of clips would change these clips, or be taken for some."""
-    if same_place(folder, out):
-        raise _refused(out, "the folder of clips itself", folder)
+    check_not_clips(folder, out)
     for clip in folder.iterdir() if folder.is_dir() else ():
         if clip.is_dir() and (clip / CLIP_FILE).exists() and lies_in(out, clip):
             raise _refused(out, f"in the folder of the clip {clip.name}", folder)
+
+
+def check_not_clips(folder: Path, out: Path) -> None:
+    """Raises InputError where results would lie in the folder of clips itself."""
+    if same_place(folder, out):
+        raise _refused(out, "the folder of clips itself", folder)
 
 
 def check_sources_out(sources: Iterable[Path | None], out: Path) -> None:

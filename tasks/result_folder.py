@@ -12,51 +12,47 @@ from typing import Any
 
 from hfb.errors import InputError
 from hfb.export.names import RESULT
-from hfb.json_file import JSON_LIMIT_BYTES, parse_json
-from hfb.media.safe_folder import check_ordinary, read_file
+from hfb.json_file import read_json
+from hfb.media.safe_folder import check_ordinary, is_regular, read_head
 
 UNFINISHED = "unfinished"
+_HEAD_BYTES = 64
 
 
-def result_content(folder: Path, fix: str = "make the result again") -> dict[str, Any]:
-    """The content of result.json; every number in it is finite.
-
-    Args:
-        fix: ends the sentence of an error.
+def result_content(root: Path, *parts: str) -> dict[str, Any]:
+    """The content of result.json in a folder, or in one below it.
 
     Raises:
-        FileNotFoundError: there is none.
-        NotOrdinary: it is a link or a special file.
-        OSError: it cannot be read.
-        InputError: it is damaged, too large, or no result's.
+        InputError: it is missing, damaged or no result's, or it, or a folder below ``root``, is a link or a special
+            file.
     """
-    path = folder / RESULT
-    try:
-        data = read_file(folder, RESULT, limit=JSON_LIMIT_BYTES)
-    except InputError:
-        raise
-    except ValueError:
-        raise InputError(f"{path} has over {JSON_LIMIT_BYTES >> 20} MB, far more than hfb writes: {fix}") from None
-    content = parse_json(data, path, fix)
+    check_ordinary(root, *parts, RESULT)
+    path = root.joinpath(*parts, RESULT)
+    content = read_json(path)
     if not isinstance(content, dict):
-        raise InputError(f"{path} is no result of hfb: {fix}")
+        raise InputError(f"{path} is not a result of hfb: give the folder of one")
     return content
+
+
+def is_unfinished(root: Path, *parts: str) -> bool:
+    """Return whether a result's files were being replaced when its command was stopped; only a few bytes are read."""
+    try:
+        head = read_head(root, *parts, RESULT, size=_HEAD_BYTES)
+    except (OSError, ValueError):  # NotOrdinary is a ValueError
+        return False
+    return head.lstrip(b"{ \r\n").startswith(f'"{UNFINISHED}"'.encode())
 
 
 def is_finished(folder: Path) -> bool:
     """Return whether a whole result lies there."""
-    try:
-        return UNFINISHED not in result_content(folder)
-    except (OSError, InputError):
-        return False
+    return is_regular(folder / RESULT) and not is_unfinished(folder)
 
 
 def unfinished_files(folder: Path) -> set[str]:
     """What a command left that was stopped while it put the files in place; nothing where none was."""
     try:
-        content = result_content(folder)
-        return {RESULT, *map(str, content["files"])} if UNFINISHED in content else set()
-    except (OSError, InputError, TypeError, KeyError):
+        return {RESULT, *map(str, result_content(folder)["files"])} if is_unfinished(folder) else set()
+    except (InputError, TypeError, KeyError):
         return set()
 
 
@@ -71,17 +67,8 @@ def check_result(folder: Path, names: Iterable[str]) -> None:
     """
     for name in (RESULT, *names):
         check_ordinary(folder, *Path(name).parts)
-    try:
-        unfinished = UNFINISHED in result_content(folder)
-    except (OSError, InputError):
-        return
-    if unfinished:
-        raise unfinished_result(folder)
-
-
-def unfinished_result(folder: Path) -> InputError:
-    """The sentence about a result that was being replaced when its command was killed."""
-    return InputError(
-        f"the result in {folder} is unfinished, since its command was stopped while it put the files in place: run "
-        "the same command again, which goes on from there"
-    )
+    if is_unfinished(folder):
+        raise InputError(
+            f"the result in {folder} is unfinished, since its command was stopped while it put the files in place: "
+            "run the same command again, which goes on from there"
+        )

@@ -12,10 +12,11 @@ from typing import Any
 
 from hfb.errors import InputError
 from hfb.export.names import RESULT
+from hfb.json_file import read_json
 from hfb.media.footage_names import natural_order
 from hfb.media.safe_folder import special_kind
 from tasks import tracking
-from tasks.result_folder import UNFINISHED, result_content, unfinished_result
+from tasks.result_folder import check_result
 from tasks.secrets import without_secrets
 from tasks.store_place import tracking_uri
 
@@ -144,15 +145,11 @@ def _recorded_in(folder: Path) -> list[Path]:
 def _told_in(folder: Path) -> dict[str, Any]:
     """The content of a folder's result.json; nothing where it is no result's."""
     path = folder / RESULT
-    try:
-        content = result_content(folder, "give the run's id")
-    except FileNotFoundError:
-        raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): give the run's id") from None
-    if UNFINISHED in content:
-        raise unfinished_result(folder)
-    return content
+    check_result(folder, ())
+    if not path.exists():
+        raise InputError(f"{folder} has no {RESULT}: give the folder of a finished result, or a run's id")
+    content = read_json(path, "give the run's id")
+    return content if isinstance(content, dict) else {}
 
 
 def _stored(run: Any) -> StoredRun:

@@ -139,15 +139,20 @@ def read_file(root: Path, *parts: str, limit: int) -> bytes:
         ValueError: it is larger than ``limit`` bytes.
         OSError: it cannot be read.
     """
+    content = read_head(root, *parts, size=limit + 1)
+    if len(content) > limit:
+        raise ValueError("too large")
+    return content
+
+
+def read_head(root: Path, *parts: str, size: int) -> bytes:
+    """Read the first ``size`` bytes of a regular file below ``root``, or all there are; raises as `read_file`."""
     *folders, name = parts
     check_ordinary(root, *parts)
     with open_folder(root, *folders) as folder:
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         with open(_checked(root.joinpath(*parts), name, flags, folder), "rb") as file:
-            content = file.read(limit + 1)
-    if len(content) > limit:
-        raise ValueError("too large")
-    return content
+            return file.read(size)
 
 
 def check_readable(path: Path) -> None:

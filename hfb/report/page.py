@@ -154,7 +154,8 @@ def page(title: str, *parts: object, scripts: Sequence[str] = ()) -> str:
         element("title", title), element("style", Html(page_file("page.css"))),
     )  # fmt: skip
     body = element("body", element("main", element("h1", title), *parts), *(_script(script) for script in scripts))
-    return f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
+    document = f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
+    return document.encode("utf-8", "backslashreplace").decode()  # a file's name may have bytes that are no text
 
 
 @cache

@@ -26,6 +26,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.report.result_curves import curves_section, read_curves
 from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
+from tasks.batch_summary import BatchSummary
 from tasks.fitted_body import named_body
 from tasks.handles import FileHandle
 from tasks.result_report import ReportParts, page_text
@@ -91,7 +92,12 @@ def _page(**damaged: Path) -> None:
     if not (folder / "no_curves.json").exists():
         list(write_result(folder))
         (folder / "no_curves.json").write_text("{}")
-    names = {"motion": "motion.npz", "curves": "no_curves.json", "alternatives": "alternatives.npz", "strip": "strip.png"}
+    names = {
+        "motion": "motion.npz",
+        "curves": "no_curves.json",
+        "alternatives": "alternatives.npz",
+        "strip": "strip.png",
+    }
     paths = {part: damaged.get(part, folder / name) for part, name in names.items()}
     if "motion" in damaged:
         del paths["alternatives"]  # they would be another motion's
@@ -100,6 +106,19 @@ def _page(**damaged: Path) -> None:
     facts = read_facts(damaged.get("facts", folder / "result.json"))
     parts = ReportParts(**{part: FileHandle.of(path) for part, path in paths.items()})
     page_text(parts, _load_body(), facts, {}, "walk").encode()
+
+
+def _batch(path: Path) -> None:
+    """A batch's page with a clip whose result.json or strip this is: its trouble is a row of the page."""
+    out = Path("batch")
+    folder = out / "walk"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("result.json", "strip.png"):
+        (folder / name).write_bytes((path if path.name == name else Path("whole") / name).read_bytes())
+    summary = BatchSummary("Clips of fuzz", out, out / "thumbnails")
+    summary.show_all([("walk", "done", "", None), ("wave", "new", "", None)])
+    assert summary.counts().done + summary.counts().set_aside == 1
+    assert (out / "summary.html").stat().st_size < 5 << 20
 
 
 def _exports(path: Path) -> None:
@@ -135,8 +154,8 @@ RESULT_READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "alternatives": (
         lambda path: direction_record(load_alternatives(path)[0]), lambda path: _page(alternatives=path),
     ),
-    "facts": (named_body, lambda path: _page(facts=path)),
+    "facts": (named_body, lambda path: _page(facts=path), _batch),
     "curves": (lambda path: curves_section(read_curves(path), FACTS),),
-    "strip": (lambda path: _page(strip=path),),
+    "strip": (lambda path: _page(strip=path), _batch),
 }  # fmt: skip
 """Kind of file -> everything that opens one; each reader goes its way, whatever the others said."""

@@ -54,7 +54,7 @@ def strange(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 def test_nothing_but_files_and_folders_is_opened(strange: Path) -> None:
     out = strange.parents[1]
-    with pytest.raises(NotOrdinary, match="strange is a .*: remove it"):
+    with pytest.raises(NotOrdinary, match=r"strange is a .*: remove it"):
         check_tree(out)
     with pytest.raises(NotOrdinary):
         check_ordinary(out, "inner", "strange")

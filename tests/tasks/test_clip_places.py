@@ -1,15 +1,19 @@
 """Which files are meant by what a user names."""
 
 import json
+import os
+import re
 from pathlib import Path
 
 import pytest
 
-from hfb.errors import InputError
+from hfb.config import InitConfig, RunConfig
+from hfb.errors import InputError, NotNow
 from hfb.media.picture_files import footage_files
 from tasks.batch_ledger import stamp_of
 from tasks.clip_places import find_clips, plate_beside, resolve_source
-from tasks.handles import FileHandle
+from tasks.handles import FileHandle, files_in
+from tasks.video_inputs import take_video_inputs
 
 
 def touch(*paths: Path) -> None:
@@ -210,3 +214,88 @@ def test_hidden_files_are_no_clips(tmp_path: Path) -> None:
     touch(tmp_path / "walk.mp4", tmp_path / "._walk.mp4")
     assert resolve_source(tmp_path, None)[0] == (tmp_path / "walk.mp4",)
     assert [place.source.name for place in find_clips(tmp_path, tmp_path / "out")] == ["walk.mp4"]
+
+
+def refusal(folder: Path, name: str) -> str:
+    """Why a clip is not worked on."""
+    places = {place.name: place for place in find_clips(folder, folder.parent / "out")}
+    with pytest.raises(InputError) as refused:
+        places[name].check()
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("where", ["outside", "clips/other"])
+@pytest.mark.parametrize("link", ["frames", "sub", "sub/deep", ".hidden"])
+def test_a_linked_folder_is_refused_by_name(tmp_path: Path, where: str, link: str) -> None:
+    """Also one that stays among the clips: what lies in it is read, and was not watched."""
+    clip = tmp_path / "clips" / "walk"
+    touch(clip / "0.png", tmp_path / where / "0.png")
+    (clip / "clip.toml").write_text('video = "sub"\n')
+    (clip / link).parent.mkdir(parents=True, exist_ok=True)
+    (clip / link).symlink_to(tmp_path / where)
+    assert re.search(
+        rf"walk/{link} is a link to a folder, .*: put the folder itself there", refusal(clip.parent, "walk")
+    )
+
+
+def test_a_clip_that_is_a_linked_folder(tmp_path: Path) -> None:
+    touch(tmp_path / "elsewhere" / "clip.toml", tmp_path / "elsewhere" / "0.png")
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "clips" / "walk").symlink_to(tmp_path / "elsewhere")
+    assert "walk is a link to a folder" in refusal(tmp_path / "clips", "walk")
+
+
+_NAMES_TWO = '[camera]\ncalibration = "calib.toml"\n[person]\ntrack = "tracks.csv"\n'
+
+
+@pytest.mark.parametrize("name", ["walk.toml", "calib.toml", "tracks.csv", "plate.png", "walk_plate.png"])
+def test_a_pipe_beside_a_video(tmp_path: Path, name: str) -> None:
+    touch(tmp_path / "walk.mp4")
+    (tmp_path / "walk.toml").write_text(_NAMES_TWO)
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    assert f"{name} cannot be read (it is a named pipe and no file)" in refusal(tmp_path, "walk")
+
+
+@pytest.mark.parametrize("name", ["calib.toml", "tracks.csv"])
+def test_what_a_clip_names_lies_in_no_linked_folder(tmp_path: Path, name: str) -> None:
+    touch(tmp_path / "walk.mp4", tmp_path / "inner" / name)
+    (tmp_path / "sub").symlink_to(tmp_path / "inner")
+    (tmp_path / "walk.toml").write_text(_NAMES_TWO.replace(name, f"sub/{name}"))
+    assert "sub is a link to a folder" in refusal(tmp_path, "walk")
+
+
+@pytest.mark.parametrize("name", ["walk.mp4", "wave/0.png", "wave/clip.toml", "wave/frames"])
+def test_a_pipe_among_the_clips_does_not_hang(tmp_path: Path, name: str) -> None:
+    touch(tmp_path / "wave" / "clip.toml", tmp_path / "wave" / "1.png")
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(tmp_path / name)
+    assert f"{name} cannot be read (it is a named pipe and no file)" in refusal(tmp_path, Path(name).parts[0][:4])
+
+
+def test_folders_without_end_are_one_clips_trouble(tmp_path: Path) -> None:
+    touch(tmp_path / "wave" / "clip.toml", tmp_path / "walk.mp4")
+    (tmp_path / "wave").joinpath(*["d"] * 100).mkdir(parents=True)
+    assert "nested more than" in refusal(tmp_path, "wave")
+    next(place for place in find_clips(tmp_path, tmp_path / "out") if place.name == "walk").check()
+
+
+def test_what_is_read_is_what_is_watched(tmp_path: Path) -> None:
+    touch(tmp_path / "walk" / "clip.toml", tmp_path / "walk" / "frames" / "0.png", tmp_path / "walk" / "plate.png")
+    (place,) = find_clips(tmp_path, tmp_path / "out")
+    inputs = take_video_inputs(place.source, RunConfig(init=InitConfig(method="matte")), place.clip)
+    read = list(files_in((inputs.video, inputs.background)))
+    assert len(read) == 2
+    place.check_read(read)
+    touch(tmp_path / "walk" / "frames" / "1.png")
+    later = take_video_inputs(place.source, RunConfig(init=InitConfig(method="matte")), place.clip)
+    with pytest.raises(NotNow, match=r"1\.png came to .*walk while it was being read"):
+        place.check_read(files_in(later.video))
+
+
+def test_results_among_the_clips_are_none(tmp_path: Path) -> None:
+    """However their folder is spelled."""
+    touch(tmp_path / "walk.mp4", tmp_path / "out" / "clip.toml")
+    (tmp_path / "by a link").symlink_to(tmp_path)
+    for out in (tmp_path / "out", tmp_path / "by a link" / "out", tmp_path / "none" / ".." / "out"):
+        assert [place.name for place in find_clips(tmp_path, out)] == ["by a link", "walk"][-1:]

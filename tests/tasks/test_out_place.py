@@ -98,7 +98,7 @@ def test_results_of_a_folder_of_clips(tmp_path: Path) -> None:
     (clips / "walk" / "clip.toml").touch()
     (tmp_path / "by a link").symlink_to(clips)
     for out in (clips, clips / "walk" / "..", tmp_path / "by a link", clips / "new" / ".."):
-        with pytest.raises(InputError, match="the folder of clips itself, .* such as --out runs/clips-result"):
+        with pytest.raises(InputError, match=r"the folder of clips itself, .* such as --out runs/clips-result"):
             check_batch_out(clips, out)
     for out in (clips / "walk", clips / "walk" / "new" / "new", tmp_path / "by a link" / "walk"):
         with pytest.raises(InputError, match="in the folder of the clip walk"):
@@ -115,7 +115,7 @@ def test_results_among_what_a_set_is_made_from(tmp_path: Path) -> None:
             check_sources_out([None, motions], out)
     earlier = tmp_path / "bench" / "methods" / "best"
     earlier.mkdir(parents=True)
-    with pytest.raises(InputError, match="is where results in .* go"):
+    with pytest.raises(InputError, match=r"is where results in .* go"):
         check_sources_out([earlier], tmp_path / "bench")
     check_sources_out([motions, tmp_path / "none", None], tmp_path)
     check_sources_out([earlier], tmp_path / "other")

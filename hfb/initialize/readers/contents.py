@@ -19,7 +19,7 @@ from hfb.body.placeholders import JoblibArray, NumpyArray, NumpyScalar
 from hfb.body.torch_files import load_torch, looks_like_torch
 from hfb.errors import InputError
 from hfb.media.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
-from hfb.shapes import Array, Float, Int
+from hfb.shapes import Array, Float, Int, Shaped
 
 _MAX_BYTES = 768 << 20
 _MAX_JSON_BYTES = 32 << 20  # Python takes twenty times as much for nested lists
@@ -84,7 +84,7 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
     return result
 
 
-def frame_numbers(values: Float[Array, "R"], most: float = 1e9) -> Int[Array, "R"]:
+def frame_numbers(values: Shaped[Array, "R"], most: float = 1e9) -> Int[Array, "R"]:
     """Frames' numbers as whole ones.
 
     Raises:
