@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError, NotNow
-from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
+from hfb.export.names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import sha256_of
 
 INTERMEDIATE = "intermediate"
 _OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
-_ONLY_SOMETIMES = ("alternatives.npz", REPORT, *EXPORTED_NAMES)  # an earlier result may have had more
+_ONLY_SOMETIMES = ("alternatives.npz", REPORT, RECORD, *EXPORTED_NAMES)  # an earlier result may have had more
 _MATTE = re.compile(r"matte_\d+\.png")
 
 
