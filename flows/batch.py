@@ -66,8 +66,8 @@ def batch(
     content = read_toml(Path(config)) if isinstance(config, str) else config or {}
     options = to_record(RunConfig, content, "options")
     check_options(options)
-    tracking.open_store()
     with suppress(Exception):  # tidying up after killed looks must not stop this one
+        tracking.open_store()
         end_abandoned_flow_runs()
     with shown_somewhere(), workplace(out):
         round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s)

@@ -23,9 +23,13 @@ if TYPE_CHECKING:
 
 # A server that goes away must cost seconds, not MLflow's default of four minutes.
 _HTTP_LIMITS = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1", "MLFLOW_HTTP_REQUEST_TIMEOUT": "14"}
-_CONNECT_S = {"postgresql": ("connect_timeout", 8), "mysql": ("connect_timeout", 8), "mssql": ("timeout", 8)}
+_CONNECT_LIMITS = dict.fromkeys(("psycopg2", "psycopg", "mysqldb", "pymysql"), "connect_timeout") | {
+    "pysqlite": "timeout"
+}
+_CONNECT_S = 8
 _SLOWEST_UPLOAD_BYTES_S = 250_000
 _MIGRATES_S = 4.0
+_MAKES_TABLES_S = 180.0  # dozens of migrations, on a slow disk or far away
 _SHOWN = 160  # characters of another program's own account, which goes on for lines
 
 
@@ -40,7 +44,11 @@ def client() -> MlflowClient:
 
 @functools.cache
 def client_of(uri: str) -> MlflowClient:
-    """The client of a store. Its calls wait no longer than `tasks.patience` allows, if the store is not a file."""
+    """The client of a store, whose calls wait no longer than `tasks.patience` allows.
+
+    Raises:
+        StoreLost: its tables are of another version of MLflow.
+    """
     for name, value in _HTTP_LIMITS.items():
         os.environ.setdefault(name, value)
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
@@ -48,9 +56,9 @@ def client_of(uri: str) -> MlflowClient:
     from mlflow import MlflowClient
 
     make_folder(uri)
-    if sqlite_file(uri) is not None:  # SQLite bounds its waiting by itself
-        return MlflowClient(uri)
-    made = patience(uri).call(lambda: MlflowClient(uri))
+    if on_database(uri):
+        patience(uri).call(lambda: _check_tables(uri))
+    made = patience(uri).call(lambda: MlflowClient(uri), _MAKES_TABLES_S if on_database(uri) else 0.0)
     return cast("MlflowClient", _BoundedClient(made, patience(uri)))
 
 
@@ -84,16 +92,16 @@ def usable_store(uri: str) -> Iterator[None]:
 
     shown = without_secrets(uri)
     try:
-        if on_database(uri):
-            patience(uri).call(lambda: _check_tables(uri))
         yield
     except InputError:
         raise
+    except StoreLost as lost:
+        raise NotNow(str(lost)) from lost
     except ModuleNotFoundError as error:
         raise InputError(f"the runs in {shown} need the Python package {error.name}: install it") from None
     except Exception as error:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
-        what = "start it" if sqlite_file(uri) is None else "mend or move it"
+        what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
         raise NotNow(
             f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
         ) from error
@@ -127,8 +135,8 @@ def _check_tables(uri: str) -> None:
     from sqlalchemy import create_engine, make_url
     from sqlalchemy.pool import NullPool
 
-    name, seconds = _CONNECT_S.get(make_url(uri).get_backend_name(), ("timeout", 8))
-    engine = create_engine(uri, poolclass=NullPool, connect_args={name: seconds})
+    limit = _CONNECT_LIMITS.get(make_url(uri).get_driver_name())
+    engine = create_engine(uri, poolclass=NullPool, connect_args={limit: _CONNECT_S} if limit else {})
     migrations = ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations"))
     head = migrations.get_current_head()
     found = _settled(lambda: _revision(engine), head)
@@ -137,8 +145,8 @@ def _check_tables(uri: str) -> None:
     known = {script.revision for script in migrations.walk_revisions()}
     told = f"the tables of the MLflow store {without_secrets(uri)} are of"
     if found in known:
-        raise NotNow(f"{told} an older MLflow: run `{upgrade_command(uri)}`, or set MLFLOW_TRACKING_URI to another")
-    raise NotNow(
+        raise StoreLost(f"{told} an older MLflow: run `{upgrade_command(uri)}`, or set MLFLOW_TRACKING_URI to another")
+    raise StoreLost(
         f"{told} a newer MLflow than {mlflow.__version__}: set MLFLOW_TRACKING_URI to another store, or install that "
         f"MLflow into {sys.prefix}"
     )

@@ -82,7 +82,9 @@ def check_store(uri: str) -> None:
             )  # fmt: skip
     elif scheme == "sqlite":
         _check_sqlite(uri)
-    elif scheme in ("", "file") and uri not in _OTHER_STORES:
+    elif uri in _OTHER_STORES:
+        return
+    elif scheme in ("", "file"):
         if os.environ.get("MLFLOW_ALLOW_FILE_STORE", "").lower() not in ("1", "true"):
             raise InputError(f"MLflow no longer keeps runs in plain folders: {_advice(uri)}")
     elif scheme not in (*_DATABASES, *_OTHER_STORES, *_plugins()):

@@ -21,6 +21,7 @@ from tasks import repetition
 from tasks.environment import environment
 from tasks.handles import digest
 from tasks.ownership import is_abandoned, owner
+from tasks.patience import within
 from tasks.secrets import without_login, without_secrets
 from tasks.store_client import StoreLost as StoreLost
 from tasks.store_client import client, client_of, patience, store_losses, usable_store
@@ -38,6 +39,7 @@ _OWNER_TAG = "hfb.owner"
 _METRICS_PER_BATCH = 1000
 _PARAMS_PER_BATCH = 100
 _VALUE_LENGTH = 6000
+_MONITOR_ENDS_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,12 @@ def watch_machine(run: Run) -> Callable[[], None]:
         _log.warning("no system metrics: %s", without_secrets(str(error)))
         return lambda: None
     monitor.start()
-    return lambda: monitor.finish()
+
+    def end() -> None:
+        with suppress(TimeoutError):  # its thread may wait for a store that hangs
+            within(_MONITOR_ENDS_S, monitor.finish)
+
+    return end
 
 
 def open_store() -> None:
