@@ -6,6 +6,8 @@ before any module of this package can import them. What the user has set is left
 
 import os
 
+from flows.prefect_home import use_own_home
+
 _SETTINGS = {
     # nothing is reported to anybody
     "DO_NOT_TRACK": "true",
@@ -24,3 +26,4 @@ _SETTINGS = {
 }
 for _name, _value in _SETTINGS.items():
     os.environ.setdefault(_name, _value)
+use_own_home()

@@ -20,8 +20,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from flows import at_hand, clips, exporting, judging, repeating, reporting, summary, training
+from flows import at_hand, clips, exporting, judging, recording, repeating, reporting, summary, training
 from flows.options import add_config_flags, run_config
+from flows.prefect_home import check_home
 from flows.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
 from hfb.errors import InputError, ServerLost, Unavailable
@@ -48,6 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(signal.SIGINT, _interrupt)
     try:
         given = _parsed(words)
+        check_home()
         code = given.run(given) or _DONE
         sys.stdout.flush()
         return code
@@ -168,6 +170,12 @@ def _parser() -> argparse.ArgumentParser:
         configured=False,
     )  # fmt: skip
     reporting.add_report_flags(reported)
+
+    recorded = _command(
+        commands, "record", recording.record_result, "put a result into MLflow that could not be recorded when made",
+        seeded=True, configured=False,
+    )  # fmt: skip
+    recording.add_record_flags(recorded)
 
     runs = _command(commands, "runs", at_hand.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
     runs.add_argument("--port", type=int, default=5000, help="[5000]")

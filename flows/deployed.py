@@ -226,8 +226,8 @@ def _on_a_worker(out: Path) -> Iterator[None]:
     """What `flows.running` sets up around a command; a store that does not answer is told before anything is done."""
     check_writable(out)
     check_store(tracking_uri())
+    tracking.open_store()
     with suppress(Exception):  # tidying up after killed runs must not stop this one
-        tracking.open_store()
         end_abandoned_flow_runs()
     with served(), shown_somewhere(), told_plainly(out):
         yield

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from flows.running import goes_to, surrounded, tell, unwatched_by_gc
+from flows.running import goes_to, libraries, surrounded, tell
 from hfb.config import ExportConfig, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 
@@ -34,9 +34,7 @@ def export(given: argparse.Namespace) -> None:
     films = asked_films(given.films)
     formats, meshes = asked_formats(given.formats) if given.formats or not films else ((), ())
     with surrounded(given, given.out or goes_to(given.source), recorded=False):
-        from tasks import progress
-
-        with progress.step("libraries"), unwatched_by_gc():
+        with libraries():
             from flows.export import export_result
         rate = given.amass_rate or _RATE
         result = export_result(given.source, given.out, formats, meshes, given.body, rate, films, given.inputs)

@@ -11,7 +11,7 @@ from prefect import flow
 from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
-from hfb.export.names import CURVES, REPORT
+from hfb.export.names import CURVES, RECORD, REPORT
 from hfb.fit.alternatives import what_is_unknown
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
@@ -24,9 +24,10 @@ from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, Pr
 from tasks.inputs import Inputs, input_hashes, take_inputs, with_height
 from tasks.matte import matte
 from tasks.prepare import prepare
-from tasks.record import record
+from tasks.record import fit_record, record
 from tasks.result_records import records_in
 from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
+from tasks.run_record import keep_for_later
 from tasks.strip import strip
 from tasks.task import code_version
 from tasks.video_windows import mend_fronts
@@ -109,11 +110,16 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
             **films.by_name(),
         }  # fmt: skip
+        of_run = fit_record(inputs, config, fitted, scores, files, result)
         try:
-            run = record(inputs, config, mattes, fitted, scores, picture, files, result)
+            run = record(of_run, files)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
-            progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
+            files[RECORD] = keep_for_later(of_run, folder)
+            progress.say(
+                f"not recorded in MLflow ({lost}): the result itself is complete; `hfb record {out}` records it "
+                "when MLflow is back"
+            )
         if config.export.report:
             files[REPORT] = _reported(scene, fitted, files, inputs, config, result, folder)
         publish(out, {name: file.path for name, file in files.items()}, result)

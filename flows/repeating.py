@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.judging import cores, positive
-from flows.running import Chain, surrounded, tell, through_prefect, unwatched_by_gc, when_ready
+from flows.running import Chain, libraries, surrounded, tell, through_prefect, when_ready
 from hfb.errors import InputError
 
 DIFFERS = 3
@@ -57,9 +57,7 @@ def rerun(given: argparse.Namespace) -> int:
 def compare(given: argparse.Namespace) -> None:
     """`hfb compare`."""
     with surrounded(given, given.out or Path("runs")):
-        from tasks import progress
-
-        with progress.step("libraries"), unwatched_by_gc():
+        with libraries():
             from flows.compare import compare_runs
         result = compare_runs((given.run_a, given.run_b, *given.more), given.out)
     tell(given, result, compare_text(result))

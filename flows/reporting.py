@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.running import goes_to, surrounded, tell, unwatched_by_gc
+from flows.running import goes_to, libraries, surrounded, tell
 
 
 def add_report_flags(parser: argparse.ArgumentParser) -> None:
@@ -21,9 +21,7 @@ def add_report_flags(parser: argparse.ArgumentParser) -> None:
 def report_result(given: argparse.Namespace) -> None:
     """Run `hfb report`."""
     with surrounded(given, given.out or goes_to(given.source), recorded=False):
-        from tasks import progress
-
-        with progress.step("libraries"), unwatched_by_gc():
+        with libraries():
             from flows.report import make_report
         result = make_report(given.source, given.out, given.body, given.inputs)
     tell(given, result, report_text(result))

@@ -22,11 +22,13 @@ Chain = Callable[[Callable[[], None]], dict[str, Any]]
 def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
     """Start the server, import the method while it starts, then run the chain."""
     with surrounded(given, out):
-        from flows.surroundings import PrefectServer
-        from flows.trouble import told_plainly
-        from tasks import progress, tracking
+        from tasks import progress
 
-        with progress.step("libraries"), unwatched_by_gc():
+        with libraries():
+            from flows.surroundings import PrefectServer
+            from flows.trouble import told_plainly
+            from tasks import tracking
+
             server = PrefectServer()
             chain = load()
             tracking.open_store()
@@ -46,7 +48,8 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 @contextmanager
 def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
     """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
-    from flows.surroundings import keep_log
+    from flows.prefect_home import make_home
+    from flows.surroundings import check_api_url, keep_log
     from flows.workplace import check_writable
     from tasks import displays, progress
     from tasks.metrics import served
@@ -54,9 +57,13 @@ def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> I
 
     keep_log(given.verbose)
     check_writable(out)
+    check_api_url()
     if recorded:
         check_store(tracking_uri())
+    remark = make_home()
     with served(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+        if remark:
+            progress.say(f"hfb: {remark}")
         yield
 
 
@@ -78,6 +85,18 @@ def results_alone_on_stdout() -> Iterator[None]:
             os.dup2(2, 1)
             stack.callback(os.dup2, kept, 1)
         stack.enter_context(redirect_stdout(sys.stderr))
+        yield
+
+
+@contextmanager
+def libraries() -> Iterator[None]:
+    """The step in which a command imports what it needs, Prefect first."""
+    from tasks import progress
+
+    with progress.step("libraries"), unwatched_by_gc():
+        from flows.surroundings import load_prefect
+
+        load_prefect()
         yield
 
 

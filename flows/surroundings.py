@@ -3,38 +3,39 @@
 from __future__ import annotations
 
 import atexit
-import fcntl
 import logging
 import logging.handlers
 import os
+import re
 import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
-from urllib.error import HTTPError, URLError
+from urllib.error import HTTPError
 from urllib.parse import urlsplit
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import platformdirs
 
+from flows.prefect_database import PrefectDatabase
 from hfb.errors import InputError
 from tasks import progress
+from tasks.addresses import check_address, no_answer
 from tasks.secrets import SecretFormatter, without_login, without_secrets
 from tasks.structured_log import JsonFormatter, WithIds
 
 LOG_VARIABLE = "HFB_LOG"
+_EXAMPLE = "http://127.0.0.1:4200/api"
 _HEALTH_TIMEOUT_S = 3
+_READ_TIMEOUT_S = 60  # a new server is busy with its own start
+_SERVER_ERROR = 500
 _LOG_BYTES = 2_000_000
 
 
 def log_path() -> Path:
     """The log of all runs of this user."""
     return Path(platformdirs.user_log_path("hfb")) / "hfb.log"
-
-
-def _server_log() -> Path:
-    return log_path().with_name("prefect-server.log")
 
 
 def keep_log(verbose: bool = False) -> None:
@@ -62,6 +63,31 @@ def keep_log(verbose: bool = False) -> None:
             root.addHandler(handler)
 
 
+def check_api_url() -> None:
+    """Raises InputError where PREFECT_API_URL is no address of a server."""
+    if url := os.environ.get("PREFECT_API_URL"):
+        check_address("PREFECT_API_URL", url, _EXAMPLE)
+
+
+def load_prefect() -> None:
+    """Import Prefect, which reads its settings.
+
+    Raises:
+        InputError: a setting, in the environment or in the user's profiles, cannot be used.
+    """
+    try:
+        import prefect.main  # noqa: F401
+        from prefect.settings import get_current_settings
+
+        get_current_settings()
+    except (ValueError, TypeError) as error:  # of pydantic and of TOML
+        reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
+        raise InputError(
+            f"Prefect's settings cannot be used ({without_secrets(reason)}): mend the PREFECT_... variable or "
+            f"{os.environ['PREFECT_PROFILES_PATH']}"
+        ) from error
+
+
 class PrefectServer:
     """The server of this process's flows: the one that the user set, or a temporary one that ends with it.
 
@@ -76,10 +102,11 @@ class PrefectServer:
 
         settings = get_current_settings()
         self._process: subprocess.Popen[bytes] | None = None
-        self._first: FirstStart | None = None
+        self._database: PrefectDatabase | None = None
         self._patience_s = settings.server.ephemeral.startup_timeout_seconds
         self._api = settings.api.url or f"http://127.0.0.1:{_free_port()}/api"
         if settings.api.url:
+            check_address("PREFECT_API_URL", self._api, _EXAMPLE)
             reason = does_not_answer(self._api)
             if reason:
                 raise InputError(
@@ -87,65 +114,64 @@ class PrefectServer:
                     "start it, or unset PREFECT_API_URL for a temporary one"
                 )
         else:
-            self._first = FirstStart(Path(settings.home))
-            self._process = _start_server(self._api, settings.to_environment_variables(exclude_unset=True))
+            self._home = Path(settings.home)
+            self._home.mkdir(parents=True, exist_ok=True)
+            self._database = PrefectDatabase(self._home, progress.say)
+            self._settings = settings.to_environment_variables(exclude_unset=True)
+            self._start(self._database)
             os.environ["PREFECT_API_URL"] = self._api
             refresh_global_settings_context()
 
     def wait(self) -> None:
-        """Return when the server answers."""
+        """Return when the server answers, on a new database if it cannot work with the one that there is."""
+        if self._database is None:
+            return
         try:
-            self._wait()
-            if self._first is not None:
-                self._first.there_are_tables()
+            reason = self._trouble()
+            if reason and self._is_about_database():
+                assert self._process is not None
+                _end(self._process)
+                self._database.set_aside("cannot be used")
+                self._start(self._database)
+                reason = self._trouble()
+            if reason:
+                raise RuntimeError(f"the temporary Prefect server {reason}; its own log is {self._log}")
         finally:
-            if self._first is not None:
-                self._first.let_go()
+            self._database.let_go()
 
-    def _wait(self) -> None:
+    @property
+    def _log(self) -> Path:
+        return self._home / "server.log"
+
+    def _start(self, database: PrefectDatabase) -> None:
+        self._process = _start_server(self._api, database.url, self._settings, self._log)
+
+    def _trouble(self) -> str | None:
+        """Why the temporary server does not work; None as soon as it does."""
+        assert self._process is not None
         began = time.monotonic()
-        while self._process is not None and (reason := does_not_answer(self._api)):
-            ended = self._process.poll() is not None
-            if ended or time.monotonic() - began > self._patience_s:
-                state = "ended" if ended else reason
-                raise RuntimeError(f"the temporary Prefect server {state}; its own log is {_server_log()}")
+        while reason := does_not_answer(self._api):
+            if self._process.poll() is not None:
+                return "ended"
+            if time.monotonic() - began > self._patience_s:
+                return reason
             time.sleep(0.05)
+        return _cannot_read_runs(self._api)
+
+    def _is_about_database(self) -> bool:
+        """Whether the server's log blames its database, and neither a full disk nor another process."""
+        said = self._log.read_text(errors="replace")
+        return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not re.search(
+            r"disk is full|No space left|database is locked", said
+        )
 
 
-class FirstStart:
-    """The first server of a version makes the tables of its database; two at once would be in each other's way.
-
-    Held from before a temporary server starts until it answers; free for whoever comes when there are tables.
-    """
-
-    def __init__(self, home: Path) -> None:
-        from prefect import __version__
-
-        home.mkdir(parents=True, exist_ok=True)
-        self._done = home / f".hfb-tables-{__version__}"
-        self._lock = None if self._done.exists() else (home / ".hfb-tables.lock").open("w")
-        if self._lock is not None:
-            fcntl.flock(self._lock, fcntl.LOCK_EX)
-            if self._done.exists():  # made while this one waited
-                self.let_go()
-
-    def there_are_tables(self) -> None:
-        """The server answers."""
-        if self._lock is not None:
-            self._done.touch()
-            self.let_go()
-
-    def let_go(self) -> None:
-        """The next one may try."""
-        if self._lock is not None:
-            self._lock.close()
-            self._lock = None
-
-
-def _start_server(api: str, settings: dict[str, str]) -> subprocess.Popen[bytes]:
-    temporary = {"PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1"}
-    _server_log().parent.mkdir(parents=True, exist_ok=True)
-    with _server_log().open("wb") as log:
+def _start_server(api: str, database: str, settings: dict[str, str], log_path: Path) -> subprocess.Popen[bytes]:
+    temporary = {
+        "PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1",
+        "PREFECT_SERVER_DATABASE_CONNECTION_URL": database, "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
+    }  # fmt: skip
+    with log_path.open("wb") as log:
         process = subprocess.Popen(
             [
                 sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app",
@@ -179,14 +205,22 @@ def _free_port() -> int:
 
 def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | None:
     """Why a server is of no use, or None where it answers."""
-    try:
-        with urlopen(f"{without_login(api).rstrip('/')}/health", timeout=patience_s):
-            return None
-    except HTTPError as error:
-        # one that asks for a login is there
-        return None if error.code in (401, 403) else f"answers {error.code}"
-    except (URLError, OSError) as error:
-        return f"does not answer ({getattr(error, 'reason', error)})"
+    return no_answer(f"{api.rstrip('/')}/health", patience_s)
+
+
+def _cannot_read_runs(api: str) -> str | None:
+    """Why a server cannot read its tables; it answers /health without looking at them."""
+    for kind in ("flow_runs", "task_runs"):
+        request = Request(f"{api}/{kind}/filter", data=b'{"limit": 1}', headers={"Content-Type": "application/json"})
+        try:
+            with urlopen(request, timeout=_READ_TIMEOUT_S):
+                pass
+        except HTTPError as error:
+            if error.code >= _SERVER_ERROR:
+                return f"answers {error.code}"
+        except OSError as error:
+            return f"does not answer ({error})"
+    return None
 
 
 def _end_with_this_process(server_pid: int) -> None:

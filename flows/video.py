@@ -17,7 +17,7 @@ from flows.reaper import mark_owner
 from flows.trouble import ask_server
 from flows.workplace import publish
 from hfb.config import RunConfig
-from hfb.export.names import CURVES, REPORT
+from hfb.export.names import CURVES, RECORD, REPORT
 from tasks.engine import Engine
 from tasks.export_files import export_files
 from tasks.handles import FileHandle
@@ -86,7 +86,9 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         result["workers_busy"] = busy_share()
         ask_server()  # a run that cannot end must not be recorded as finished
         place = record.finish(files, result)
-        if place is not None:
+        if place is None:
+            files[RECORD] = record.keep(files, result, folder)
+        else:
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
             made_of = ReportParts(

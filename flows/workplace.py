@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError, NotNow
-from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
+from hfb.export.names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.media.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.media.names import is_text
 from hfb.media.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
@@ -28,7 +28,7 @@ from tasks.result_folder import UNFINISHED, result_content
 INTERMEDIATE = "intermediate"
 _LOCK, _STAGING = ".lock", "publish"
 _OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
-_ONLY_SOMETIMES = ("alternatives.npz", REPORT, *EXPORTED_NAMES)  # an earlier result may have had more
+_ONLY_SOMETIMES = ("alternatives.npz", REPORT, RECORD, *EXPORTED_NAMES)  # an earlier result may have had more
 _MATTE = re.compile(r"matte_\d+\.png")
 _FOLDERS = ("cases", "example", "export", "meshes", "methods")
 _FOLDER = re.compile(r"(case|person)[_-]\d+")

@@ -14,7 +14,7 @@ from hfb.media.atomic import write_bytes_atomic
 from tasks import tracking
 from tasks.handles import FileHandle, digest
 from tasks.judge_case import JudgedHandle
-from tasks.record import RunHandle
+from tasks.run_record import RunHandle
 from tasks.task import code_version, task
 
 _SHOWN_RANKS = (0.05, 0.25, 0.5, 0.75, 0.95)

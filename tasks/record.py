@@ -1,63 +1,72 @@
 """The run in MLflow: what went in, how it went, what came out."""
 
+from __future__ import annotations
+
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hfb.config import Record, RunConfig
-from hfb.export.names import CURVES, EXPORTED_NAMES
-from tasks import tracking
+from hfb.config import RunConfig
+from hfb.export.names import CURVES, EXPORTED_NAMES, RESULT
 from tasks.handles import FileHandle, FitHandle, ScoresHandle, digest
 from tasks.inputs import Inputs, input_hashes
 from tasks.recipe import COMMAND_TAG, RECIPE, recipe
+from tasks.run_record import RecordedFile, RunHandle, RunRecord, write_run
 from tasks.task import code_version, task
 
-
-class RunHandle(Record):
-    """A recorded run."""
-
-    run_id: str
-    link: str
+_ARTIFACTS = ("strip.png", "motion.npz", "texture.png", "alternatives.npz", CURVES, *EXPORTED_NAMES)
+_MATTE = "matte_"
 
 
 @task("record in MLflow", cached=False)
-def record(
+def record(of_run: RunRecord, files: dict[str, FileHandle]) -> RunHandle:
+    """Find or create a run, and log everything into it.
+
+    Args:
+        files: the files that the run leaves, by name.
+
+    Raises:
+        tasks.tracking.StoreLost: the store cannot be reached; the result itself does not depend on it.
+    """
+    return write_run(of_run, {name: file.path for name, file in files.items()})
+
+
+def fit_record(
     inputs: Inputs,
     config: RunConfig,
-    mattes: tuple[FileHandle, ...],
     fit: FitHandle,
     scores: ScoresHandle,
-    strip: FileHandle,
-    published: dict[str, FileHandle],
+    published: Mapping[str, FileHandle],
     result: dict[str, Any],
-) -> RunHandle:
-    """Find or create the run of these inputs, options and code, and log everything into it.
+) -> RunRecord:
+    """The record of a fit, found again by its inputs, its options and the code.
 
     Args:
         published: the files that the run leaves, by name.
-
-    Raises:
-        tracking.StoreLost: the store cannot be reached; the result itself does not depend on it.
+        result: the content of result.json.
     """
-    params = {
-        **config.model_dump(mode="json"),
-        "input": input_hashes(inputs),
-        "clip": inputs.clip.model_dump(mode="json"),
+    options = config.model_dump(mode="json")
+    params = {**options, "input": input_hashes(inputs), "clip": inputs.clip.model_dump(mode="json")}
+    histories: dict[str, list[float | None]] = json.loads(fit.history.path.read_text())
+    points = {
+        f"loss/{term}": {step: float(value) for step, value in enumerate(values) if value is not None}
+        for term, values in histories.items()
     }
-    key = digest([params, code_version()])
-    histories = {f"loss/{term}": values for term, values in json.loads(fit.history.path.read_text()).items()}
-    final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
-    alternatives = [fit.alternatives.path] if fit.alternatives else []
-    exports = [published[name].path for name in (CURVES, *EXPORTED_NAMES) if name in published]
-    timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}
-    tags = {"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "fit"}
+    points |= {f"eval/{name}": {0: float(value)} for name, value in scores.scores.items()}
+    points |= {"time/fit_s": {0: fit.seconds}, "fit/best_iteration": {0: float(fit.best_iteration)}}
+    files = {
+        name: RecordedFile(sha256=file.sha256, folder="mattes" if name.startswith(_MATTE) else None)
+        for name, file in published.items()
+        if name in _ARTIFACTS or name.startswith(_MATTE)
+    }
     made_of = recipe("fit", config, inputs, published, code_version())
-    with tracking.recorded_run(Path(result["out"]).name, key, params, tags) as run:
-        if not run.complete:
-            tracking.log_histories(run, histories | final | timing)
-            tracking.log_files(run, [strip.path, fit.motion.path, fit.texture_picture.path, *alternatives, *exports])
-            tracking.log_files(run, [matte.path for matte in mattes], folder="mattes")
-            tracking.log_dict(run, result, "result.json")
-            tracking.log_dict(run, config.model_dump(mode="json"), "config.json")
-            tracking.log_dict(run, made_of.model_dump(mode="json"), RECIPE)
-        return RunHandle(run_id=run.run_id, link=tracking.link(run))
+    return RunRecord(
+        name=Path(result["out"]).name,
+        key=digest([params, code_version()]),
+        params=params,
+        tags={"code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "fit"},
+        points=points,
+        files=files,
+        contents={RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")},
+    )

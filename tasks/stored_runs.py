@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.export.names import RESULT
+from hfb.export.names import RECORD, RESULT
 from hfb.json_file import read_json
 from hfb.media.footage_names import natural_order
 from hfb.media.safe_folder import special_kind
@@ -121,13 +121,14 @@ def _every_run(condition: str) -> Iterator[Any]:
 
 def _id_in(folder: Path) -> str:
     """The run of a result's folder."""
-    told = _told_in(folder)
+    told = result_facts(folder)
     found = told.get("mlflow_run_id")
     if isinstance(found, str):
         return found
     if "people" in told and (theirs := _recorded_in(folder)):
         raise InputError(f"{folder} holds a run for each person: give {' or '.join(map(str, theirs))}")
-    raise InputError(f"{folder / RESULT} names no run, since it was not recorded in MLflow: run its own command again")
+    mend = f"`hfb record {folder}` records it" if (folder / RECORD).is_file() else "run its own command again"
+    raise InputError(f"{folder / RESULT} names no run, since it was not recorded in MLflow: {mend}")
 
 
 def _recorded_in(folder: Path) -> list[Path]:
@@ -137,12 +138,12 @@ def _recorded_in(folder: Path) -> list[Path]:
         if special_kind(one) is not None:
             continue
         with suppress(InputError):
-            if isinstance(_told_in(one).get("mlflow_run_id"), str):
+            if isinstance(result_facts(one).get("mlflow_run_id"), str):
                 found.append(one)
     return found
 
 
-def _told_in(folder: Path) -> dict[str, Any]:
+def result_facts(folder: Path) -> dict[str, Any]:
     """The content of a folder's result.json; nothing where it is no result's."""
     path = folder / RESULT
     check_result(folder, ())

@@ -1,4 +1,4 @@
-"""MLflow: one run per problem, found again by what went in. The only module that imports mlflow.
+"""MLflow: one run per problem, found again by what went in. Only this module and `tasks.store_client` import mlflow.
 
 Where: ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's own data folder, with its artifacts
 beside it. Everything goes through a client with an explicit run id: MLflow's fluent run belongs to one thread,
@@ -8,7 +8,6 @@ values again changes nothing.
 
 from __future__ import annotations
 
-import functools
 import json
 import logging
 import os
@@ -22,8 +21,11 @@ from tasks import repetition
 from tasks.environment import environment
 from tasks.handles import digest
 from tasks.ownership import is_abandoned, owner
+from tasks.patience import within
 from tasks.secrets import without_login, without_secrets
-from tasks.store_place import LOCAL_PAGES, make_folder, on_server, tracking_uri
+from tasks.store_client import StoreLost as StoreLost
+from tasks.store_client import client, client_of, patience, store_losses, usable_store
+from tasks.store_place import LOCAL_PAGES, on_server, sqlite_file, tracking_uri
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -37,8 +39,7 @@ _OWNER_TAG = "hfb.owner"
 _METRICS_PER_BATCH = 1000
 _PARAMS_PER_BATCH = 100
 _VALUE_LENGTH = 6000
-# A server that goes away must cost seconds, not MLflow's default of four minutes.
-_HTTP_LIMITS = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2", "MLFLOW_HTTP_REQUEST_TIMEOUT": "15"}
+_MONITOR_ENDS_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,6 @@ class Run:
     run_id: str
     first_millisecond: int
     complete: bool
-
-
-class StoreLost(Exception):
-    """The tracking store could not be reached or written."""
 
 
 @contextmanager
@@ -74,7 +71,7 @@ def recorded_run(
     if parent is not None:
         tags = {**tags, "mlflow.parentRunId": parent.run_id}
     with store_losses():
-        client = _client(tracking_uri())
+        client = client_of(tracking_uri())
         run = _found_or_created(client, name, key, params, tags)
         status = "KILLED"  # by Ctrl-C, SIGTERM or Prefect's own signal, none of which is an Exception
         try:
@@ -95,14 +92,14 @@ def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str,
         StoreLost: the store cannot be reached or written.
     """
     with store_losses():
-        return _found_or_created(_client(tracking_uri()), name, key, params, tags)
+        return _found_or_created(client_of(tracking_uri()), name, key, params, tags)
 
 
 def end_run(run: Run, status: str) -> None:
     """FINISHED, FAILED or KILLED; a run that was found complete stays as it is. Raises StoreLost."""
     if not run.complete:
         with store_losses():
-            _client(run.uri).set_terminated(run.run_id, status)
+            client_of(run.uri).set_terminated(run.run_id, status)
 
 
 def recorded(run_id: str) -> Run:
@@ -127,34 +124,32 @@ def watch_machine(run: Run) -> Callable[[], None]:
         _log.warning("no system metrics: %s", without_secrets(str(error)))
         return lambda: None
     monitor.start()
-    return lambda: monitor.finish()
 
+    def end() -> None:
+        with suppress(TimeoutError):  # its thread may wait for a store that hangs
+            within(_MONITOR_ENDS_S, monitor.finish)
 
-@contextmanager
-def store_losses() -> Iterator[None]:
-    """Whatever a store fails with, as one exception."""
-    from mlflow.exceptions import MlflowException
-    from sqlalchemy.exc import SQLAlchemyError
-
-    try:
-        yield
-    except (MlflowException, SQLAlchemyError, OSError) as error:  # requests' errors are OSErrors
-        reason = str(error).strip().splitlines()
-        raise StoreLost(without_secrets(reason[0] if reason else type(error).__name__)) from error
+    return end
 
 
 def open_store() -> None:
-    """Load MLflow and make its tables now, so that a later record does not wait for them; end abandoned runs.
+    """Load MLflow, check that the store takes records, and make its tables, all before any work begins.
 
-    A store that fails here fails again, and is reported, when something is recorded.
+    Runs that a killed process left RUNNING are ended.
+
+    Raises:
+        InputError: see `tasks.store_client.usable_store`.
     """
-    with suppress(Exception):
+    uri = tracking_uri()
+    with usable_store(uri):
+        _experiment(client_of(uri))
+    with suppress(Exception):  # tidying up after others must not stop this run
         end_abandoned_runs()
 
 
 def end_abandoned_runs() -> int:
     """KILLED for every RUNNING run whose process on this machine is gone; returns how many there were."""
-    client, ended, page = _client(tracking_uri()), 0, None
+    client, ended, page = client_of(tracking_uri()), 0, None
     experiment_id = _experiment(client)
     while True:
         found = client.search_runs([experiment_id], "attributes.status = 'RUNNING'", page_token=page)
@@ -170,7 +165,7 @@ def end_abandoned_runs() -> int:
 def logged_steps(run: Run, metric: str) -> set[int]:
     """The steps at which a run has a point of a metric already. Raises StoreLost."""
     with store_losses():
-        return {point.step for point in _client(run.uri).get_metric_history(run.run_id, metric)}
+        return {point.step for point in client_of(run.uri).get_metric_history(run.run_id, metric)}
 
 
 def log_histories(run: Run, histories: Mapping[str, Sequence[float | None]]) -> None:
@@ -193,19 +188,19 @@ def log_points(run: Run, points: Mapping[str, Mapping[int, float]]) -> None:
     with store_losses():
         for start in range(0, len(metrics), _METRICS_PER_BATCH):
             batch = metrics[start : start + _METRICS_PER_BATCH]
-            _client(run.uri).log_batch(run.run_id, metrics=batch, synchronous=True)
+            client_of(run.uri).log_batch(run.run_id, metrics=batch, synchronous=True)
 
 
 def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> None:
     """Files as artifacts, in a folder of the run."""
-    client = _client(run.uri)
+    client = client_of(run.uri)
     for path in files:
         client.log_artifact(run.run_id, str(path), artifact_path=folder)
 
 
 def log_dict(run: Run, content: Mapping[str, Any], name: str) -> None:
     """An artifact made of plain values."""
-    _client(run.uri).log_dict(run.run_id, dict(content), name)
+    client_of(run.uri).log_dict(run.run_id, dict(content), name)
 
 
 def link(run: Run) -> str:
@@ -218,32 +213,15 @@ def link(run: Run) -> str:
     return f"{base}/#/experiments/{run.experiment_id}/runs/{run.run_id}?workflowType=machine_learning"
 
 
-def client() -> MlflowClient:
-    """The client of the store; what it raises, `store_losses` turns into StoreLost."""
-    return _client(tracking_uri())
-
-
-@functools.cache
-def _client(uri: str) -> MlflowClient:
-    for name, value in _HTTP_LIMITS.items():
-        os.environ.setdefault(name, value)
-    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars of its own would break ours
-    from mlflow import MlflowClient
-
-    make_folder(uri)
-    return MlflowClient(uri)
-
-
 def _experiment(client: MlflowClient) -> str:
     from mlflow.exceptions import MlflowException
 
     found = client.get_experiment_by_name(EXPERIMENT)
     if found is not None:
         return str(found.experiment_id)
-    uri = str(client.tracking_uri)
     # A local database would put artifacts into the current folder.
-    artifacts = Path(uri.removeprefix("sqlite:///")).parent / "mlflow-artifacts" if uri.startswith("sqlite") else None
+    file = sqlite_file(str(client.tracking_uri))
+    artifacts = file.parent / "mlflow-artifacts" if file else None
     try:
         return str(client.create_experiment(EXPERIMENT, artifact_location=artifacts.as_uri() if artifacts else None))
     except MlflowException:  # another process was faster
@@ -256,22 +234,34 @@ def _experiment(client: MlflowClient) -> str:
 def _found_or_created(
     client: MlflowClient, name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]
 ) -> Run:
+    patience(str(client.tracking_uri)).another_try()
     experiment_id = _experiment(client)
-    repeated = repetition.current()
-    if repeated is not None:  # a repetition never finds the run that it repeats
-        key = digest([key, repetition.salt()])
-        tags = {RERUN_TAG: repeated.of, "mlflow.parentRunId": repeated.of, **tags}
+    key, tags = _of_repetition(key, tags)
     found = client.search_runs([experiment_id], f"tags.`{_KEY_TAG}` = '{key}'", max_results=1)
     complete = bool(found) and found[0].info.status == "FINISHED"
     if found:
         info = found[0].info
     else:
-        info = client.create_run(experiment_id, run_name=name, tags={**tags, **environment(), _KEY_TAG: key}).info
+        info = client.create_run(experiment_id, run_name=name, tags={**environment(), **tags, _KEY_TAG: key}).info
     if not complete:
         client.set_tag(info.run_id, _OWNER_TAG, owner())
         client.update_run(info.run_id, status="RUNNING")
         _log_params(client, info.run_id, params)
     return Run(str(client.tracking_uri), experiment_id, info.run_id, info.start_time, complete)
+
+
+def as_recorded_here(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str, str]]:
+    """The key and the tags by which a run that is recorded later is the same as if it were recorded now."""
+    key, tags = _of_repetition(key, tags)
+    return key, {**environment(), **tags}
+
+
+def _of_repetition(key: str, tags: Mapping[str, str]) -> tuple[str, Mapping[str, str]]:
+    """A repetition has a run of its own, and never finds the one that it repeats."""
+    repeated = repetition.current()
+    if repeated is None:
+        return key, tags
+    return digest([key, repetition.salt()]), {RERUN_TAG: repeated.of, "mlflow.parentRunId": repeated.of, **tags}
 
 
 def _log_params(client: MlflowClient, run_id: str, params: Mapping[str, Any]) -> None:

@@ -14,7 +14,7 @@ from hfb.media.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 from tasks import progress, tracking
 from tasks.handles import FileHandle, digest
-from tasks.record import RunHandle
+from tasks.run_record import RunHandle
 from tasks.task import code_version, task
 
 PARTS = ("trained", "held_out", "tested")

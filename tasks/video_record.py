@@ -1,8 +1,8 @@
 """A clip's run in MLflow: one run, frames as steps, one point per frame and metric whatever was killed on the way.
 
 It is written while the clip is worked on, so that the frames can be watched coming in. A store that goes away half-way
-costs a sentence: the clip goes on, everything is tried once more at the end, and failing that the same command
-completes the record later.
+costs a sentence: the clip goes on, everything is tried once more at the end, and failing that the same command or
+`hfb record` completes the record later.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
+from hfb.export.names import RESULT
 from tasks import progress, tracking
 from tasks.handles import FileHandle, digest
 from tasks.recipe import COMMAND_TAG, RECIPE, recipe
-from tasks.record import RunHandle
+from tasks.run_record import RecordedFile, RunHandle, RunRecord, keep_for_later
 from tasks.task import code_version
 from tasks.video_inputs import VideoInputs, video_hashes
 
@@ -34,6 +35,9 @@ class ClipRecord:
             "clip": inputs.clip.model_dump(mode="json"),
         }
         self._key = digest(["video", self._params, code_version()])
+        self._tags = {
+            "code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video",
+        }  # fmt: skip
         self._run: tracking.Run | None = None
         self._points: dict[str, dict[int, float]] = {}
         self._there: dict[str, set[int]] = {}
@@ -50,13 +54,27 @@ class ClipRecord:
             self._try(lambda: self._log(self._points))
 
     def finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> RunHandle | None:
-        """Everything that is still missing, and FINISHED; None where the store does not take it."""
+        """Everything that is still missing, and FINISHED; None where the store does not take it: see `keep`."""
         self._reached = True
         self._unwatch()
         self._try(lambda: self._finish(files, result))
         if not self._reached or self._run is None:
             return None
         return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run))
+
+    def keep(self, files: Mapping[str, FileHandle], result: Mapping[str, Any], folder: Path) -> FileHandle:
+        """Everything in a file, from which `hfb record` records the clip later."""
+        progress.say(f"not recorded in MLflow: `hfb record {result['out']}` records it when MLflow is back")
+        kept = RunRecord(
+            name=self._name,
+            key=self._key,
+            params=self._params,
+            tags=self._tags,
+            points=self._points | _final(result),
+            files={name: RecordedFile(sha256=file.sha256) for name, file in files.items()},
+            contents=self._contents(files, result),
+        )
+        return keep_for_later(kept, folder)
 
     def stop(self, status: str) -> None:
         """FAILED or KILLED: the clip is not finished; the same command goes on in the same run."""
@@ -70,8 +88,7 @@ class ClipRecord:
         return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run)) if self._run else None
 
     def _open(self) -> None:
-        tags = {"code": code_version(), "seed": str(self._config.seed), "preset": self._config.preset}
-        self._run = tracking.begin_run(self._name, self._key, self._params, {**tags, COMMAND_TAG: "video"})
+        self._run = tracking.begin_run(self._name, self._key, self._params, self._tags)
         self._unwatch = tracking.watch_machine(self._run)
 
     def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
@@ -98,15 +115,17 @@ class ClipRecord:
         if run.complete:
             return
         self._log(self._points)
-        final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
-        self._log(final)
-        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        self._log(_final(result))
         with tracking.store_losses():
             tracking.log_files(run, _looked_at(files))
-            tracking.log_dict(run, result, "result.json")
-            tracking.log_dict(run, self._config.model_dump(mode="json"), "config.json")
-            tracking.log_dict(run, made_of.model_dump(mode="json"), RECIPE)
+            for name, content in self._contents(files, result).items():
+                tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
+
+    def _contents(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        options = self._config.model_dump(mode="json")
+        return {RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")}
 
     def _try(self, action: Any) -> None:
         try:
@@ -118,6 +137,10 @@ class ClipRecord:
                     "the same command completes the record"
                 )
             self._reached = False
+
+
+def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
+    return {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
 
 
 def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:

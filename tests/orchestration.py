@@ -34,6 +34,7 @@ def prefect_api() -> str:
     """A temporary server with its own home, started once for the whole session; it ends with the process."""
     os.environ.pop("PREFECT_API_URL", None)
     os.environ["PREFECT_HOME"] = str(_session_folder() / "prefect")
+    os.environ["PREFECT_PROFILES_PATH"] = str(_session_folder() / "profiles.toml")  # no settings of the developer's
     os.environ["PREFECT_LOGGING_TO_API_ENABLED"] = "false"
     os.environ["XDG_STATE_HOME"] = str(_session_folder() / "state")
     from prefect.context import refresh_global_settings_context
@@ -53,7 +54,7 @@ def _migrated_store() -> Path:
     path = _session_folder() / "migrated.db"
     from tasks import tracking
 
-    tracking._client(f"sqlite:///{path}").get_experiment_by_name("none")
+    tracking.client_of(f"sqlite:///{path}").get_experiment_by_name("none")
     return path
 
 

@@ -1,9 +1,12 @@
 """Kernels are compiled once per machine: a second process takes them from the cache, and computes the same bits."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 SCRIPT = """
 import hashlib
@@ -42,6 +45,83 @@ _, layer = Case.drawn(1, 64, 48).descended(np.array([0.15, 0.02, 0.3], np.float3
 made = *layer, matte, *(values for found in fits for values in (found.motion.joints, found.texture.numpy()))
 print(hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values in made)).hexdigest())
 """
+
+
+KERNEL = """
+from hfb.compilation import entry
+
+@entry
+def twice(number):
+    return 2 * number
+"""
+CALL = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from kernels_small import twice
+print(twice(2.5), sum(twice.stats.cache_hits.values()), sum(twice.stats.cache_misses.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A folder with a kernel, in which nothing can be written."""
+    folder = tmp_path / "package"
+    folder.mkdir()
+    (folder / "kernels_small.py").write_text(KERNEL)
+    folder.chmod(0o555)
+    return folder
+
+
+def called(package: Path, before: str = "", **settings: str) -> tuple[str, str]:
+    """(what was printed, what was said) by a process that may write only where its user may, as root may not."""
+    root = Path(__file__).parents[1]
+    (package.parent / "file").touch()
+    environment = {
+        "PATH": os.environ["PATH"], "PYTHONPATH": str(root), "HOME": str(package.parent / "file" / "home"),
+        "TMPDIR": str(package.parent), **settings,
+    }  # fmt: skip
+    as_user = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"] if os.getuid() == 0 else []
+    done = subprocess.run(
+        [*as_user, sys.executable, "-c", before + CALL, str(package)], capture_output=True, text=True, check=True,
+        env=environment, cwd=root,
+    )  # fmt: skip
+    return done.stdout.strip(), done.stderr
+
+
+@pytest.mark.skipif(os.getuid() == 0 and shutil.which("setpriv") is None, reason="root may write everywhere")
+def test_where_no_folder_can_be_written_kernels_are_temporary(package: Path) -> None:
+    printed, told = called(package)
+    assert printed == "5.0 0 1"
+    assert told.count("set NUMBA_CACHE_DIR to one") == 1
+    (kept,) = package.parent.glob("hfb-kernels-*")
+    assert kept.stat().st_mode & 0o777 == 0o700
+    assert called(package)[0] == "5.0 1 0", "the next command has them"
+    kept.chmod(0o777)  # anybody could have put code there
+    printed, told = called(package)
+    assert printed == "5.0 0 1"
+    assert f"{kept} only" not in told
+    own = package.parent / "own"
+    printed, told = called(package, NUMBA_CACHE_DIR=str(own))
+    assert (printed, told) == ("5.0 0 1", "")
+    assert called(package, NUMBA_CACHE_DIR=str(own))[0] == "5.0 1 0"
+
+
+def test_a_damaged_cache_is_made_again(package: Path) -> None:
+    own = package.parent / "own"
+    called(package, NUMBA_CACHE_DIR=str(own))
+    for ending in ("nbi", "nbc"):
+        for content in (b"", b"garbage", None):
+            (path,) = own.rglob(f"*.{ending}")
+            path.write_bytes(path.read_bytes()[:-20] if content is None else content)
+            assert called(package, NUMBA_CACHE_DIR=str(own))[0] == "5.0 0 1"
+            assert called(package, NUMBA_CACHE_DIR=str(own))[0] == "5.0 1 0"
+
+
+def test_a_full_disk_under_the_cache_costs_a_remark(package: Path) -> None:
+    full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))\n"
+    printed, told = called(package, full, NUMBA_CACHE_DIR=str(package.parent / "own"))
+    assert printed == "5.0 0 1"
+    assert told.count("cannot be kept") == 1
 
 
 def test_a_second_process_compiles_nothing_and_computes_the_same(tmp_path: Path) -> None:

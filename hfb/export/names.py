@@ -22,6 +22,9 @@ EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())
 RESULT = "result.json"
 """The facts of a finished result; it is there last."""
 
+RECORD = "record.json"
+"""What MLflow is to keep of a result, where it could not be reached: `hfb record` reads it."""
+
 REPORT, CURVES, PAGE_FILM = "report.html", "curves.json", "page_film.mp4"
 """The page about a result, what its curves show, and its film among the intermediate files."""
 

@@ -1,6 +1,9 @@
 """What a user gets wrong: one sentence that names the fix, exit code 2, and nothing left behind."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +110,10 @@ def test_two_at_once(problem: Problem, store: Path, tmp_path: Path, capsys: pyte
     [
         ("MLFLOW_TRACKING_URI", "http://127.0.0.1:9", "MLflow server at http://127.0.0.1:9 does not answer"),
         ("MLFLOW_TRACKING_URI", "mlruns", "set MLFLOW_TRACKING_URI to sqlite:///"),
+        ("MLFLOW_TRACKING_URI", "sqlite://", "keeps runs only until the command ends"),
+        ("MLFLOW_TRACKING_URI", "http://[::1", "MLFLOW_TRACKING_URI is 'http://[::1'"),
+        ("PREFECT_API_URL", "notaurl", "PREFECT_API_URL is 'notaurl', which does not begin with http://"),
+        ("PREFECT_API_URL", "http://host:port/api", "PREFECT_API_URL is 'http://host:port/api'"),
     ],
 )
 def test_servers_that_are_not_there(
@@ -138,6 +145,26 @@ def test_a_prefect_server_that_is_not_there(
         )
     assert code == 2
     assert "Prefect server at http://127.0.0.1:9/api does not answer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("variable", "profiles"),
+    [("PREFECT_CLIENT_MAX_RETRIES", ""), ("NONE", "active = 'mine'\n[profiles.mine"), ("NONE", "a\0b")],
+)
+def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str, tmp_path: Path) -> None:
+    """Prefect reads them while it is imported, before anything can be asked."""
+    (tmp_path / "profiles.toml").write_text(profiles)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
+    environment |= {"PREFECT_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), variable: "abc"}
+    done = subprocess.run(
+        [sys.executable, "-m", "flows.cli", "report", str(tmp_path)], env=environment, capture_output=True, text=True,
+        timeout=240, check=False,
+    )  # fmt: skip
+    told = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 2, done.stderr
+    assert told.startswith("hfb: Prefect's settings cannot be used")
+    assert str(tmp_path / "profiles.toml") in told
+    assert "Traceback" not in done.stderr
 
 
 def test_the_unexpected_points_to_the_log(

@@ -25,7 +25,20 @@ def answer(*words: str) -> tuple[int, str, set[str]]:
     return done.returncode, "\n".join(output) + done.stderr, set(modules.split()[1:])
 
 
-COMMANDS = ("", "fit", "video", "batch", "demo", "models", "synth", "benchmark", "reproduce", "rerun", "compare")
+COMMANDS = (
+    "",
+    "fit",
+    "video",
+    "batch",
+    "demo",
+    "models",
+    "synth",
+    "benchmark",
+    "reproduce",
+    "rerun",
+    "compare",
+    "record",
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -142,7 +142,7 @@ def _killed(command: list[str], out: Path, given: argparse.Namespace, quiet: Pat
     return {
         "same_bytes": same, "made_twice": twice, "resumed_frames": result["resumed_frames"],
         "mlflow": _mlflow(given.folder / f"mlflow-killed-{given.seed}.db", result["mlflow_run_id"], given.frames),
-        "flow_runs": _flow_runs(given.folder / "prefect" / "prefect.db"),
+        "flow_runs": _flow_runs(next((given.folder / "prefect" / "hfb").glob("prefect-*.db"))),
     }  # fmt: skip
 
 

@@ -54,7 +54,7 @@ def test_an_interrupted_record_is_finished_by_the_next(store: Path, error: BaseE
 def test_a_killed_record_is_finished_by_the_next(store: Path) -> None:
     with tracking.recorded_run("name", "k", PARAMS, {}) as run:
         tracking.log_histories(run, {"loss/total": [2.0]})
-    tracking._client(run.uri).update_run(run.run_id, status="RUNNING")  # what kill -9 leaves
+    tracking.client_of(run.uri).update_run(run.run_id, status="RUNNING")  # what kill -9 leaves
     assert record({"loss/total": [2.0, 1.0]}) == run.run_id
     assert mlflow_rows(store, "select status from runs") == [("FINISHED",)]
     assert mlflow_rows(store, "select count(*) from metrics") == [(2,)]

@@ -1,0 +1,199 @@
+"""The SQLite database of hfb's temporary Prefect servers: usable, in step with Prefect's version, and bounded in size.
+
+One file per version of Prefect, so that two installations of hfb never migrate each other's. It is hfb's own, and what
+it holds is history: results lie elsewhere. A damaged one is set aside instead of ending every command.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import re
+import sqlite3
+import time
+from collections.abc import Callable
+from contextlib import closing, suppress
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import IO
+
+_KEPT_DAYS = 30
+_LARGEST_BYTES = 256 << 20
+_SHORTER_DAYS = (7, 1, 0)  # where a month's history is larger than that
+_SIDE_FILES = ("", "-wal", "-shm", "-journal")
+_SET_ASIDE = ".set-aside-"
+_MIGRATIONS = "server/database/_migrations/versions/sqlite"
+_REVISION = re.compile(r"^revision(?::\s*str)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
+_FOLLOWS = re.compile(r"^down_revision(?::[^=]+)?\s*=\s*['\"](\w+)['\"]", re.MULTILINE)
+# What has no foreign key to a flow run, with the column that says how old a row is.
+_DATED = {"log": "timestamp", "artifact": "created", "events": "occurred", "event_resources": "occurred"}
+_log = logging.getLogger(__name__)
+
+
+class PrefectDatabase:
+    """The database of this process's temporary server.
+
+    The first server of a version makes the tables, and the others wait for it. Who finds nobody else at work checks
+    the whole file and removes what is old.
+
+    Attributes:
+        path: the SQLite file.
+    """
+
+    def __init__(self, home: Path, say: Callable[[str], None]) -> None:
+        """Wait until no other process makes the tables, then check the file.
+
+        Args:
+            say: tells the user that a database was set aside.
+        """
+        self._home, self._say = home, say
+        self.path = home / f"prefect-{version('prefect')}.db"
+        self._making: IO[str] | None = _locked(home / "tables.lock", fcntl.LOCK_EX)
+        self._in_use = _locked(home / "in-use.lock", fcntl.LOCK_EX | fcntl.LOCK_NB)
+        alone = self._in_use is not None
+        if reason := trouble_with(self.path, thorough=alone):
+            self.set_aside(reason)
+        if alone:
+            with suppress(OSError, sqlite3.Error):  # tidying up must not stop a run
+                remove_old_files(home, self.path)
+                prune(self.path)
+        if self._in_use is None:
+            self._in_use = _locked(home / "in-use.lock", fcntl.LOCK_SH)
+        else:
+            fcntl.flock(self._in_use, fcntl.LOCK_SH)
+        if _revisions(self.path) == {_known_revisions()[1]}:
+            self.let_go()
+
+    @property
+    def url(self) -> str:
+        """PREFECT_SERVER_DATABASE_CONNECTION_URL."""
+        return f"sqlite+aiosqlite:///{self.path}"
+
+    def set_aside(self, reason: str) -> None:
+        """Rename the database, so that the next server makes a new one, and tell the user."""
+        stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S-%f")
+        for ending in _SIDE_FILES:
+            path = Path(f"{self.path}{ending}")
+            aside = path.with_name(f"{self.path.name}{_SET_ASIDE}{stamp}{ending}")
+            with suppress(FileNotFoundError):
+                path.rename(aside)
+                aside.touch()  # its age counts from now
+        self._say(
+            f"hfb: the database of hfb's Prefect server {reason}: a new one is made, the old one is "
+            f"{self._home / (self.path.name + _SET_ASIDE + stamp)}; no result is lost"
+        )
+
+    def let_go(self) -> None:
+        """There are tables, or the server did not start: the next server may try."""
+        if self._making is not None:
+            self._making.close()
+            self._making = None
+
+
+def trouble_with(path: Path, thorough: bool) -> str | None:
+    """Why Prefect could not work with a database file; None where it can, or where there is none yet.
+
+    Args:
+        thorough: read the whole file.
+    """
+    if not path.exists():
+        return None
+    if not path.is_file():
+        return "is no file"
+    try:
+        with closing(_opened(path)) as database:
+            tables = {name for (name,) in database.execute("select name from sqlite_master where type = 'table'")}
+            if tables and "alembic_version" not in tables:
+                return "is no database of Prefect"
+            if thorough and database.execute("pragma quick_check(1)").fetchone() != ("ok",):
+                return "is damaged"
+    except sqlite3.OperationalError as error:
+        return None if "lock" in str(error) or "readonly" in str(error) else f"cannot be read ({error})"
+    except sqlite3.DatabaseError as error:
+        return f"is damaged ({error})"
+    return None if _revisions(path) <= _known_revisions()[0] else "is of another version of Prefect"
+
+
+def remove_old_files(home: Path, current: Path) -> None:
+    """Remove databases that were set aside, or belong to other versions of Prefect, once a month has passed."""
+    for path in home.glob("prefect-*.db*"):
+        if not path.name.startswith(current.name) or _SET_ASIDE in path.name:
+            with suppress(OSError):
+                if path.is_file() and path.stat().st_mtime < time.time() - _KEPT_DAYS * 86400:
+                    path.unlink()
+
+
+def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
+    """Remove history older than a month, or a shorter history where the file is larger than it may become.
+
+    No server may be running on it.
+    """
+    if not path.is_file():
+        return
+    with closing(_opened(path)) as database:
+        database.execute("pragma foreign_keys = on")
+        for days in (_KEPT_DAYS, *_SHORTER_DAYS):
+            _remove_before(database, datetime.now(UTC) - timedelta(days=days))
+            pages, unused, page_bytes = (
+                database.execute(f"pragma {name}").fetchone()[0]
+                for name in ("page_count", "freelist_count", "page_size")
+            )
+            if (pages - unused) * page_bytes <= largest_bytes:
+                break
+        if unused > pages // 2 or pages * page_bytes > largest_bytes:
+            database.execute("vacuum")
+
+
+def _remove_before(database: sqlite3.Connection, when: datetime) -> None:
+    before = (when.strftime("%Y-%m-%d %H:%M:%S.%f"),)  # as Prefect's own column type writes it
+    with database:
+        # task runs, states and inputs go with their flow run
+        count = database.execute("delete from flow_run where updated < ?", before).rowcount
+        database.execute("delete from task_run where flow_run_id is null and updated < ?", before)
+        for table, column in _DATED.items():
+            database.execute(f"delete from {table} where {column} < ?", before)
+        database.execute("delete from artifact_collection where latest_id not in (select id from artifact)")
+    if count:
+        _log.info("Prefect's history: %d flow runs from before %s removed", count, when.date())
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=rw", uri=True, timeout=5)
+
+
+def _revisions(path: Path) -> set[str]:
+    """Which of Prefect's revisions the tables are of; empty where there are none."""
+    if not path.is_file():
+        return set()
+    try:
+        with closing(_opened(path)) as database:
+            return {name for (name,) in database.execute("select version_num from alembic_version")}
+    except sqlite3.Error:
+        return set()
+
+
+def _known_revisions() -> tuple[set[str], str]:
+    """Every revision that the installed Prefect can migrate from, and the one that it works with.
+
+    Read from its files: importing its server takes seconds.
+    """
+    found = find_spec("prefect")
+    assert found is not None
+    assert found.origin is not None
+    sources = [path.read_text(encoding="utf-8") for path in (Path(found.origin).parent / _MIGRATIONS).glob("*.py")]
+    known = {name for source in sources for name in _REVISION.findall(source)}
+    (head,) = known - {name for source in sources for name in _FOLLOWS.findall(source)}
+    return known, head
+
+
+def _locked(path: Path, kind: int) -> IO[str] | None:
+    """An open file with a lock that ends with this process; None where another process holds it."""
+    file = path.open("a")
+    try:
+        fcntl.flock(file, kind)
+    except BlockingIOError:
+        file.close()
+        return None
+    return file

@@ -1,0 +1,73 @@
+"""The folder of hfb's own Prefect: the user's settings apply, the user's database is never opened. Light to import.
+
+Prefect's default home holds a database that every Prefect of the user migrates to its own version. hfb's temporary
+server therefore has a home of its own; only the profiles, which name the API address and its login, are the user's.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+import platformdirs
+
+from hfb.errors import InputError, NotNow
+
+_HOME, _PROFILES = "PREFECT_HOME", "PREFECT_PROFILES_PATH"
+_OWN = "hfb"  # below a PREFECT_HOME of the user
+_USERS_HOME = "~/.prefect"
+
+
+def use_own_home() -> None:
+    """Set PREFECT_HOME to hfb's own folder: below the user's where one is set, else in the user's state folder.
+
+    Has to come before Prefect is imported. A process that a command of hfb starts has the same home.
+    """
+    default = platformdirs.user_state_path("hfb") / "prefect"
+    given = Path(os.environ[_HOME]).absolute() if os.environ.get(_HOME) else None
+    if given is None or (given != default and given.name != _OWN):
+        with suppress(RuntimeError):  # there is no home folder: `check_home` says so
+            users = given or Path(_USERS_HOME).expanduser()
+            os.environ[_PROFILES] = os.environ.get(_PROFILES) or str(users / "profiles.toml")
+        os.environ[_HOME] = str(default if given is None else given / _OWN)
+
+
+def check_home() -> None:
+    """Raises InputError where nobody knows the user's home folder, so that files would land in a folder called ~."""
+    try:
+        Path.home()
+    except RuntimeError:
+        raise InputError("your home folder is not known: set HOME to a folder of yours") from None
+
+
+def make_home() -> str | None:
+    """Make hfb's Prefect home; where it cannot be written, take a temporary one for this process.
+
+    Returns:
+        a remark for the user about a temporary home; None where there is nothing to say.
+
+    Raises:
+        NotNow: there is no place for a temporary home either.
+    """
+    home = Path(os.environ[_HOME])
+    try:
+        home.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with tempfile.TemporaryFile(dir=home):
+            pass
+        return None
+    except OSError as error:
+        reason = error.strerror or str(error)
+    try:
+        temporary = tempfile.mkdtemp(prefix="hfb-prefect-")
+    except OSError as error:
+        raise NotNow(
+            f"no folder for temporary files can be written ({error.strerror}): set TMPDIR to one that can"
+        ) from None
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    os.environ[_HOME] = str(Path(temporary) / _OWN)
+    Path(os.environ[_HOME]).mkdir()
+    return f"{home} cannot be written ({reason}): Prefect's files are temporary; set XDG_STATE_HOME to keep them"

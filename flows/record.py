@@ -1,0 +1,73 @@
+"""Results that wait to be recorded: their runs are made in MLflow, and the results name them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from flows.workplace import workplace
+from hfb.errors import InputError, NotNow
+from hfb.export.names import RECORD, RESULT
+from hfb.media.atomic import write_bytes_atomic
+from hfb.media.footage_names import natural_order
+from tasks import progress
+from tasks.run_record import RunHandle, checked_files, read_kept, write_run
+from tasks.stored_runs import find_run, result_facts
+from tasks.tracking import StoreLost
+
+
+def record_folder(folder: Path) -> dict[str, Any]:
+    """Record the result in a folder, or of a clip of several people every person's. Doing it again changes nothing.
+
+    Returns:
+        ``runs``: of each ``out``, ``mlflow_run_id``, ``mlflow_link``, and whether it is ``new``.
+
+    Raises:
+        InputError: there is no finished result, it was changed, or the store does not take it.
+    """
+    facts = result_facts(folder)
+    if "people" not in facts:
+        return {"runs": [_recorded(folder, facts)]}
+    people = [one for one in natural_order(folder.glob("person-*")) if (one / RESULT).is_file()]
+    runs = [_recorded(one, result_facts(one)) for one in people]
+    if not runs:
+        raise InputError(f"{folder} has no result of anybody: give the folder of a finished result")
+    ids = {Path(one["out"]).name: one["mlflow_run_id"] for one in runs}
+    told = [
+        {**one, "mlflow_run_id": ids.get(Path(str(one.get("out"))).name, one.get("mlflow_run_id"))}
+        for one in facts["people"]
+    ]
+    with workplace(folder):
+        _rewrite(folder, facts | {"people": told})
+    return {"runs": runs}
+
+
+def _recorded(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    out = str(folder.resolve())
+    if not (folder / RECORD).exists():
+        if facts.get("mlflow_run_id") is None:
+            raise InputError(f"{folder} has no {RECORD} to be recorded from: run its own command again")
+        run = find_run(str(folder))
+        return {"out": out, "mlflow_run_id": run.run_id, "mlflow_link": run.link, "new": False}
+    with workplace(folder):
+        record = read_kept(folder)
+        paths = checked_files(record, folder)
+        with progress.step("record in MLflow"):
+            try:
+                run_handle = write_run(record, paths)
+            except StoreLost as lost:
+                raise NotNow(f"{folder} is not recorded, MLflow does not take it ({lost}): try again later") from lost
+        _name_run(folder, facts, run_handle)
+    return {"out": out, "mlflow_run_id": run_handle.run_id, "mlflow_link": run_handle.link, "new": True}
+
+
+def _name_run(folder: Path, facts: dict[str, Any], run: RunHandle) -> None:
+    """Let the result name its run; what it was recorded from is gone then."""
+    files = [name for name in facts.get("files", ()) if name != RECORD]
+    _rewrite(folder, facts | {"mlflow_run_id": run.run_id, "mlflow_link": run.link, "files": files})
+    (folder / RECORD).unlink()
+
+
+def _rewrite(folder: Path, facts: dict[str, Any]) -> None:
+    write_bytes_atomic(folder / RESULT, json.dumps(facts, indent=2, allow_nan=False).encode() + b"\n")

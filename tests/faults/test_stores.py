@@ -1,0 +1,280 @@
+"""Tracking stores that fail: told within half a minute, once, before work begins; a fit is kept and recorded later."""
+
+import json
+import shutil
+import sqlite3
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows.cli import main
+from hfb.errors import InputError, NotNow
+from tasks import tracking
+from tests.cli.conftest import _own_logging  # noqa: F401  (commands run in this process)
+from tests.faults.servers import Postgres, free_port, postgres
+from tests.faults.stores import hanging_server, older_store, standing_still
+from tests.flows.test_fit_image import run
+from tests.orchestration import TINY_OPTIONS, Problem, mlflow_rows
+from tests.small_clips import begun, run_clip, small_clip
+
+AT_MOST_S = 30
+
+
+@contextmanager
+def at_most(seconds: float = AT_MOST_S) -> Iterator[None]:
+    began = time.monotonic()
+    yield
+    assert time.monotonic() - began < seconds
+
+
+def fit_command(problem: Problem, out: Path) -> int:
+    return main(["fit", str(problem.frame), "--background", str(problem.background), "--out", str(out), *TINY_OPTIONS])
+
+
+@pytest.mark.parametrize("scheme", ["postgresql", "postgresql+psycopg2", "http"])
+@pytest.mark.parametrize("kind", ["dead", "hangs", "hangs after /health"])
+def test_told_before_work_begins(
+    kind: str,
+    scheme: str,
+    problem: Problem,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if kind == "hangs after /health" and scheme != "http":
+        pytest.skip("a database has no /health")
+    with hanging_server(healthy=kind == "hangs after /health") as hanging:
+        port = free_port() if kind == "dead" else hanging
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", f"{scheme}://me:s3cret-word@127.0.0.1:{port}/db")
+        with at_most():
+            assert fit_command(problem, tmp_path / "out") == 2
+    shown = capsys.readouterr().err.strip().splitlines()
+    assert "MLflow" in shown[-1]
+    assert f"127.0.0.1:{port}" in shown[-1]
+    assert "s3cret-word" not in "".join(shown)
+    assert not any("Traceback" in line for line in shown)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_newer_schema(store: Path, problem: Problem, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with closing(sqlite3.connect(store)) as database:
+        database.execute("update alembic_version set version_num = 'feedfacecafe'")
+        database.commit()
+    with at_most():
+        assert fit_command(problem, tmp_path / "out") == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "of a newer MLflow than" in told
+    assert "set MLFLOW_TRACKING_URI to another store" in told
+    assert mlflow_rows(store, "select version_num from alembic_version") == [("feedfacecafe",)], "nothing was migrated"
+
+
+def test_an_older_schema_and_the_advice_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a b.db"
+    revision = older_store(file)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{file}")
+    with pytest.raises(NotNow, match="of an older MLflow: run `") as told:
+        tracking.open_store()
+    assert mlflow_rows(file, "select version_num from alembic_version") == [(revision,)], "nothing was migrated"
+    command = str(told.value).partition("`")[2].partition("`")[0]
+    subprocess.run(["/bin/sh", "-c", command], check=True, capture_output=True, timeout=240)
+    tracking.open_store()
+
+
+def test_a_driver_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "mysql://me@127.0.0.1/db")
+    with at_most(), pytest.raises(InputError, match="MySQLdb: install it"):
+        tracking.open_store()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
+    if reason := Postgres.missing():
+        pytest.skip(reason)
+    with postgres(tmp_path_factory.mktemp("postgres") / "data") as running:
+        yield running
+
+
+def statuses(uri: str) -> list[tuple[str, str]]:
+    """(id, status) of the runs that a store has."""
+    client = tracking.client_of(uri)
+    experiment = client.get_experiment_by_name("hfb")
+    return [(run.info.run_id, run.info.status) for run in client.search_runs([experiment.experiment_id])]
+
+
+def test_postgresql_stands_still_and_comes_back(
+    cluster: Postgres,
+    problem: Problem,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    uri = cluster.url.replace("asyncpg", "psycopg2")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+    monkeypatch.chdir(tmp_path)
+    tracking.open_store()
+    with standing_still(cluster):
+        began = time.monotonic()
+        result = run(problem, tmp_path / "out")
+        waited = time.monotonic() - began
+        with at_most(), pytest.raises(NotNow, match="cannot be used"):
+            tracking.open_store()
+    told = capsys.readouterr()
+    assert waited < AT_MOST_S + 30, "a tiny fit on a busy machine, and the wait"
+    assert result["mlflow_run_id"] is None
+    assert result["files"].count("record.json") == 1
+    del told
+    assert_recorded_later(tmp_path / "out", uri, capsys)
+    elsewhere = run(problem, tmp_path / "again")
+    assert [elsewhere["mlflow_run_id"]] == [found for found, _ in statuses(uri)], (
+        "it is the run that it would have been"
+    )
+
+
+def test_postgresql_crashes_and_comes_back(cluster: Postgres, monkeypatch: pytest.MonkeyPatch) -> None:
+    uri = cluster.url.replace("asyncpg", "psycopg2")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+    run_ = tracking.begin_run("clip", "a-clip", {}, {})
+    cluster.crash()
+    with at_most():
+        for step in range(5):
+            with pytest.raises(tracking.StoreLost):
+                tracking.log_points(run_, {"a": {step: 1.0}})
+        with pytest.raises(tracking.StoreLost):
+            tracking.begin_run("clip", "a-clip", {}, {})
+        with pytest.raises(NotNow, match="refused"):
+            tracking.open_store()
+    cluster.start()
+    again = tracking.begin_run("clip", "a-clip", {}, {})
+    assert again.run_id == run_.run_id
+    tracking.log_points(again, {"a": {0: 1.0}})
+    tracking.end_run(again, "FINISHED")
+
+
+def assert_recorded_later(out: Path, uri: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """`hfb record` makes the run, names it in the result, and does nothing the second time."""
+    there = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    capsys.readouterr()
+    assert main(["record", str(out), "--json"]) == 0
+    (first,) = json.loads(capsys.readouterr().out)["runs"]
+    assert first["new"]
+    assert (first["mlflow_run_id"], "FINISHED") in statuses(uri)
+    result = json.loads((out / "result.json").read_text())
+    assert result["mlflow_run_id"] == first["mlflow_run_id"]
+    assert result["mlflow_link"] == first["mlflow_link"]
+    assert "record.json" not in result["files"]
+    assert {path.name for path in out.iterdir() if path.is_file()} == there.keys() - {"record.json"}
+    unchanged = there.keys() - {"record.json", "result.json"}
+    assert {name: (out / name).read_bytes() for name in unchanged} == {name: there[name] for name in unchanged}
+
+    assert main(["record", str(out), "--json"]) == 0
+    (second,) = json.loads(capsys.readouterr().out)["runs"]
+    assert (second["mlflow_run_id"], second["new"]) == (first["mlflow_run_id"], False)
+    return first
+
+
+def lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From here on there is no store."""
+    (folder / "file").touch()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder}/file/mlflow.db")
+
+
+def test_a_fit_is_recorded_later_as_it_would_have_been(
+    problem: Problem,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    recorded = run(problem, tmp_path / "first" / "out")  # as a result looks that was recorded at once
+    names = "select key, value from params", "select key, step, value from metrics", "select key, value from tags"
+    volatile = ("mlflow.runName", "hfb.owner", "mlflow.source.name", "mlflow.user", "time/fit_s")
+    expected = [sorted(row for row in mlflow_rows(store, query) if row[0] not in volatile) for query in names]
+    artifacts = artifacts_of(store, recorded["mlflow_run_id"])
+    there = Path(shutil.move(store, tmp_path / "kept.db"))
+    lost(tmp_path, monkeypatch)
+    assert run(problem, tmp_path / "out")["mlflow_run_id"] is None
+
+    other = tmp_path / "other" / "mlflow.db"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{other}")
+    found = assert_recorded_later(tmp_path / "out", f"sqlite:///{other}", capsys)
+    assert [sorted(row for row in mlflow_rows(other, query) if row[0] not in volatile) for query in names] == expected
+    assert artifacts_of(other, found["mlflow_run_id"]) == artifacts
+
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{there}")
+    assert main(["record", str(tmp_path / "out")]) == 2, "its run is in another store"
+    assert "there is no run" in capsys.readouterr().err
+
+
+def artifacts_of(store: Path, run_id: str) -> set[str]:
+    folder = store.parent / "mlflow-artifacts" / run_id / "artifacts"
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_clip_is_recorded_later(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = begun(tmp_path / "out")
+    lost(tmp_path, monkeypatch)
+    result = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
+    assert result["mlflow_run_id"] is None
+    assert result["resumed_frames"] == 12
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
+    found = assert_recorded_later(out, f"sqlite:///{store}", capsys)
+    again = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
+    assert again["mlflow_run_id"] == found["mlflow_run_id"]
+    steps = mlflow_rows(store, "select step, count(*) from metrics where key = 'frame/seen' group by step")
+    assert steps == [(step, 1) for step in range(12)]
+    assert {"motion.npz", "edges.json", "recipe.json"} <= artifacts_of(store, found["mlflow_run_id"])
+
+
+def test_a_result_that_is_not_as_it_was(
+    problem: Problem,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lost(tmp_path, monkeypatch)
+    out = tmp_path / "out"
+    run(problem, out)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
+    kept = json.loads((out / "record.json").read_text())
+
+    def refused(says: str) -> None:
+        before = mlflow_rows(store, "select count(*) from runs")
+        assert main(["record", str(out)]) == 2
+        told = capsys.readouterr().err.strip().splitlines()[-1]
+        assert says in told
+        assert mlflow_rows(store, "select count(*) from runs") == before
+
+    secret = tmp_path / "secret.txt"
+    secret.write_text("mine")
+    hash_of_it = {"sha256": "0" * 64, "folder": None}
+    for name in ("../secret.txt", str(secret), "..", ".lock", "", "intermediate/x"):
+        (out / "record.json").write_text(json.dumps(kept | {"files": {name: hash_of_it}}))
+        refused("no part of a record")
+    (out / "record.json").write_text(json.dumps(kept | {"files": {"result.json": hash_of_it}}))
+    refused("result.json is not as the result's command left it")
+    for changed in ({"format": 2}, {"tags": {"mlflow.user": "root"}}, {"contents": {"../x.json": {}}}, {"more": 1}):
+        (out / "record.json").write_text(json.dumps(kept | changed))
+        refused("record.json")
+    for content in (b"[]", b"\xff", b"{" * 9000, b'{"format": 1}'):
+        (out / "record.json").write_bytes(content)
+        refused("record.json")
+    (out / "record.json").write_text(json.dumps(kept))
+    (out / "strip.png").write_bytes(b"another")
+    refused("strip.png is not as the result's command left it")
+    (out / "strip.png").unlink()
+    (out / "strip.png").symlink_to(secret)
+    refused("strip.png is not as the result's command left it")
+    (out / "record.json").unlink()
+    refused("run its own command again")
+    assert main(["record", str(tmp_path / "none")]) == 2
+    assert "result.json" in capsys.readouterr().err
