@@ -48,7 +48,7 @@ def refuse_hdr(frame: av.VideoFrame, stream: av.VideoStream, name: str) -> None:
     """Raises InputError for high dynamic range, whether the frames or only the container say so."""
     transfers = {int(frame.color_trc), int(stream.codec_context.color_trc)}
     kinds = [kind for code, kind in _HDR.items() if code in transfers]
-    if not kinds and any(data.type is Type.DOVI_METADATA for data in frame.side_data):
+    if not kinds and Type.DOVI_METADATA in frame.side_data:
         kinds = ["Dolby Vision"]
     if kinds:
         raise InputError(f"{name}: is high dynamic range video ({kinds[0]}); convert it to BT.709 first.")
