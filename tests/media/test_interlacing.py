@@ -80,7 +80,7 @@ def test_the_word_of_clip_toml() -> None:
 def test_a_container_speaks_for_decoders_that_do_not(tmp_path: Path) -> None:
     path = tmp_path / "a.mkv"
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffvhuff", rate=25)
+        stream = container.add_stream("ffv1", rate=25)
         stream.height, stream.width, stream.pix_fmt = HEIGHT, WIDTH, "yuv420p"
         stream.codec_context.field_order = 2
         for content in woven(6):
