@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hfb.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.errors import InputError, NotNow
-from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, pictures_in
+from hfb.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, others_in, pictures_in
 from hfb.media.names import is_text, shown_name
 from hfb.media.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
 from tasks.handles import FileHandle, StaleFile
@@ -270,5 +270,9 @@ def _inside(folder: Path) -> tuple[Path, ...]:
     place = folder / FRAMES_FOLDER if (folder / FRAMES_FOLDER).is_dir() else folder
     frames = tuple(path for path in pictures_in(place) if not is_plate(path))
     if not frames:
+        for other in others_in(place):
+            from hfb.media.picture_decoding import no_picture
+
+            raise no_picture(other)
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")
     return frames

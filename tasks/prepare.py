@@ -1,11 +1,14 @@
 """The user's pictures: are they pictures, do they fit together, and how were they taken."""
 
 import math
+from pathlib import Path
 
 from hfb.clip import Clip
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
-from hfb.media.pictures import read_picture_srgb
+from hfb.media.picture_decoding import decode_picture, doubt_depths
+from hfb.photometry import Transfer, as_srgb
+from hfb.shapes import Array, Float
 from tasks.handles import ClipHandle, FileHandle
 from tasks.inputs import told_exposure_s
 from tasks.task import task
@@ -26,13 +29,14 @@ def prepare(
     """
     from hfb.matting.plate_doubts import doubt_plate
     from hfb.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.photometry import as_srgb, srgb_to_linear
+    from hfb.photometry import srgb_to_linear
 
-    plate, doubts = as_srgb(read_picture_srgb(background.path), clip.transfer), []
+    pictures = _Pictures(clip.transfer)
+    plate, doubts = pictures.read(background), []
     told: str | None = None
     height, width = plate.shape[:2]
     for number, frame in enumerate(frames):
-        picture = as_srgb(read_picture_srgb(frame.path), clip.transfer)
+        picture = pictures.read(frame)
         if picture.shape != plate.shape:
             other = " x ".join(map(str, picture.shape[1::-1]))
             raise InputError(
@@ -42,6 +46,7 @@ def prepare(
         doubts.append(seems_to_hold_person(picture, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
             told = doubt_plate(*(one if clip.transfer == "linear" else srgb_to_linear(one) for one in (picture, plate)))
+    remarks = pictures.remarks()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
@@ -59,8 +64,29 @@ def prepare(
         interval_s=interval_s,
         transfer=clip.transfer,
         light=exposure.light,
-        remarks=(told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(doubts) else (),
+        remarks=(*remarks, *((told,) if told else (f"it seems that {HOLDS_PERSON}",) if all(doubts) else ())),
     )
+
+
+class _Pictures:
+    """Reads the user's pictures one after another and keeps what is to be said of them."""
+
+    def __init__(self, transfer: Transfer) -> None:
+        self._transfer: Transfer = transfer
+        self._told: list[str] = []
+        self._depths: list[tuple[Path, int | None]] = []
+
+    def read(self, file: FileHandle) -> Float[Array, "H W 3"]:
+        """The picture as it is stored in light, encoded as sRGB."""
+        found = decode_picture(file.path, self._transfer)
+        self._told += found.remarks
+        self._depths.append((file.path, found.seems_bits))
+        return as_srgb(found.pixels, self._transfer)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Raises InputError where all of them seem to be of fewer bits than their files are."""
+        told = (*self._told, *doubt_depths(self._depths, self._transfer))
+        return tuple(dict.fromkeys(told))
 
 
 def calibration(

@@ -19,7 +19,7 @@ from tasks.handles import ClipHandle, FileHandle
 
 def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
     """A picture (H, W, 3) in the light in which the clip's blur is an average."""
-    return in_light(read_picture_srgb(picture.path), clip.transfer, clip.light)
+    return in_light(read_picture_srgb(picture.path, clip.transfer), clip.transfer, clip.light)
 
 
 def in_light(picture: Array, transfer: Transfer, light: Literal["srgb", "linear"]) -> Tensor:

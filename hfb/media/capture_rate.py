@@ -3,8 +3,8 @@
 import re
 import struct
 from collections.abc import Iterator, Mapping
+from io import BufferedIOBase
 from pathlib import Path
-from typing import BinaryIO
 
 Rate = tuple[float, str]
 """(frames per second, where it stands)."""
@@ -100,7 +100,9 @@ def _boxes_of(path: Path, *wanted: tuple[bytes, ...]) -> Iterator[tuple[bytes, b
         return
 
 
-def _descend(file: BinaryIO, start: int, end: int, place: tuple[bytes, ...], budget: Iterator[int]) -> Iterator[bytes]:
+def _descend(
+    file: BufferedIOBase, start: int, end: int, place: tuple[bytes, ...], budget: Iterator[int]
+) -> Iterator[bytes]:
     while start + 8 <= end and next(budget, None) is not None:
         file.seek(start)
         size, kind = struct.unpack(">I4s", file.read(8))

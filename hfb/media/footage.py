@@ -18,7 +18,7 @@ from hfb.media.footage_names import PICTURE_SUFFIXES
 from hfb.media.frame_times import irregular, nominal_interval
 from hfb.media.interlacing import Scan
 from hfb.media.lens import Lens
-from hfb.media.picture_files import footage_files, one_size
+from hfb.media.picture_files import footage_files, one_size, sample_remarks
 from hfb.media.pictures import read_picture_srgb, recorded_exposure
 from hfb.media.video_index import OnProgress, VideoIndex, index_video
 from hfb.media.video_packets import ASSUMED_FPS
@@ -124,7 +124,9 @@ class Footage:
     def _single(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
         """Frames of the file as stored."""
         if self.index is None:
-            yield from (read_picture_srgb(path) for path in self.files[self.first + start : self.first + stop])
+            yield from (
+                read_picture_srgb(path, self.stored) for path in self.files[self.first + start : self.first + stop]
+            )
         else:
             yield from self.index.frames(self.first + start, self.first + stop)
 
@@ -164,7 +166,7 @@ def open_footage(
     place = source if isinstance(source, Path) else files[0]
     wanted = (start, stop, start_s, stop_s, place)
     if files[0].suffix.lower() in PICTURE_SUFFIXES:
-        whole = _of_pictures(place, files, fps)
+        whole = _of_pictures(place, files, fps, transfer)
         first, last = _range(whole.times_s, *wanted)
     else:
         whole, first, last = _of_video(place, files, wanted, scan == "auto", on_progress)
@@ -183,12 +185,13 @@ def open_footage(
     return _averaged(chosen, average) if average > 1 else chosen
 
 
-def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None) -> Footage:
+def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None, transfer: Transfer) -> Footage:
     height, width, bits = one_size(files)
+    told = sample_remarks(files, transfer)
     assumed = f"no frame rate given: assuming {ASSUMED_FPS:g} per second (fps in clip.toml)"
     return Footage(
         place, files, height, width, np.arange(len(files)) / (fps or ASSUMED_FPS), 1 / (fps or ASSUMED_FPS), bits,
-        "srgb", remarks=() if fps else (assumed,), recorded_exposure=recorded_exposure(files[0]),
+        "srgb", remarks=told if fps else (assumed, *told), recorded_exposure=recorded_exposure(files[0]),
     )  # fmt: skip
 
 

@@ -5,6 +5,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
+_FOREIGN_SUFFIXES = frozenset(
+    {
+        *(".nef", ".nrw", ".cr2", ".cr3", ".crw", ".arw", ".sr2", ".srf", ".dng", ".raf", ".orf", ".rw2", ".pef"),
+        *(".srw", ".3fr", ".fff", ".iiq", ".x3f", ".mrw", ".kdc", ".dcr", ".erf", ".gpr"),
+        *(".heic", ".heif", ".hif", ".avif", ".jxl", ".jp2", ".exr", ".hdr", ".psd", ".dpx", ".ppm", ".pgm"),
+    }
+)
 _PLATE_NAME = re.compile(r"(.*_)?(plate|background)", re.IGNORECASE)
 
 
@@ -24,6 +31,13 @@ def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder in their natural order; none where it cannot be read."""
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in PICTURE_SUFFIXES and not is_hidden(path)
+    )
+
+
+def others_in(folder: Path) -> list[Path]:
+    """Files of a folder that a user may take for pictures although hfb reads none of their kind."""
+    return natural_order(
+        path for path in folder.glob("*") if path.suffix.lower() in _FOREIGN_SUFFIXES and not is_hidden(path)
     )
 
 

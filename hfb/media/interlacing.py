@@ -12,7 +12,7 @@ _INTERLACED_ORDERS = (2, 3, 4, 5)  # FFmpeg's AVFieldOrder: top or bottom field 
 _FLAGGED_BY_DECODER = frozenset(
     {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vc1", "wmv3", "prores", "dvvideo"}
 )
-_FEWEST_COMBED, _LEAST_SHARE, _ONE_ORDER = 2, 0.15, 4
+_FEWEST_COMBED, _LEAST_SHARE, _ONE_ORDER, _FILM_SHARE = 2, 0.3, 4, 0.2
 
 
 def stated_interlaced(stream: av.VideoStream) -> bool:
@@ -33,6 +33,7 @@ class Scan:
         self._filter: av.filter.Graph | None = None
         self._gave_up = False
         self._looks = {"tff": 0, "bff": 0, "progressive": 0}
+        self._repeated = 0
 
     def see(self, frame: av.VideoFrame) -> None:
         """Raises InputError where the frame, or the container, says that it holds two fields."""
@@ -52,7 +53,7 @@ class Scan:
         if combed < max(_FEWEST_COMBED, _LEAST_SHARE * seen) or combed < _ONE_ORDER * other:
             return None
         how = "tff" if self._looks["tff"] >= self._looks["bff"] else "bff"
-        film = self._looks["progressive"] > combed / 2
+        film = self._repeated > _FILM_SHARE * seen
         fix = f"setfield={how},fieldmatch,decimate" if film else f"setfield={how},bwdif=mode=send_field"
         return (
             f"{self._path.name} seems to be {'telecined film' if film else 'interlaced'}, although it does not say so: "
@@ -69,9 +70,11 @@ class Scan:
                 self._filter = _detector(frame)
             self._filter.push(frame)
             while True:
-                kind = self._filter.pull().metadata.get("lavfi.idet.multiple.current_frame", "")
+                told = self._filter.pull().metadata
+                kind = told.get("lavfi.idet.single.current_frame", "")
                 if kind in self._looks:
                     self._looks[kind] += 1
+                self._repeated += told.get("lavfi.idet.repeated.current_frame") in ("top", "bottom")
         except (BlockingIOError, EOFError):
             return
         except (av.FFmpegError, ValueError):  # a size or kind that changes on the way: reading says so

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hfb.errors import InputError
-from hfb.media.footage_names import is_plate, pictures_in
-from hfb.media.pictures import PIXEL_LIMIT, picture_size
+from hfb.media.footage_names import is_plate, others_in, pictures_in
+from hfb.media.picture_decoding import PIXEL_LIMIT, decode_picture, doubt_depths, no_picture, picture_size
+from hfb.photometry import Transfer
 
 
 def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
@@ -21,6 +22,8 @@ def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
     if source.is_dir():
         found = tuple(path for path in pictures_in(source) if not is_plate(path))
         if not found:
+            for other in others_in(source):  # a folder of camera raw or HEIC files has its own sentence
+                raise no_picture(other)
             raise InputError(f"{source}: holds no picture; give a folder of PNG, JPEG, TIFF, WebP or BMP frames.")
         return found
     if not source.exists():
@@ -45,3 +48,15 @@ def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
     if height * width > PIXEL_LIMIT:
         raise InputError(f"{files[0]}: {width} x {height} pixels are too many; make the frames smaller.")
     return height, width, max(one[2] for one in sizes)
+
+
+def sample_remarks(files: Sequence[Path], transfer: Transfer) -> tuple[str, ...]:
+    """What a user should know of the pictures of a clip, by the first, the middle and the last of them.
+
+    Raises:
+        InputError: one is no picture, or all seem to be of fewer bits than their files are.
+    """
+    chosen = sorted({0, len(files) // 2, len(files) - 1})
+    seen = [decode_picture(files[number], transfer) for number in chosen]
+    doubts = doubt_depths([(files[number], one.seems_bits) for number, one in zip(chosen, seen, strict=True)], transfer)
+    return (*seen[0].remarks, *doubts)

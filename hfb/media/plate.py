@@ -9,7 +9,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.media.footage import Footage
-from hfb.media.pictures import read_picture_srgb
+from hfb.media.picture_decoding import decode_picture, doubt_depths
 from hfb.media.video_pixels import square_size, stretched
 from hfb.shapes import Array, Bool, Float, Shaped
 
@@ -48,9 +48,11 @@ def find_plate(
         InputError: the picture cannot be read, nothing is ever still, or see `check_plate`.
     """
     if isinstance(how, Path):
-        stored = _in_square_pixels(read_picture_srgb(how), footage)
+        picture = decode_picture(how, footage.stored)
+        stored = _in_square_pixels(picture.pixels, footage)
         _check_size(stored, footage)
-        plate, told = footage.developed(stored), f"background: {how.name}"
+        remarks = (*picture.remarks, *doubt_depths([(how, picture.seems_bits)], footage.stored))
+        plate, told = footage.developed(stored), "; ".join((f"background: {how.name}", *remarks))
         if footage.count < _SURE_FROM:
             doubt = check_plate(plate, footage, sure=False)
             return plate, f"{told}; {doubt}" if doubt else told

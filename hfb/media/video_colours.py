@@ -7,10 +7,10 @@ from av.sidedata.sidedata import Type
 
 from hfb.errors import InputError
 
-Stated = tuple[int, int]
-"""(matrix, range) as the container states them, by ITU-T H.273 and FFmpeg's `AVColorRange`."""
+Stated = tuple[int, int, int, int]
+"""(matrix, range, transfer, primaries) as the container states them, by ITU-T H.273 and FFmpeg's `AVColorRange`."""
 
-NOT_STATED: Stated = (2, 0)
+NOT_STATED: Stated = (2, 0, 2, 2)
 _BT709, _BT601 = 1, 5  # ITU-T H.273, matrix coefficients
 _UNTAGGED = (0, 2)  # 0 is RGB's, which is no statement about luma and chroma
 _MOST_LINES_OF_SD = 576
@@ -20,9 +20,12 @@ _WIDE = {9: "BT.2020", 11: "DCI-P3", 12: "Display P3"}  # ITU-T H.273, colour pr
 
 
 def stated_colours(stream: av.VideoStream) -> Stated:
-    """The container's own statement (`colr` of MP4, `Colour` of Matroska), which decoders do not give to the frames."""
+    """The container's own statement (`colr` of MP4, `Colour` of Matroska), which decoders do not give to the frames.
+
+    To be asked before the first frame is decoded, which overwrites it.
+    """
     codec = stream.codec_context
-    return int(codec.colorspace), int(codec.color_range)
+    return int(codec.colorspace), int(codec.color_range), int(codec.color_trc), int(codec.color_primaries)
 
 
 def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, int | None]:
@@ -44,24 +47,23 @@ def is_yuv(frame: av.VideoFrame) -> bool:
     return not frame.format.is_rgb and len(frame.format.components) >= 3 and frame.format.name != "pal8"
 
 
-def refuse_hdr(frame: av.VideoFrame, stream: av.VideoStream, name: str) -> None:
+def refuse_hdr(frame: av.VideoFrame, stated: Stated, name: str) -> None:
     """Raises InputError for high dynamic range, whether the frames or only the container say so."""
-    transfers = {int(frame.color_trc), int(stream.codec_context.color_trc)}
+    transfers = {int(frame.color_trc), stated[2]}
     kinds = [kind for code, kind in _HDR.items() if code in transfers]
-    if not kinds and any(data.type is Type.DOVI_METADATA for data in frame.side_data):
+    if not kinds and Type.DOVI_METADATA in frame.side_data:
         kinds = ["Dolby Vision"]
     if kinds:
         raise InputError(f"{name}: is high dynamic range video ({kinds[0]}); convert it to BT.709 first.")
 
 
-def colour_remarks(frame: av.VideoFrame, stream: av.VideoStream, name: str) -> Iterator[str]:
+def colour_remarks(frame: av.VideoFrame, stated: Stated, name: str) -> Iterator[str]:
     """What a user should know of how the colours are taken."""
-    codec = stream.codec_context
-    tags = int(frame.colorspace), stated_colours(stream)[0]
+    tags = int(frame.colorspace), stated[0]
     if is_yuv(frame) and all(tag in _UNTAGGED for tag in tags) and frame.height > _MOST_LINES_OF_SD:
         yield f"{name} does not say how its colours are stored: decoded as BT.709, as players do above 576 lines"
-    if _LINEAR in (int(frame.color_trc), int(codec.color_trc)):
+    if _LINEAR in (int(frame.color_trc), stated[2]):
         yield f'{name} says that it stores linear light: give transfer = "linear" in clip.toml if that is so'
-    wide = _WIDE.get(int(frame.color_primaries)) or _WIDE.get(int(codec.color_primaries))
+    wide = _WIDE.get(int(frame.color_primaries)) or _WIDE.get(stated[3])
     if wide:
         yield f"{name} has the colours of {wide}: they are taken as sRGB's, so a plate from a file must be stored alike"

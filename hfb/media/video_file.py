@@ -7,7 +7,8 @@ from av.stream import Disposition
 
 from hfb.errors import InputError
 from hfb.media.capture_rate import is_time_mapped
-from hfb.media.pictures import PIXEL_LIMIT
+from hfb.media.picture_decoding import PIXEL_LIMIT
+from hfb.media.picture_kinds import foreign_kind
 
 FRAME_LIMIT = 1_000_000
 """Frames of one video: nine hours at 30 per second."""
@@ -24,6 +25,10 @@ def open_video(path: Path) -> av.container.InputContainer:
         InputError: it holds no video stream, or frames of an absurd size.
         av.FFmpegError: no video.
     """
+    if path.is_file():
+        with path.open("rb") as file:
+            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC picture for videos
+                raise InputError(f"{path}: {kind}.")
     # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
     name = f"file:{path.absolute()}"
     options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}

@@ -223,8 +223,8 @@ def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
             stated = stated_colours(stream)
             for frame in container.decode(stream):
                 check_size(path, frame.width, frame.height)
-                refuse_hdr(frame, stream, str(path))
-                return frame, stated, tuple(colour_remarks(frame, stream, path.name))
+                refuse_hdr(frame, stated, str(path))
+                return frame, stated, tuple(colour_remarks(frame, stated, path.name))
     except av.FFmpegError as error:
         raise InputError(f"{path}: can't be read as a video ({error.strerror}); convert it to H.264.") from None
     raise InputError(f"{path}: was opened but gave no frame; convert it to H.264 in an .mp4 file.")

@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 
 from hfb.errors import InputError
-from hfb.media import pictures
-from hfb.media.pictures import read_matte, read_picture_srgb, write_matte, write_png
+from hfb.media.pictures import picture_size, read_matte, read_picture_srgb, write_matte, write_png
 
 
 @pytest.fixture
@@ -59,16 +58,32 @@ def test_alpha_is_dropped_not_multiplied(tmp_path: Path, levels: np.ndarray) -> 
     assert np.array_equal(np.round(read_picture_srgb(tmp_path / "a.png") * 255), levels)
 
 
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.webp", "a.tiff", "deep.png", "deep.tiff"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_exif_rotation_is_applied_at_both_depths(tmp_path: Path, levels: np.ndarray, orientation: int) -> None:
+def test_the_cameras_rotation_is_applied_once(tmp_path: Path, levels: np.ndarray, name: str, orientation: int) -> None:
+    """Also by who only measures: a TIFF that is turned must have the size of the plate beside it."""
+    path, smooth = tmp_path / name, cv2.GaussianBlur(levels, (0, 0), 3)
     exif = Image.Exif()
     exif[0x0112] = orientation
-    Image.fromarray(levels).save(tmp_path / "a.png", exif=exif)
-    upright = read_picture_srgb(tmp_path / "a.png")
-    if orientation == 6:  # the camera was held upright: its first row is the picture's right side
-        assert np.array_equal(np.round(upright[:, -1] * 255), levels[0])
-    deep = pictures._decode_deep(tmp_path, _png16(levels), orientation)
-    assert np.array_equal(deep >> 8, np.round(upright * 255))
+    if name == "deep.png":
+        plain = _png16(smooth)
+        block = exif.tobytes().removeprefix(b"Exif\0\0")
+        chunk = struct.pack(">I", len(block)) + b"eXIf" + block + struct.pack(">I", zlib.crc32(b"eXIf" + block))
+        path.write_bytes(plain[:33] + chunk + plain[33:])
+    elif name == "deep.tiff":
+        tifffile = pytest.importorskip("tifffile")
+        extra = [(274, "H", 1, orientation, True)]
+        tifffile.imwrite(path, smooth.astype(np.uint16) * 257, photometric="rgb", extratags=extra, metadata=None)
+    else:
+        Image.fromarray(smooth).save(path, exif=exif, **({"lossless": True} if name == "a.webp" else {}))
+    upright = {
+        1: smooth, 2: smooth[:, ::-1], 3: smooth[::-1, ::-1], 4: smooth[::-1], 5: smooth.swapaxes(0, 1),
+        6: np.rot90(smooth, -1), 7: smooth[::-1, ::-1].swapaxes(0, 1), 8: np.rot90(smooth),
+    }[orientation]  # fmt: skip
+    read = read_picture_srgb(path)
+    assert picture_size(path) == (*read.shape[:2], 16 if "deep" in name else 8)
+    assert read.shape == upright.shape
+    assert np.abs(read * 255 - upright).mean() < (3 if name == "a.jpg" else 0.01)
 
 
 def _png16(levels: np.ndarray) -> bytes:
