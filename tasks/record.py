@@ -47,6 +47,7 @@ def record(
     key = digest([params, code_version()])
     histories = {f"loss/{term}": values for term, values in json.loads(fit.history.path.read_text()).items()}
     final = {f"eval/{name}": [value] for name, value in scores.scores.items()}
+    final |= {f"warning/{one['code']}": [one["value"]] for one in result["warnings"]}
     alternatives = [fit.alternatives.path] if fit.alternatives else []
     exports = [published[name].path for name in (CURVES, *EXPORTED_NAMES) if name in published]
     timing = {"time/fit_s": [fit.seconds], "fit/best_iteration": [fit.best_iteration]}

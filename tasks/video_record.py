@@ -99,6 +99,7 @@ class ClipRecord:
             return
         self._log(self._points)
         final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
+        final |= {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
         self._log(final)
         made_of = recipe("video", self._config, self._inputs, files, code_version())
         with tracking.store_losses():
