@@ -12,19 +12,23 @@ import numpy as np
 from flows.trouble import ServerWatch
 from hfb.config import RunConfig
 from hfb.errors import InputError
+from hfb.evaluate.warnings import ResultWarning, check_never_left
 from hfb.fit.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
 from hfb.initialize.clip_bodies import key_frames
+from hfb.media.plate import HOLDS_PERSON
 from tasks import progress
 from tasks.export_files import ExportsHandle
 from tasks.films import films_of
+from tasks.given_networks import tell_networks
 from tasks.given_result import find_given_body, looks_at, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from tasks.many import Outcome, run_all
 from tasks.result_report import ReportParts, page_film, write_report
+from tasks.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
 from tasks.task import Step
 from tasks.video_clip import find_background, find_person, look_at_clip
 from tasks.video_frames import extract_frames, find_body_between, find_key_body, find_matte
-from tasks.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, PlateHandle, WindowHandle
+from tasks.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, PlateHandle, TrackHandle, WindowHandle
 from tasks.video_inputs import VideoInputs
 from tasks.video_look import draw_clip, judge_clip, score_frames
 from tasks.video_windows import fill_bodies, fit_clip_window, join_clip, mend_fronts, settle_person
@@ -40,6 +44,7 @@ class Scene:
 
     Attributes:
         mattes: of the frames in which somebody is seen; areas: their sums [px], 0 elsewhere.
+        warnings: of the plate, which are told before the fit.
     """
 
     inputs: VideoInputs
@@ -50,6 +55,7 @@ class Scene:
     frames: tuple[FileHandle, ...]
     mattes: Mapping[int, FileHandle]
     areas: tuple[float, ...]
+    warnings: tuple[ResultWarning, ...] = ()
 
     def of(self, numbers: Sequence[int]) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
         """Some frames as a clip of their own, and their mattes."""
@@ -87,6 +93,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     plate = find_background(footage, inputs.plate, inputs.background, folder)
     progress.say(f"hfb: {plate.source}")
     track = find_person(footage, plate, inputs.clip.person, inputs.track)
+    doubts = _plate_doubts(inputs, plate, track)
+    tell(doubts)
     alone = track.others == 0
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
@@ -101,7 +109,15 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     if not mattes:
         raise InputError(f"nobody is seen in any of the {footage.count} frames ({found[0].reason})")
     areas = tuple(one.area_px for one in found)
-    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas)
+    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas, doubts)
+
+
+def _plate_doubts(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
+    """Whether the plate holds the person."""
+    if HOLDS_PERSON in plate.source:
+        return plate_warnings([f"it seems that {HOLDS_PERSON}"])
+    never = check_never_left(track.boxes) if inputs.plate is None and inputs.background == "median" else None
+    return (never,) if never else ()
 
 
 def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
@@ -113,6 +129,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
     config, body, networks = scene.config, scene.inputs.body, scene.inputs.networks
     if scene.inputs.init_files:
         return _bodies_of_result(scene)
+    tell_networks(networks)
     present = np.array([number in scene.mattes for number in range(len(scene.frames))], bool)
     keys = key_frames(present, config.video.key_every)
     searched = _all(
@@ -214,6 +231,16 @@ def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[
         for name, values in one.scores.items():
             scores.setdefault(name, {}).update(zip(one.frames, values, strict=True))
     return scores
+
+
+def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[int, float]) -> list[ResultWarning]:
+    """What is wrong with the result, the plate's warnings first."""
+    shown = looks_over(sorted({frame for window in fitted.windows for frame in window.frames}))
+    clip, mattes = scene.of(shown)
+    known = tuple(sorted(matte_iou.items()))
+    found = look_for_warnings(clip, shown, mattes, joined.motion, known, scene.inputs.body, scene.config.fit).warnings
+    tell(found)
+    return [*scene.warnings, *found]
 
 
 def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:

@@ -11,6 +11,7 @@ from prefect import flow
 from flows.reaper import mark_owner
 from flows.workplace import publish, workplace
 from hfb.config import RunConfig
+from hfb.evaluate.warnings import ResultWarning
 from hfb.export.names import CURVES, RECORD, REPORT
 from hfb.fit.alternatives import what_is_unknown
 from tasks import progress, tracking
@@ -19,6 +20,7 @@ from tasks.export_files import export_files
 from tasks.films import films_of
 from tasks.first_body import first_body, given_body
 from tasks.fit_motion import fit_motion
+from tasks.given_networks import tell_networks
 from tasks.given_result import Look, body_of_result, needed, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from tasks.inputs import Inputs, input_hashes, take_inputs, with_height
@@ -27,6 +29,7 @@ from tasks.prepare import prepare
 from tasks.record import fit_record, record
 from tasks.result_records import records_in
 from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
+from tasks.result_warnings import look_for_warnings, plate_warnings, tell
 from tasks.run_record import keep_for_later
 from tasks.strip import strip
 from tasks.task import code_version
@@ -72,38 +75,19 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             progress.say(f"hfb: {remark}")
         numbers = range(len(scene.frames))
         mattes = tuple(matte(scene, index, config.matting, folder, inputs.matting) for index in numbers)
-        if inputs.first_bodies:
-            firsts = tuple(given_body(file) for file in inputs.first_bodies)
-        elif inputs.init_files:
-            first = config.init.frame
-            looks = tuple(
-                Look(matte=one, frame=None if first is None else first + number) for number, one in enumerate(mattes)
-            )
-            given = read_result(
-                inputs.init_files, scene.height, scene.width, config.init.person, looks, inputs.body, folder
-            )
-            if whom := given.remark():
-                progress.say(f"hfb: {whom}")
-            firsts = tuple(
-                needed(body_of_result(scene, index, number, mattes, given, inputs.body, folder))
-                for index, number in enumerate(given.numbers_of(len(scene.frames), config.init.frame))
-            )
-        else:
-            firsts = tuple(
-                first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
-            )
-            if len(firsts) > 1:
-                agreed = mend_fronts(tuple(numbers), firsts, folder)
-                firsts = tuple(one for one in agreed.firsts if one is not None)
+        firsts = _first_bodies(scene, mattes, inputs, config, folder)
         priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
         fitted = fit_motion(
             scene, mattes, firsts, inputs.body, priors, config.fit, config.seed, folder
         )  # fmt: skip
         scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
+        found = look_for_warnings(scene, tuple(numbers), mattes, fitted.motion, (), inputs.body, config.fit).warnings
+        tell(found)
         picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
         exports = export_files(fitted.motion, fitted.texture_picture, inputs.body, config.export, folder)
         films = films_of(scene, fitted.motion, fitted.texture, inputs.body, config, folder)
-        result = _result(out, config, inputs, firsts, fitted, scores)
+        warnings = (*plate_warnings(scene.remarks), *found)
+        result = _result(out, config, inputs, firsts, fitted, scores, warnings)
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
             "texture.png": fitted.texture_picture, "strip.png": picture, CURVES: fit_curves(fitted, folder),
@@ -124,6 +108,31 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             files[REPORT] = _reported(scene, fitted, files, inputs, config, result, folder)
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
+
+
+def _first_bodies(
+    scene: ClipHandle, mattes: tuple[FileHandle, ...], inputs: Inputs, config: RunConfig, folder: Path
+) -> tuple[FirstBodyHandle, ...]:
+    """One per frame: given, out of another system's result, or estimated and agreed on one front."""
+    if inputs.first_bodies:
+        return tuple(given_body(file) for file in inputs.first_bodies)
+    numbers = tuple(range(len(scene.frames)))
+    if not inputs.init_files:
+        tell_networks(inputs.networks)
+        firsts = tuple(
+            first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
+        )
+        agreed = mend_fronts(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
+        return tuple(one for one in agreed if one is not None)
+    first = config.init.frame
+    looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
+    given = read_result(inputs.init_files, scene.height, scene.width, config.init.person, looks, inputs.body, folder)
+    if whom := given.remark():
+        progress.say(f"hfb: {whom}")
+    return tuple(
+        needed(body_of_result(scene, index, number, mattes, given, inputs.body, folder))
+        for index, number in enumerate(given.numbers_of(len(scene.frames), first))
+    )
 
 
 def _reported(
@@ -153,6 +162,7 @@ def _result(
     firsts: tuple[FirstBodyHandle, ...],
     fitted: FitHandle,
     scores: ScoresHandle,
+    warnings: tuple[ResultWarning, ...],
 ) -> dict[str, Any]:
     """result.json: scores and times, where things are, and what they were made from."""
     return {
@@ -160,12 +170,14 @@ def _result(
         "fit_seconds": round(fitted.seconds, 3),
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
+        "warnings": [one.model_dump(mode="json") for one in warnings],
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
         "report": str(out.resolve() / REPORT) if config.export.report else None,
         "mlflow_run_id": None,
         "mlflow_link": None,
         "first_bodies": [first.source for first in firsts],
+        "pose_networks": [file.path.name for file in inputs.networks],
         "inputs": input_hashes(inputs),
         "config": config.model_dump(mode="json"),
         "code": code_version(),

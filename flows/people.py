@@ -26,7 +26,7 @@ from tasks.video_inputs import VideoInputs, video_hashes
 _log = logging.getLogger(__name__)
 _KEPT = (
     "frames", "sub_frames", "gaps", "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "seconds", "out",
-    "mlflow_run_id",
+    "mlflow_run_id", "warnings",
 )  # fmt: skip
 
 

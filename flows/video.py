@@ -12,7 +12,7 @@ from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from flows.clip_place import clip_place
-from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, report, score, see
+from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, report, score, see, warn
 from flows.reaper import mark_owner
 from flows.trouble import ask_server
 from flows.workplace import publish
@@ -74,6 +74,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         scores = score(scene, fitted, joined)
         for name, values in scores.items():
             record.frames(f"eval/{name}", values)
+        warnings = warn(scene, fitted, joined, scores.get("matte_iou", {}))
         texture = draw_texture(scene.footage.light, fitted.person, folder)
         exports = export_files(joined.motion, texture, inputs.body, config.export, folder)
         curves = clip_curves(fitted.windows, _pairs(scores), folder)
@@ -82,6 +83,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             "strip.png": draw(scene, fitted, joined), **exports.by_name(), **film(scene, fitted, joined).by_name(),
         }  # fmt: skip
         result = _result(scene, bodies, fitted, joined, scores, out)
+        result["warnings"] = [one.model_dump(mode="json") for one in warnings]
         result["seconds"] = round(time.perf_counter() - began, 3)
         result["workers_busy"] = busy_share()
         ask_server()  # a run that cannot end must not be recorded as finished
@@ -138,6 +140,7 @@ def _result(
         "report": str(out.resolve() / REPORT) if scene.config.export.report else None,
         "mlflow_run_id": None,
         "mlflow_link": None,
+        "pose_networks": [file.path.name for file in scene.inputs.networks],
         "background": scene.plate.source,
         "remarks": list(footage.remarks),
         "inputs": video_hashes(scene.inputs),

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
-from hfb.initialize.networks import networks_in_use
+from hfb.initialize.networks import LANDMARK_FULL, networks_in_use
 from hfb.initialize.readers.beside import companions
 from hfb.network_files import check_network_file
+from tasks import progress
 from tasks.handles import FileHandle, sha256_of
 
 _OWN_MATTING = ("bgmv2", "rvm")
@@ -73,6 +74,14 @@ def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> I
         return config
     sampling = networks[1].path if config.mesh_sampling is not None else None
     return config.model_copy(update={"weights": networks[0].path, "mesh_sampling": sampling})
+
+
+def tell_networks(networks: tuple[FileHandle, ...]) -> None:
+    """A word where first bodies are found with the lesser landmark network."""
+    if any(file.path.name == LANDMARK_FULL.name for file in networks):
+        progress.say(
+            "hfb: MediaPipe's full landmark network is used: `hfb models fetch` brings the heavy one, which is better"
+        )
 
 
 def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None:

@@ -54,6 +54,7 @@ def fit_record(
         for term, values in histories.items()
     }
     points |= {f"eval/{name}": {0: float(value)} for name, value in scores.scores.items()}
+    points |= {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
     points |= {"time/fit_s": {0: fit.seconds}, "fit/best_iteration": {0: float(fit.best_iteration)}}
     files = {
         name: RecordedFile(sha256=file.sha256, folder="mattes" if name.startswith(_MATTE) else None)

@@ -140,7 +140,8 @@ class ClipRecord:
 
 
 def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
-    return {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
+    final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
+    return final | {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
 
 
 def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:

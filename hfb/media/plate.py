@@ -155,12 +155,7 @@ def _holds_person(
     Args:
         least: so many frames have to show it.
     """
-    count = changed.sum(0)
-    often = count >= max(least, _GHOST_RATE * len(looks))
-    usual = np.nanmedian(np.where((changed & often)[..., None], looks, np.where(often, np.nan, 0)[..., None]), axis=0)
-    same = changed & (np.abs(looks - usual).max(-1) < _CONSTANT)
-    ghost = (often & (same.sum(0) >= _CONSTANT_SHARE * count)).astype(np.uint8)
-    ghost = cv2.morphologyEx(ghost, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    ghost = _constant(looks, changed, max(least, _GHOST_RATE * len(looks)))
     person = float(np.median([size for size in map(_largest_area, changed) if size] or [0]))
     number, labels = cv2.connectedComponents(ghost)
     for label in range(1, number):
@@ -174,6 +169,21 @@ def _holds_person(
         if in_plate > _CLEARLY * in_frames:
             return True
     return False
+
+
+def constant_changes(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"], share: float) -> Bool[Array, "h w"]:
+    """Where small pictures differ from the small plate always in the same way, in at least this share of them."""
+    return _constant(looks, changed_pixels(looks, empty), share * len(looks)).astype(bool)
+
+
+def _constant(looks: Float[Array, "n h w 3"], changed: Bool[Array, "n h w"], least: float) -> Shaped[Array, "h w"]:
+    """1 where at least so many looks differ, most of them in the same way, but for specks; 0 elsewhere."""
+    count = changed.sum(0)
+    often = count >= least
+    usual = np.nanmedian(np.where((changed & often)[..., None], looks, np.where(often, np.nan, 0)[..., None]), axis=0)
+    same = changed & (np.abs(looks - usual).max(-1) < _CONSTANT)
+    constant = (often & (same.sum(0) >= _CONSTANT_SHARE * count)).astype(np.uint8)
+    return cv2.morphologyEx(constant, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
 
 
 def _largest_area(mask: Bool[Array, "h w"]) -> int:

@@ -85,7 +85,10 @@ def _head(contents: ResultContents) -> Html:
     remarks = facts.get("remarks")
     said = [facts.get("background"), *(remarks if isinstance(remarks, list) else [])]
     lines = [element("p", f"{one}.", class_="muted") for one in said if isinstance(one, str)]
-    return joined([element("ul", *items, class_="figures-line"), *lines])
+    warnings = facts.get("warnings")
+    wrong = [one.get("message") for one in (warnings if isinstance(warnings, list) else []) if isinstance(one, Mapping)]
+    told = [element("p", f"Warning: {one}.", class_="bad") for one in wrong if isinstance(one, str)]
+    return joined([element("ul", *items, class_="figures-line"), *told, *lines])
 
 
 def _strip(strip: Path | None) -> Html | None:

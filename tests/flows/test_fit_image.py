@@ -82,8 +82,10 @@ def test_a_plate_that_still_shows_the_person_is_doubted(
     plate[:, :-50][person[:, 50:]] = frame[:, 50:][person[:, 50:]]
     write_png(tmp_path / "plate.png", plate)
     for background, doubts in [(problem.background, 0), (tmp_path / "plate.png", 1), (tmp_path / "plate.png", 2)]:
-        run(replace(problem, background=background), tmp_path / background.stem)
+        result = run(replace(problem, background=background), tmp_path / background.stem)
         assert sum("seems that the background still holds the person: somebody" in line for line in said) == doubts
+        assert ("plate" in [one["code"] for one in result["warnings"]]) == bool(doubts)
+    assert mlflow_rows(store, "select count(*) from metrics where key = 'warning/plate'") == [(1,)]
 
 
 def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Path) -> None:

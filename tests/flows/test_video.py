@@ -25,6 +25,8 @@ from tests.small_clips import (
     stamps,
 )
 
+_WARNINGS = "select key from metrics where key like 'warning/%'"
+
 
 def test_results_and_record() -> None:
     out, store, result = finished()
@@ -43,6 +45,10 @@ def test_results_and_record() -> None:
     assert read_picture_srgb(Path(result["strip"])).shape[0] > 200
 
     assert_every_frame_once(store)
+    codes = {one["code"] for one in result["warnings"]}
+    assert codes == {key.split("/")[1] for (key,) in mlflow_rows(store, _WARNINGS)}
+    values = mlflow_rows(store, "select value from metrics where key = 'eval/matte_iou'")
+    assert ("matte_iou" in codes) == any(value < 0.7 for (value,) in values)
     params = dict(mlflow_rows(store, "select key, value from params"))
     assert params["video.key_every"] == "12"
     assert params["input.video"] == result["inputs"]["video"]
@@ -50,6 +56,16 @@ def test_results_and_record() -> None:
     assert tags["hfb.command"] == "video"
     artifacts = {path.name for path in (store.parent / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert {"motion.npz", "edges.json", "strip.png", "result.json", "config.json", "recipe.json"} <= artifacts
+
+
+def test_a_median_that_holds_the_person_is_told(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Somebody who never leaves: before the fit on the terminal, in result.json and in the record."""
+    said: list[str] = []
+    monkeypatch.setattr("tasks.progress.say", said.append)
+    result = run_clip(small_clip().source, tmp_path / "out", background="median")
+    assert "plate_holds_person" in [one["code"] for one in result["warnings"]]
+    assert ("warning/plate_holds_person",) in mlflow_rows(store, _WARNINGS)
+    assert any(line.startswith("hfb: warning: the background is the median of a clip") for line in said)
 
 
 def test_a_height_is_held_through_the_clip(store: Path, tmp_path: Path) -> None:

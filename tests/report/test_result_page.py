@@ -63,6 +63,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "mlflow_link": "javascript:alert(1)", "mlflow_run_id": NASTY, "unknown": NASTY, "inputs": {NASTY: NASTY},
         "config": {"init": {"file": NASTY}, "fit": {"stages": [{"iterations": 3}, {"iterations": 2}]}},
         "directions": [{"right": {"body": 0.61}}],
+        "warnings": [{"code": "matte_iou", "value": 0.5, "frames": [1], "message": f"the body is off {NASTY}"}],
     }  # fmt: skip
     contents = ResultContents(
         title=NASTY, facts=facts, motion=motion, body=BODY, texture_png=cv2.imencode(".png", texture)[1].tobytes(),
@@ -107,7 +108,7 @@ def assert_readable(shown: Opened) -> None:
 def test_what_it_says(report: Path) -> None:
     said = report.read_text()
     for words in (
-        "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval", "right arm the other way",
+        "Warning: the body is off", "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval", "right arm the other way",
         "61 % for the one shown", "agree to 0.61 only", "3.2 s",
     ):  # fmt: skip
         assert words in said, words
