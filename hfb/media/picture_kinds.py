@@ -1,7 +1,7 @@
 """What a file is that is no picture hfb reads, told by its content: camera raw, HEIC, and others of their kind."""
 
 from collections.abc import Iterator
-from io import BufferedIOBase
+from typing import IO
 
 from PIL import TiffImagePlugin
 
@@ -32,7 +32,7 @@ RAW = (
 Directory = TiffImagePlugin.ImageFileDirectory_v2
 
 
-def foreign_kind(file: BufferedIOBase) -> str | None:
+def foreign_kind(file: IO[bytes]) -> str | None:
     """The rest of a sentence about a file that hfb does not read; None for a picture, or something unknown."""
     file.seek(0)
     head = file.read(32)
@@ -61,7 +61,7 @@ def is_tiff(head: bytes) -> bool:
     return head.startswith(_TIFF_HEADS)
 
 
-def directories(file: BufferedIOBase) -> Iterator[Directory]:
+def directories(file: IO[bytes]) -> Iterator[Directory]:
     """The directories of a TIFF, those below its pictures too; ends early where the file is damaged."""
     file.seek(0)
     head = file.read(16)
@@ -96,12 +96,12 @@ def number(directory: Directory, tag: int, usual: int) -> int:
         return usual
 
 
-def first_directory(file: BufferedIOBase) -> Directory | None:
+def first_directory(file: IO[bytes]) -> Directory | None:
     """Of a TIFF."""
     return next(directories(file), None)
 
 
-def _foreign_tiff(file: BufferedIOBase) -> str | None:
+def _foreign_tiff(file: IO[bytes]) -> str | None:
     found = list(directories(file))
     if not found:
         return None
