@@ -7,7 +7,7 @@ went wrong is the flow run's message; nothing is asked, and nothing is kept in a
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,12 +16,13 @@ from prefect import flow
 from pydantic import Field
 
 from flows import batch as every_clip
-from flows import fit_image, judging, people, train_prior
+from flows import fit_image, judging, people, places, train_prior
 from flows.benchmark import run_benchmark
 from flows.reaper import end_abandoned_flow_runs, mark_owner
 from flows.train_prior import TrainingPlan
 from flows.trouble import told_plainly
 from flows.workplace import check_writable
+from hfb.clip import BACKGROUND_WORDS
 from hfb.config import RunConfig, preset
 from hfb.toml_file import merged, to_record
 from tasks import tracking
@@ -76,7 +77,7 @@ def fit(
         Unavailable: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
-    with _on_a_worker(out):
+    with _on_a_worker(out, config, frames=frames, background=background, clip=clip):
         return fit_image.fit_image.fn(frames, background, out, config, clip)
 
 
@@ -111,7 +112,8 @@ def video(
         Unavailable: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
-    with _on_a_worker(out):
+    plate = None if background in BACKGROUND_WORDS else background
+    with _on_a_worker(out, config, workers, store, source=source, background=plate, clip=clip):
         inputs = take_video_inputs(source, config, clip, background, None, everyone, out)
         return people.run_clip(inputs, out, config, engine_of(workers, store))
 
@@ -146,7 +148,7 @@ def batch(
         InputError: the folder cannot be read or ``out`` not be written, or another process works on it.
     """
     config = options.config()
-    with _on_a_worker(out):
+    with _on_a_worker(out, config, workers, store, folder=folder):
         content = config.model_dump(mode="json")
         return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
 
@@ -194,13 +196,21 @@ def benchmark(
     Raises:
         InputError: something given cannot be used, or not one case is left.
     """
-    with _on_a_worker(out):
+    configs = [one.partition("=")[2] for one in methods if "=" in one]
+    files = {"motions": motions, "videos": videos, "body": body, "methods": configs}
+    with _on_a_worker(out, None, workers, store, **files):
+        if places.is_limited():
+            places.check_programs("chains", chains)
         given = argparse.Namespace(
             set=set, count=count, methods=",".join(methods), start=start, seed=seed, motions=motions, videos=videos,
             average=average, body=body, fill=fill, chains=chains, backgrounds=None, textures=None, size=None,
             easy=False,
         )  # fmt: skip
-        return run_benchmark(judging.plan_of(given, frames), out, engine_of(workers, store))
+        plan = judging.plan_of(given, frames)
+        if places.is_limited():
+            for spec in plan.methods:
+                places.check_config(spec.config, f"methods: {spec.name}")
+        return run_benchmark(plan, out, engine_of(workers, store))
 
 
 @flow(name="train-prior", persist_result=False, on_running=[mark_owner])
@@ -217,17 +227,33 @@ def train(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
     """
-    with _on_a_worker(out.parent):
+    with _on_a_worker(out.parent, out=out, motions=plan.motions):
         return train_prior.train_prior.fn(plan, out)
 
 
 @contextmanager
-def _on_a_worker(out: Path) -> Iterator[None]:
-    """What `flows.running` sets up around a command; a store that does not answer is told before anything is done."""
-    check_writable(out)
+def _on_a_worker(
+    folder: Path,
+    config: RunConfig | None = None,
+    workers: int | str = 1,
+    store: str | None = None,
+    /,
+    **files: Path | str | Sequence[Path | str] | None,
+) -> Iterator[None]:
+    """What `flows.running` sets up around a command, after a look at where the parameters point.
+
+    A store that does not answer is told before anything is done.
+    """
+    if places.is_limited():
+        for name, paths in {"out": folder, **files}.items():
+            places.check_files(name, paths)
+        places.check_addresses(workers, store)
+        if config is not None:
+            places.check_config(config)
+    check_writable(folder)
     check_store(tracking_uri())
     tracking.open_store()
     with suppress(Exception):  # tidying up after killed runs must not stop this one
         end_abandoned_flow_runs()
-    with served(), shown_somewhere(), told_plainly(out):
+    with served(), shown_somewhere(), told_plainly(folder):
         yield

@@ -7,6 +7,9 @@ Done again it changes what is there to what is written here, and adds nothing. W
     HFB_IMAGE, HFB_VOLUMES, HFB_NETWORK          of docker: what a run is started in; HFB_VOLUMES is A:B,C:D
     HFB_NAMESPACE [hfb]                          of kubernetes: where jobs are made
     HFB_DATA [/data]                             where workers see clips and results
+    HFB_ALLOWED                                  of docker and kubernetes: what runs may use besides (flows/places.py)
+    PREFECT_FLOWS_HEARTBEAT_FREQUENCY [30]       seconds between two signs of life of a run; after three it is Crashed
+    HFB_NOTIFY                                   who is told of crashed runs: webhooks, Slack's, mailtos:// and others
     HFB_GPUS [1]                                 GPUs of all workers together: so many runs of the queue `gpu` at once
     MLFLOW_AUTH_ADMIN_PASSWORD                   where it is given: MLFLOW_TRACKING_USERNAME gets an account there
     MLFLOW_S3_ENDPOINT_URL, AWS_...              where they are given: the bucket `mlflow` is made there
@@ -20,35 +23,34 @@ import os
 import subprocess
 import sys
 import time
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import anyio
+from automations import addresses_of, end_dead_runs, tell_of_crashes
 from prefect.client.orchestration import SyncPrefectClient, get_client
 from prefect.client.schemas.actions import WorkPoolCreate
-from prefect.client.schemas.objects import StateType
-from prefect.events.actions import ChangeFlowRunState
-from prefect.events.schemas.automations import AutomationCore, EventTrigger, Posture
-from prefect.events.schemas.events import ResourceSpecification
 from prefect.exceptions import ObjectNotFound
+from prefect.utilities.templating import apply_values
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
 _HERE = Path(__file__).parent
-_BEAT = "prefect.flow-run.heartbeat"
-_ENDS = ("Completed", "Failed", "Cancelled", "Crashed", "Paused", "Suspended")
-_WITHOUT_BEAT_S = 90  # three beats of PREFECT_FLOWS_HEARTBEAT_FREQUENCY=30
+_BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
 _PATIENCE_S = 180
 _BUCKET = "mlflow"
 _PASSED_ON = ("MLFLOW_TRACKING_URI", "MLFLOW_TRACKING_USERNAME", "MLFLOW_TRACKING_PASSWORD_FILE")
-_PASSED_ON += ("PREFECT_FLOWS_HEARTBEAT_FREQUENCY", "HFB_MLFLOW_PAGES")
+_PASSED_ON += (_BEAT, "HFB_DATA", "HFB_ALLOWED", "HFB_MLFLOW_PAGES")
+_TYPES = {"process": "hfb", "docker": "hfb-docker", "kubernetes": "hfb-kubernetes"}  # of flows/worker.py
+_NO_VARIABLES = {"type": "object", "properties": {}, "additionalProperties": False}
 
 
 def main() -> None:
     """Everything, in the order in which one needs the other."""
     os.environ.setdefault("HFB_POOL", "hfb")
+    os.environ.setdefault(_BEAT, "30")
+    told = addresses_of(os.environ.get("HFB_NOTIFY", ""))
     data = Path(os.environ.setdefault("HFB_DATA", "/data"))
     if data.is_dir():  # the watched folder is looked at from now on
         (data / "clips").mkdir(exist_ok=True)
@@ -56,7 +58,8 @@ def main() -> None:
         _wait_for(client)
         _make_pool(client, os.environ["HFB_POOL"], os.environ.get("HFB_POOL_TYPE", "process"))
         _limit_gpus(client, os.environ["HFB_POOL"], int(os.environ.get("HFB_GPUS", "1")))
-        _end_dead_runs(client)
+        end_dead_runs(client, int(os.environ[_BEAT]))
+        tell_of_crashes(client, told)
     prefect = [sys.executable, "-m", "prefect", "--no-prompt"]
     subprocess.run([*prefect, "deploy", "--prefect-file", str(_HERE / "prefect.yaml"), "--all"], check=True)
     if os.environ.get("MLFLOW_S3_ENDPOINT_URL"):
@@ -74,38 +77,49 @@ def _wait_for(client: SyncPrefectClient) -> None:
 
 
 def _make_pool(client: SyncPrefectClient, name: str, kind: str) -> None:
-    template: dict[str, Any] | None = anyio.run(get_default_base_job_template_for_infrastructure_type, kind)
-    if template is None:
-        sys.exit(
-            f"there is no work pool of type {kind} here: process, or docker and kubernetes with hfb[team] installed"
-        )
-    if kind != "process":
-        _set_defaults(template, kind)
-    pool = WorkPoolCreate(name=name, type=kind, base_job_template=template, description="flow runs of hfb")
+    """A pool whose workers start what is written here: nothing of it is filled in by a run or a deployment."""
+    if kind not in _TYPES:
+        sys.exit(f"there is no work pool of type {kind} here: HFB_POOL_TYPE is one of {', '.join(_TYPES)}")
+    job: dict[str, Any] = {"env": {_BEAT: os.environ[_BEAT]}} if kind == "process" else _container(kind)
+    template = {"job_configuration": job, "variables": _NO_VARIABLES}
+    pool = WorkPoolCreate(name=name, type=_TYPES[kind], base_job_template=template, description="flow runs of hfb")
+    try:
+        if client.read_work_pool(name).type != pool.type:  # it cannot be changed
+            client.delete_work_pool(name)
+    except ObjectNotFound:
+        pass
     client.create_work_pool(pool, overwrite=True)
 
 
-def _set_defaults(template: dict[str, Any], kind: str) -> None:
-    """What a container needs: image, settings (secrets come from files in it), and the folder with the clips."""
-    known = template["variables"]["properties"]
+def _container(kind: str) -> dict[str, Any]:
+    """How a container starts: image, settings (secrets come from files in it), and the folder with the clips."""
+    template: dict[str, Any] | None = anyio.run(get_default_base_job_template_for_infrastructure_type, kind)
+    if template is None:
+        sys.exit(f"Prefect knows no work pool of type {kind}: install hfb[team]")
+    job = template["job_configuration"]
     given: dict[str, Any] = {
+        name: field["default"]
+        for name, field in template["variables"]["properties"].items()
+        if field.get("default") is not None
+    }
+    given |= {
         "image": os.environ["HFB_IMAGE"],
         "image_pull_policy": "IfNotPresent",
         "env": {name: os.environ[name] for name in _PASSED_ON if name in os.environ},
+        "command": "python -P -m flows.deployment_run",
     }
     if kind == "docker":
         given["volumes"] = [one for one in os.environ.get("HFB_VOLUMES", "").split(",") if one]
         given["networks"] = [one for one in os.environ.get("HFB_NETWORK", "").split(",") if one]
         given["auto_remove"] = True
     else:
-        pod = template["job_configuration"]["job_manifest"]["spec"]["template"]["spec"]
+        pod = job["job_manifest"]["spec"]["template"]["spec"]
         _mount(pod, "data", "/data", {"persistentVolumeClaim": {"claimName": "data"}})
         read = [{"key": one, "path": one} for one in ("prefect_auth", "mlflow_worker")]
         _mount(pod, "secrets", "/run/secrets", {"secret": {"secretName": "hfb", "items": read}})
         given["namespace"] = os.environ.get("HFB_NAMESPACE", "hfb")
         pod["securityContext"] = {"runAsNonRoot": True, "runAsUser": 1000, "fsGroup": 1000}
-    for name, value in given.items():
-        known[name]["default"] = value
+    return dict(apply_values(job, given, remove_notset=True))
 
 
 def _mount(pod: dict[str, Any], name: str, path: str, source: dict[str, Any]) -> None:
@@ -120,27 +134,6 @@ def _limit_gpus(client: SyncPrefectClient, pool: str, gpus: int) -> None:
     except ObjectNotFound:
         queue = client.create_work_queue("gpu", work_pool_name=pool, description="runs that draw on a GPU")
     client.update_work_queue(queue.id, concurrency_limit=gpus)
-
-
-def _end_dead_runs(client: SyncPrefectClient) -> None:
-    """Crashed for a run that was heard of once and then neither beats nor ends: its worker or its machine is gone."""
-    dead = AutomationCore(
-        name="hfb: end runs that died",
-        description=f"a flow run without a heartbeat for {_WITHOUT_BEAT_S} s is Crashed; started again, it goes on",
-        trigger=EventTrigger(
-            after={_BEAT},
-            expect={_BEAT, *(f"prefect.flow-run.{end}" for end in _ENDS)},
-            match=ResourceSpecification({"prefect.resource.id": ["prefect.flow-run.*"]}),
-            for_each={"prefect.resource.id"},
-            posture=Posture.Proactive,
-            threshold=1,
-            within=timedelta(seconds=_WITHOUT_BEAT_S),
-        ),
-        actions=[ChangeFlowRunState(state=StateType.CRASHED, message="no heartbeat: its worker or machine is gone")],
-    )
-    for old in client.read_automations_by_name(dead.name):
-        client.delete_automation(old.id)
-    client.create_automation(dead)
 
 
 def _make_bucket(store: str) -> None:

@@ -235,7 +235,8 @@ def _proxy(here: Team) -> Iterator[None]:
     """nginx with the template of infra/settings; what is around it comes with the image there."""
     rules = here.here("", (SETTINGS / "proxy.conf.template").read_text(), "proxy")
     rules = rules.replace("${HFB_HOST}", here.addresses["proxy"])
-    rules = re.sub(r"listen (\d+)", rf"listen {here.addresses['proxy']}:\1", rules)
+    rules = re.sub(r"listen (\d+) ssl", rf"listen {here.addresses['proxy']}:\1 ssl", rules)
+    rules = rules.replace("127.0.0.1:5001", f"{here.addresses['proxy']}:5001")
     folder = here.folder / "nginx"
     folder.mkdir()
     (folder / "rules.conf").write_text(rules)

@@ -5,23 +5,21 @@ Without credentials nothing answers but the login; with them a flow of infra/pre
 
 import asyncio
 import json
+import re
 import shutil
 import subprocess
 import sys
-import time
-import uuid
 from base64 import b64encode
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+import yaml
 
-from tests.infra.team import ROOT, Team, free_of, missing, pg_environment, psql, stop, team
+from tests.infra.asking import api, ended, filled, prefect_routes, started
+from tests.infra.team import ROOT, Team, free_of, missing, pg_environment, psql, stop
 from tests.orchestration import Problem
 
 pytestmark = pytest.mark.skipif(missing() is not None, reason=missing() or "")
@@ -35,38 +33,13 @@ _NOT_ALLOWED = 1008  # RFC 6455: policy violation
 _METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 
 
-@pytest.fixture(scope="module")
-def here() -> Iterator[Team]:
-    with team() as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def anybody(here: Team) -> Iterator[httpx.Client]:
-    """Somebody who knows the address and nothing else."""
-    with httpx.Client(verify=here.tls(), timeout=60) as client:
-        yield client
-
-
-def _prefect_routes(here: Team) -> list[tuple[str, str]]:
-    """Every method and path that the server itself knows, with made-up names in them."""
-    inside = f"http://{here.addresses['prefect']}:4200"
-    login = httpx.BasicAuth(*here.secret("prefect_auth").split(":"))
-    paths = httpx.get(f"{inside}/api/openapi.json", auth=login, timeout=60).json()["paths"]
-    return [(method.upper(), "/api" + _filled(path)) for path, methods in paths.items() for method in methods]
-
-
-def _filled(path: str) -> str:
-    return "/".join(str(uuid.UUID(int=7)) if "{" in part or "<" in part else part for part in path.split("/"))
-
-
 def _mlflow_routes() -> list[tuple[str, str]]:
     """Every method and path of MLflow's two applications, those of accounts among them."""
     told = subprocess.run(
         [sys.executable, "-c", _TELL_ROUTES], capture_output=True, text=True, check=True,
         env={"PATH": "", "MLFLOW_DISABLE_TELEMETRY": "true"},
     )  # fmt: skip
-    return [(method, _filled(path)) for method, path in json.loads(told.stdout.splitlines()[-1])]
+    return [(method, filled(path)) for method, path in json.loads(told.stdout.splitlines()[-1])]
 
 
 _TELL_ROUTES = """
@@ -91,7 +64,7 @@ def _codes(anybody: httpx.Client, base: str, routes: list[tuple[str, str]]) -> d
 
 
 def test_without_credentials_prefect_only_says_that_it_is_there(here: Team, anybody: httpx.Client) -> None:
-    routes = _prefect_routes(here)
+    routes = prefect_routes(here)
     assert len(routes) > 150
     codes = _codes(anybody, here.url("prefect"), routes)
     # 403: what changes something asks for the page's own token before it asks who somebody is.
@@ -105,9 +78,19 @@ def test_without_credentials_prefect_only_says_that_it_is_there(here: Team, anyb
     assert "<script" in page.text
 
 
-@pytest.mark.parametrize(
-    "path", ["/api/events/in", "/api/events/out", "/api/logs/out", "/api/task_runs/subscriptions/scheduled"]
-)
+@pytest.mark.parametrize("path", ["/api/task_runs/subscriptions/scheduled", "/api/work_pools/hfb/workers/connect"])
+def test_sockets_of_workers_are_for_the_administrators_key(here: Team, deployed: dict[str, str], path: str) -> None:
+    """A socket's login is in its first message, which the proxy does not see: a member's would do."""
+    url = here.url("prefect").replace("https", "wss") + path
+    said = {"type": "auth", "token": here.secret("prefect_auth")}
+    for spelled in (path, path.replace("/api/", "/api//"), path.replace("_", "%5f")):
+        assert asyncio.run(_refusal(here, url.replace(path, spelled), ["prefect"], said)) == 403
+    key = {"Hfb-Administrator": b64encode(here.secret("prefect_admin").encode()).decode()}
+    with pytest.raises(AssertionError, match="auth_success"):
+        asyncio.run(_refusal(here, url, ["prefect"], said, key))
+
+
+@pytest.mark.parametrize("path", ["/api/events/in", "/api/events/out", "/api/logs/out"])
 def test_without_credentials_no_socket_says_a_word(here: Team, path: str) -> None:
     url = here.url("prefect").replace("https", "wss") + path
     assert asyncio.run(_refusal(here, url, None, None)) == 403
@@ -115,13 +98,21 @@ def test_without_credentials_no_socket_says_a_word(here: Team, path: str) -> Non
     assert asyncio.run(_refusal(here, url, ["prefect"], {"type": "auth", "token": "guess"})) == _NOT_ALLOWED
 
 
-async def _refusal(here: Team, url: str, protocols: list[str] | None, said: dict[str, str] | None) -> int:
+async def _refusal(
+    here: Team,
+    url: str,
+    protocols: list[str] | None,
+    said: dict[str, str] | None,
+    headers: dict[str, str] | None = None,
+) -> int:
     """The code with which a socket refuses. Not by threads: under Python 3.11 they now and then hang in TLS."""
     from websockets.asyncio.client import connect
     from websockets.exceptions import ConnectionClosed, InvalidStatus
 
     try:
-        async with connect(url, ssl=here.tls(), subprotocols=protocols, open_timeout=60) as socket:
+        async with connect(
+            url, ssl=here.tls(), subprotocols=protocols, additional_headers=headers, open_timeout=60
+        ) as socket:
             await socket.send(json.dumps(said or {"type": "subscribe", "keys": ["x"], "filter": {}}))
             raise AssertionError(f"it answered {await asyncio.wait_for(socket.recv(), 60)!r}")
     except InvalidStatus as error:
@@ -153,72 +144,28 @@ def test_only_under_its_own_name_and_only_encrypted(here: Team, anybody: httpx.C
     assert free_of(here.addresses["proxy"], 8333)
 
 
-@pytest.fixture(scope="module")
-def deployed(here: Team) -> dict[str, str]:
-    """What infra/deploy.py puts on the server; the settings of a worker."""
-    data = here.folder / "data"
-    data.mkdir()
-    settings = here.settings("worker.env", "store.env") | {
-        "HFB_DATA": str(data), "HFB_MLFLOW_PAGES": here.url("mlflow"),
-        "MLFLOW_AUTH_ADMIN_PASSWORD_FILE": str(here.folder / "secrets" / "mlflow_admin"),
-    }  # fmt: skip
-    process = here.run([sys.executable, str(ROOT / "infra" / "deploy.py")], settings, "setup")
-    assert process.wait(240) == 0, here.log("setup")
-    return settings
-
-
-@contextmanager
-def _api(here: Team) -> Iterator[httpx.Client]:
-    """Somebody with the login, from outside."""
-    login = httpx.BasicAuth(*here.secret("prefect_auth").split(":"))
-    with httpx.Client(base_url=f"{here.url('prefect')}/api", auth=login, verify=here.tls(), timeout=60) as client:
-        token = client.get("/csrf-token", params={"client": "test"}).json()["token"]
-        client.headers.update({"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": "test"})
-        yield client
-
-
-def _started(api: httpx.Client, name: str, parameters: dict[str, Any]) -> str:
-    deployment = api.get(f"/deployments/name/{name}").json()["id"]
-    made = api.post(
-        f"/deployments/{deployment}/create_flow_run", json={"parameters": parameters, "state": {"type": "SCHEDULED"}}
-    )
-    assert made.status_code == 201, made.text
-    return made.json()["id"]
-
-
-def _ended(api: httpx.Client, run: str, patience_s: float) -> dict[str, Any]:
-    until = time.monotonic() + patience_s
-    while (state := api.get(f"/flow_runs/{run}").json()["state"])["type"] not in (
-        "COMPLETED",
-        "FAILED",
-        "CRASHED",
-        "CANCELLED",
-    ):
-        assert time.monotonic() < until, state
-        time.sleep(0.5)
-    return state
-
-
 def test_with_credentials_a_flow_runs_end_to_end(here: Team, deployed: dict[str, str], problem: Problem) -> None:
     out = here.folder / "data" / "result"
     command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "hfb", "--work-queue", "default"]
     worker = here.run(command, deployed, "worker")
     try:
-        with _api(here) as api:
-            refused = api.post(
-                f"/deployments/{api.get('/deployments/name/fit/fit').json()['id']}/create_flow_run",
+        with api(here) as client:
+            refused = client.post(
+                f"/deployments/{client.get('/deployments/name/fit/fit').json()['id']}/create_flow_run",
                 json={"parameters": {"frames": 3}},
             )
             assert refused.status_code == 409
-            given = {"frames": [str(problem.frame)], "background": str(problem.background), "out": str(out)}
-            run = _started(api, "fit/fit", given | {"options": _TINY})
-            state = _ended(api, run, 240)
+            frame, plate = (shutil.copy(one, here.folder / "data") for one in (problem.frame, problem.background))
+            given = {"frames": [str(frame)], "background": str(plate), "out": str(out)}
+            run = started(client, "fit/fit", given | {"options": _TINY})
+            state = ended(client, run, 240)
             assert state["type"] == "COMPLETED", (state, here.log("worker"))
-            looks = api.post("/flow_runs/filter", json={"deployments": {"name": {"any_": ["watched-folder"]}}}).json()
+            watched = {"deployments": {"name": {"any_": ["watched-folder"]}}}
+            looks = client.post("/flow_runs/filter", json=watched).json()
             assert len(looks) > 1  # the schedule made them
-            automations = [one["name"] for one in api.post("/automations/filter", json={}).json()]
+            automations = [one["name"] for one in client.post("/automations/filter", json={}).json()]
             assert automations == ["hfb: end runs that died"]
-            queue = api.get("/work_pools/hfb/queues/gpu").json()
+            queue = client.get("/work_pools/hfb/queues/gpu").json()
             assert queue["concurrency_limit"] == 1
     finally:
         stop(worker)
@@ -283,6 +230,39 @@ def test_a_backup_brings_everything_back(here: Team, deployed: dict[str, str], t
     assert done.returncode == 0, done.stderr
     assert counted() == before
     assert (here.folder / "files" / "one").read_text() == "kept"
+
+
+def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict[str, str], tmp_path: Path) -> None:
+    """Its own command line, with this machine's folders in place of its mounts."""
+    (job,) = [
+        one for one in yaml.safe_load_all((ROOT / "infra" / "kubernetes" / "backup.yaml").read_text())
+        if one["kind"] == "CronJob"
+    ]  # fmt: skip
+    (container,) = job["spec"]["jobTemplate"]["spec"]["template"]["spec"]["containers"]
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store" / "one").write_text("kept")
+    old = [tmp_path / "backups" / f"20{number:02d}-01-01T023000" for number in range(15)]
+    for folder in (*old, tmp_path / "backups" / "2020-01-01T023000.part"):
+        folder.mkdir(parents=True)
+    places = {
+        "/etc/hfb/": f"{ROOT}/infra/settings/", "/etc/backup/": f"{ROOT}/infra/compose/",
+        "/backups": f"{tmp_path}/backups",
+        "/run/secrets": f"{here.folder}/secrets", "/store": f"{tmp_path}/store",
+    }  # fmt: skip
+
+    def here_of(text: str) -> str:
+        return re.sub("|".join(places), lambda found: places[found[0]], text)
+
+    environment = pg_environment(here) | {one["name"]: here_of(one["value"]) for one in container["env"]}
+    environment |= {"PGHOST": here.addresses["postgres"], "HFB_SECRETS": f"{here.folder}/secrets"}
+    del environment["PGPASSWORD"]  # it comes from its file
+    command = [here_of(word) for word in (*container["command"], *container["args"])]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    *kept, made = sorted((tmp_path / "backups").iterdir())
+    assert [one.name for one in kept] == [one.name for one in old[2:]]  # fourteen with the new one
+    assert {one.name for one in made.iterdir()} == {"prefect.dump", "mlflow.dump", "mlflow_auth.dump", "store.tar"}
+    assert all(one.stat().st_size for one in made.iterdir())
 
 
 def test_the_key_of_the_proxy_is_no_secret_of_the_world(here: Team) -> None:
