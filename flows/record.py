@@ -37,6 +37,7 @@ def record_folder(folder: Path) -> dict[str, Any]:
     told = [
         {**one, "mlflow_run_id": ids.get(Path(str(one.get("out"))).name, one.get("mlflow_run_id"))}
         for one in facts["people"]
+        if isinstance(one, dict)
     ]
     with workplace(folder):
         _rewrite(folder, facts | {"people": told})
@@ -64,10 +65,10 @@ def _recorded(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
 
 def _name_run(folder: Path, facts: dict[str, Any], run: RunHandle) -> None:
     """Let the result name its run; what it was recorded from is gone then."""
-    files = [name for name in facts.get("files", ()) if name != RECORD]
+    files = [name for name in facts.get("files") or () if name != RECORD]
     _rewrite(folder, facts | {"mlflow_run_id": run.run_id, "mlflow_link": run.link, "files": files})
     (folder / RECORD).unlink()
 
 
 def _rewrite(folder: Path, facts: dict[str, Any]) -> None:
-    write_bytes_atomic(folder / RESULT, json.dumps(facts, indent=2, allow_nan=False).encode() + b"\n")
+    write_bytes_atomic(folder / RESULT, json.dumps(facts, indent=2).encode() + b"\n")

@@ -19,7 +19,7 @@ from urllib.request import Request, urlopen
 import platformdirs
 
 from flows.prefect_database import PrefectDatabase
-from hfb.errors import InputError
+from hfb.errors import InputError, Unavailable
 from tasks import progress
 from tasks.addresses import check_address, no_answer
 from tasks.secrets import SecretFormatter, without_login, without_secrets
@@ -30,6 +30,7 @@ _EXAMPLE = "http://127.0.0.1:4200/api"
 _HEALTH_TIMEOUT_S = 3
 _READ_TIMEOUT_S = 60  # a new server is busy with its own start
 _SERVER_ERROR = 500
+_FULL = re.compile(r"disk is full|No space left|File too large")
 _LOG_BYTES = 2_000_000
 
 
@@ -135,7 +136,8 @@ class PrefectServer:
                 self._start(self._database)
                 reason = self._trouble()
             if reason:
-                raise RuntimeError(f"the temporary Prefect server {reason}; its own log is {self._log}")
+                full = ": the disk is full, free some space or set XDG_STATE_HOME" if _FULL.search(self._said()) else ""
+                raise Unavailable(f"the temporary Prefect server {reason}{full}; its own log is {self._log}")
         finally:
             self._database.let_go()
 
@@ -160,10 +162,12 @@ class PrefectServer:
 
     def _is_about_database(self) -> bool:
         """Whether the server's log blames its database, and neither a full disk nor another process."""
-        said = self._log.read_text(errors="replace")
-        return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not re.search(
-            r"disk is full|No space left|database is locked", said
-        )
+        said = self._said()
+        full_or_busy = _FULL.search(said) or "database is locked" in said
+        return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not full_or_busy
+
+    def _said(self) -> str:
+        return self._log.read_text(errors="replace")
 
 
 def _start_server(api: str, database: str, settings: dict[str, str], log_path: Path) -> subprocess.Popen[bytes]:

@@ -1,7 +1,8 @@
-"""Tracking stores that do not work: servers that hang, and databases of other versions of MLflow. Real ones."""
+"""Tracking stores that do not work, real ones; and what is recorded later, when they do."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
@@ -9,7 +10,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from tasks import tracking
 from tests.faults.servers import Postgres
 
 _HEALTHY = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\nOK"
@@ -78,3 +83,45 @@ def older_store(path: Path) -> str:
         command.upgrade(config, revisions[3])
     engine.dispose()
     return revisions[3]
+
+
+def statuses(uri: str) -> list[tuple[str, str]]:
+    """(id, status) of the runs that a store has."""
+    client = tracking.client_of(uri)
+    experiment = client.get_experiment_by_name("hfb")
+    return [(run.info.run_id, run.info.status) for run in client.search_runs([experiment.experiment_id])]
+
+
+def artifacts_of(store: Path, run_id: str) -> set[str]:
+    folder = store.parent / "mlflow-artifacts" / run_id / "artifacts"
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From here on there is no store."""
+    (folder / "file").touch()
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder}/file/mlflow.db")
+
+
+def assert_recorded_later(out: Path, uri: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """`hfb record` makes the run, names it in the result, and does nothing the second time."""
+    from flows.cli import main
+
+    there = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    capsys.readouterr()
+    assert main(["record", str(out), "--json"]) == 0
+    (first,) = json.loads(capsys.readouterr().out)["runs"]
+    assert first["new"]
+    assert (first["mlflow_run_id"], "FINISHED") in statuses(uri)
+    result = json.loads((out / "result.json").read_text())
+    assert result["mlflow_run_id"] == first["mlflow_run_id"]
+    assert result["mlflow_link"] == first["mlflow_link"]
+    assert "record.json" not in result["files"]
+    assert {path.name for path in out.iterdir() if path.is_file()} == there.keys() - {"record.json"}
+    unchanged = there.keys() - {"record.json", "result.json"}
+    assert {name: (out / name).read_bytes() for name in unchanged} == {name: there[name] for name in unchanged}
+
+    assert main(["record", str(out), "--json"]) == 0
+    (second,) = json.loads(capsys.readouterr().out)["runs"]
+    assert (second["mlflow_run_id"], second["new"]) == (first["mlflow_run_id"], False)
+    return first

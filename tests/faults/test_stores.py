@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,10 +16,17 @@ from hfb.errors import InputError, NotNow
 from tasks import tracking
 from tests.cli.conftest import _own_logging  # noqa: F401  (commands run in this process)
 from tests.faults.servers import Postgres, free_port, postgres
-from tests.faults.stores import hanging_server, older_store, standing_still
+from tests.faults.stores import (
+    artifacts_of,
+    assert_recorded_later,
+    hanging_server,
+    lost,
+    older_store,
+    standing_still,
+    statuses,
+)
 from tests.flows.test_fit_image import run
 from tests.orchestration import TINY_OPTIONS, Problem, mlflow_rows
-from tests.small_clips import begun, run_clip, small_clip
 
 AT_MOST_S = 30
 
@@ -100,13 +106,6 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
         yield running
 
 
-def statuses(uri: str) -> list[tuple[str, str]]:
-    """(id, status) of the runs that a store has."""
-    client = tracking.client_of(uri)
-    experiment = client.get_experiment_by_name("hfb")
-    return [(run.info.run_id, run.info.status) for run in client.search_runs([experiment.experiment_id])]
-
-
 def test_postgresql_stands_still_and_comes_back(
     cluster: Postgres,
     problem: Problem,
@@ -157,34 +156,6 @@ def test_postgresql_crashes_and_comes_back(cluster: Postgres, monkeypatch: pytes
     tracking.end_run(again, "FINISHED")
 
 
-def assert_recorded_later(out: Path, uri: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """`hfb record` makes the run, names it in the result, and does nothing the second time."""
-    there = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    capsys.readouterr()
-    assert main(["record", str(out), "--json"]) == 0
-    (first,) = json.loads(capsys.readouterr().out)["runs"]
-    assert first["new"]
-    assert (first["mlflow_run_id"], "FINISHED") in statuses(uri)
-    result = json.loads((out / "result.json").read_text())
-    assert result["mlflow_run_id"] == first["mlflow_run_id"]
-    assert result["mlflow_link"] == first["mlflow_link"]
-    assert "record.json" not in result["files"]
-    assert {path.name for path in out.iterdir() if path.is_file()} == there.keys() - {"record.json"}
-    unchanged = there.keys() - {"record.json", "result.json"}
-    assert {name: (out / name).read_bytes() for name in unchanged} == {name: there[name] for name in unchanged}
-
-    assert main(["record", str(out), "--json"]) == 0
-    (second,) = json.loads(capsys.readouterr().out)["runs"]
-    assert (second["mlflow_run_id"], second["new"]) == (first["mlflow_run_id"], False)
-    return first
-
-
-def lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From here on there is no store."""
-    (folder / "file").touch()
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{folder}/file/mlflow.db")
-
-
 def test_a_fit_is_recorded_later_as_it_would_have_been(
     problem: Problem,
     store: Path,
@@ -210,28 +181,6 @@ def test_a_fit_is_recorded_later_as_it_would_have_been(
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{there}")
     assert main(["record", str(tmp_path / "out")]) == 2, "its run is in another store"
     assert "there is no run" in capsys.readouterr().err
-
-
-def artifacts_of(store: Path, run_id: str) -> set[str]:
-    folder = store.parent / "mlflow-artifacts" / run_id / "artifacts"
-    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-
-
-def test_a_clip_is_recorded_later(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = begun(tmp_path / "out")
-    lost(tmp_path, monkeypatch)
-    result = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
-    assert result["mlflow_run_id"] is None
-    assert result["resumed_frames"] == 12
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
-    found = assert_recorded_later(out, f"sqlite:///{store}", capsys)
-    again = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
-    assert again["mlflow_run_id"] == found["mlflow_run_id"]
-    steps = mlflow_rows(store, "select step, count(*) from metrics where key = 'frame/seen' group by step")
-    assert steps == [(step, 1) for step in range(12)]
-    assert {"motion.npz", "edges.json", "recipe.json"} <= artifacts_of(store, found["mlflow_run_id"])
 
 
 def test_a_result_that_is_not_as_it_was(

@@ -13,6 +13,8 @@ from hfb.body.height import height_m
 from hfb.errors import InputError
 from hfb.export.motion_file import load_motion
 from hfb.media.pictures import read_picture_srgb
+from tests.cli.conftest import _own_logging  # noqa: F401  (a command runs in this process)
+from tests.faults.stores import artifacts_of, assert_recorded_later, lost
 from tests.orchestration import mlflow_rows
 from tests.small_clips import (
     FRAMES,
@@ -91,6 +93,23 @@ def test_a_second_start_does_nothing_again(store: Path, tmp_path: Path) -> None:
         n: s for n, s in before.items() if n.endswith(("png", "npz"))
     }
     assert_every_frame_once(store)  # the record was not there: it is made whole
+
+
+def test_a_clip_is_recorded_later(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = begun(tmp_path / "out")
+    lost(tmp_path, monkeypatch)
+    result = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
+    assert result["mlflow_run_id"] is None
+    assert result["resumed_frames"] == 12
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{store}")
+    found = assert_recorded_later(out, f"sqlite:///{store}", capsys)
+    again = run_clip(small_clip().truth.parent, out, truth=small_clip().truth)
+    assert again["mlflow_run_id"] == found["mlflow_run_id"]
+    steps = mlflow_rows(store, "select step, count(*) from metrics where key = 'frame/seen' group by step")
+    assert steps == [(step, 1) for step in range(12)]
+    assert {"motion.npz", "edges.json", "recipe.json"} <= artifacts_of(store, found["mlflow_run_id"])
 
 
 def test_a_changed_option_redoes_what_depends_on_it(store: Path, tmp_path: Path) -> None:
