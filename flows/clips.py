@@ -13,6 +13,7 @@ from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
 from hfb.errors import InputError
 from tasks.engine import engine_of
+from tasks.notifications import FORMS, VARIABLE, addresses_of, notifying
 
 VIDEO_KEYS = (
     "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
@@ -46,6 +47,10 @@ def add_batch_flags(parser: argparse.ArgumentParser) -> None:
     add("--wait", type=positive, default=60, metavar="S", help="before a second attempt, doubled for each further [60]")
     add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
     add("--again", action="store_true", help="take clips that were set aside once more")
+    add(
+        "--notify", action="append", default=[], metavar="URL",
+        help=f"tell of clips that fail: {FORMS}; several times for several; also from the variable {VARIABLE}",
+    )  # fmt: skip
     _add_shared_flags(parser)
 
 
@@ -83,6 +88,7 @@ def batch(given: argparse.Namespace) -> int:
     engine_of(given.workers, given.store)  # what is wrong with it is said at once
     out = given.out or Path("runs") / given.folder.resolve().name
     find_clips(given.folder, out)  # a folder that is none is said at once
+    addresses = addresses_of(given.notify)
 
     def load() -> Chain:
         from flows.batch import batch as every_clip
@@ -91,7 +97,8 @@ def batch(given: argparse.Namespace) -> int:
         pace = (given.attempts, given.wait, given.watch, given.again, given.store)
         return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
 
-    result = through_prefect(given, out, load)
+    with notifying(addresses):
+        result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))
     return int(result["done"] < result["clips"])
 
