@@ -20,7 +20,7 @@ from hfb.export.names import RESULT
 from hfb.media.names import shown_name
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking
-from tasks.batch_ledger import Entry, Ledger, set_aside, stamp_of
+from tasks.batch_ledger import Entry, Ledger, pause_s, set_aside, stamp_of
 from tasks.batch_summary import PAGE, BatchSummary
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
@@ -151,7 +151,7 @@ class _Rounds:
 
     def _pause(self, entry: Entry) -> float:
         """Seconds between a failure and the next attempt."""
-        return self._wait_s * 2 ** (entry.attempts - 1)
+        return pause_s(self._wait_s, entry.attempts)
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
         """One clip; None where it is done."""
