@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from io import BufferedIOBase
+from typing import IO, cast
 
 from PIL import TiffImagePlugin
 
@@ -79,7 +80,7 @@ def directories(file: BufferedIOBase) -> Iterator[Directory]:
         directory = Directory(head)
         try:
             file.seek(at)
-            directory.load(file)
+            directory.load(cast(IO[bytes], file))
             below = directory.get(_SUB_DIRECTORIES, ())
         except Exception:  # Pillow raises nearly anything on a damaged directory
             return
