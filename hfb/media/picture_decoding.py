@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from hfb.errors import InputError
+from hfb.media.picture_access import FORMATS, PIXEL_LIMIT, damaged, no_picture, read_bytes, too_large
 from hfb.media.picture_colours import (
     Colours,
     UnreadableProfile,
@@ -25,13 +26,6 @@ from hfb.media.tiff_layouts import is_unusual, read_unusual, without_orientation
 from hfb.photometry import Transfer
 from hfb.shapes import Array, Float, Shaped
 
-PIXEL_LIMIT = 40_000_000
-"""Of a picture, or a frame of a video (8K has 33): as float32 RGB 0.5 GB, with a decoder's copies of 16 bits 1.5 GB."""
-
-FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
-KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"
-
-_BYTE_LIMIT = 512 << 20
 _ORIENTATION, _BITS, _PROFILE, _LARGEST_VALUE, _WIDTH, _HEIGHT = 274, 258, 34675, 281, 256, 257
 _SUBFILE, _NO_PAGE = 254, 5  # a thumbnail, or a mask
 _INTEROPERABILITY, _ADOBE_INDEX = 0xA005, "R03"
@@ -78,7 +72,7 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
     Raises:
         InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
     """
-    data = _read_bytes(path)
+    data = read_bytes(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -87,7 +81,7 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
     except InputError:
         raise
     except Exception as error:  # what metadata and colour tables of a damaged file lead to is not foreseeable
-        raise _damaged(path, error) from None
+        raise damaged(path, error) from None
 
 
 def picture_size(path: Path) -> tuple[int, int, int]:
@@ -105,6 +99,8 @@ def picture_size(path: Path) -> tuple[int, int, int]:
             directory = first_directory(file) if is_tiff(head) else None
             if directory is not None:
                 width, height = number(directory, _WIDTH, 0), number(directory, _HEIGHT, 0)
+                if min(width, height) < 1:
+                    raise no_picture(path)
                 turned, deep = number(directory, _ORIENTATION, 1) >= 5, number(directory, _BITS, 8) > 8
             else:
                 file.seek(0)
@@ -142,16 +138,6 @@ def doubt_depths(seen: Sequence[tuple[Path, int | None]], transfer: Transfer) ->
     return (told,)
 
 
-def no_picture(path: Path) -> InputError:
-    """What to say of a file that no decoder takes: what it is, where that can be told."""
-    try:
-        with path.open("rb") as file:
-            kind = foreign_kind(file)
-    except OSError:
-        kind = None
-    return InputError(f"{path}: {kind}." if kind else f"{path}: is not a picture; give {KINDS}.")
-
-
 def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
     directory = None
     if is_tiff(data):
@@ -160,7 +146,7 @@ def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
         directory = first_directory(io.BytesIO(data))
     if directory is not None and is_unusual(directory):
         if number(directory, _WIDTH, 0) * number(directory, _HEIGHT, 0) > PIXEL_LIMIT:
-            raise _too_large(path, "it")
+            raise too_large(path, "it")
         levels, full = read_unusual(path, data, directory)
         return _deep(path, _turned(levels, number(directory, _ORIENTATION, 1)), full, data, directory)
     image = _open(path, data)
@@ -282,40 +268,14 @@ def _decode_deep(path: Path, data: bytes) -> Shaped[Array, "H W 3"]:
     return pixels[..., ::-1]
 
 
-def _read_bytes(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > _BYTE_LIMIT:
-            raise InputError(f"{path}: {size >> 20} MiB is too large for a picture; give {KINDS}.")
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path.") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; give the picture's file.") from None
-    except PermissionError:
-        raise InputError(f"{path}: may not be read; check its permissions.") from None
-    if not data:
-        raise InputError(f"{path}: the file is empty; export or copy the picture again.")
-    return data
-
-
 def _open(path: Path, data: bytes) -> Image.Image:
     """Pillow's: unlike OpenCV it refuses a truncated file instead of filling it with gray."""
     try:
         image = Image.open(io.BytesIO(data), formats=FORMATS)
         if image.width * image.height > PIXEL_LIMIT:  # stricter than Pillow's own limit
-            raise _too_large(path, f"{image.width} x {image.height} pixels")
+            raise too_large(path, f"{image.width} x {image.height} pixels")
     except UnidentifiedImageError:
         raise no_picture(path) from None
     except Image.DecompressionBombError:
-        raise _too_large(path, "it") from None
+        raise too_large(path, "it") from None
     return image
-
-
-def _damaged(path: Path, error: Exception) -> InputError:
-    reason = " ".join(str(error).split())[:120] or type(error).__name__
-    return InputError(f"{path}: the picture is truncated or damaged ({reason}); export or copy it again.")
-
-
-def _too_large(path: Path, what: str) -> InputError:
-    return InputError(f"{path}: {what} is over the limit of {PIXEL_LIMIT // 1_000_000} megapixels; make it smaller.")

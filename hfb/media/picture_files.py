@@ -5,7 +5,8 @@ from pathlib import Path
 
 from hfb.errors import InputError
 from hfb.media.footage_names import is_plate, others_in, pictures_in
-from hfb.media.picture_decoding import PIXEL_LIMIT, decode_picture, doubt_depths, no_picture, picture_size
+from hfb.media.picture_access import PIXEL_LIMIT, no_picture
+from hfb.media.picture_decoding import decode_picture, doubt_depths, picture_size
 from hfb.photometry import Transfer
 
 

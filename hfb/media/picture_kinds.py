@@ -1,7 +1,8 @@
 """What a file is that is no picture hfb reads, told by its content: camera raw, HEIC, and others of their kind."""
 
 from collections.abc import Iterator
-from typing import IO
+from io import BufferedIOBase
+from typing import IO, cast
 
 from PIL import TiffImagePlugin
 
@@ -32,7 +33,7 @@ RAW = (
 Directory = TiffImagePlugin.ImageFileDirectory_v2
 
 
-def foreign_kind(file: IO[bytes]) -> str | None:
+def foreign_kind(file: BufferedIOBase) -> str | None:
     """The rest of a sentence about a file that hfb does not read; None for a picture, or something unknown."""
     file.seek(0)
     head = file.read(32)
@@ -61,7 +62,7 @@ def is_tiff(head: bytes) -> bool:
     return head.startswith(_TIFF_HEADS)
 
 
-def directories(file: IO[bytes]) -> Iterator[Directory]:
+def directories(file: BufferedIOBase) -> Iterator[Directory]:
     """The directories of a TIFF, those below its pictures too; ends early where the file is damaged."""
     file.seek(0)
     head = file.read(16)
@@ -79,7 +80,7 @@ def directories(file: IO[bytes]) -> Iterator[Directory]:
         directory = Directory(head)
         try:
             file.seek(at)
-            directory.load(file)
+            directory.load(cast(IO[bytes], file))
             below = directory.get(_SUB_DIRECTORIES, ())
         except Exception:  # Pillow raises nearly anything on a damaged directory
             return
@@ -96,12 +97,12 @@ def number(directory: Directory, tag: int, usual: int) -> int:
         return usual
 
 
-def first_directory(file: IO[bytes]) -> Directory | None:
+def first_directory(file: BufferedIOBase) -> Directory | None:
     """Of a TIFF."""
     return next(directories(file), None)
 
 
-def _foreign_tiff(file: IO[bytes]) -> str | None:
+def _foreign_tiff(file: BufferedIOBase) -> str | None:
     found = list(directories(file))
     if not found:
         return None

@@ -9,7 +9,8 @@ from PIL import Image
 
 from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
-from hfb.media.picture_decoding import FORMATS, PIXEL_LIMIT, decode_picture, picture_size
+from hfb.media.picture_access import FORMATS, PIXEL_LIMIT
+from hfb.media.picture_decoding import decode_picture, picture_size
 from hfb.photometry import Transfer
 from hfb.shapes import Array, Float
 

@@ -10,7 +10,7 @@ import av
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.media.video_colours import stated_colours
+from hfb.media.video_colours import refuse_hdr, stated_colours
 from hfb.media.video_file import open_video, video_stream
 from hfb.media.video_pixels import pixel_aspect, upright, zero_to_one
 from hfb.photometry import srgb_to_linear
@@ -88,6 +88,8 @@ def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Ar
             aspect, stated = pixel_aspect(stream), stated_colours(stream)
             for index, frame in enumerate(container.decode(stream)):
                 decoded = index + 1
+                if index == 0:
+                    refuse_hdr(frame, stated, str(path))
                 if stop is not None and index >= stop:
                     return
                 if index >= start:

@@ -7,7 +7,7 @@ from av.stream import Disposition
 
 from hfb.errors import InputError
 from hfb.media.capture_rate import is_time_mapped
-from hfb.media.picture_decoding import PIXEL_LIMIT
+from hfb.media.picture_access import PIXEL_LIMIT
 from hfb.media.picture_kinds import foreign_kind
 
 FRAME_LIMIT = 1_000_000

@@ -49,10 +49,10 @@ def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Ar
     The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
     picture on its sides counts.
     """
-    told = frame.side_data.get(Type.DISPLAYMATRIX)
-    if told is None or told.buffer_size < 36:
+    if Type.DISPLAYMATRIX not in frame.side_data:
         return pixels
-    a, b, _, c, d, *_ = struct.unpack("=9i", bytes(told)[:36])
+    told = bytes(frame.side_data[Type.DISPLAYMATRIX])
+    a, b, _, c, d, *_ = struct.unpack("=9i", told[:36])
     if a * d == b * c:
         return pixels
     if a * a + d * d < b * b + c * c:  # columns become rows

@@ -26,6 +26,8 @@ from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 from tests.datasets.real.videos import calibration_toml, cameras_json, write_trc
 from tests.fuzz.results import write_result
 from tests.initialize.readers import files
+from tests.media.test_picture_colours import P3, SRGB_CURVE, profile, save
+from tests.media.test_picture_depths import packed_tiff
 from tests.media.videos import picture, write_video
 from tests.priors.test_gmm import make_mixture
 from tests.priors.test_vposer import make_vposer
@@ -142,6 +144,8 @@ def _pictures(folder: Path) -> Iterator[tuple[str, Path]]:
         yield "picture", folder / name
     Image.fromarray(levels).convert("P").save(folder / "palette.png")
     yield "picture", folder / "palette.png"
+    yield "picture", packed_tiff(folder / "packed.tiff", noise / 255, 12)
+    yield "picture", save(folder / "profile.png", noise, profile(P3, SRGB_CURVE))
     strip = np.dstack([np.concatenate([noise] * 8, 1), np.full((24, 256), 255, np.uint8)])
     cv2.imwrite(str(folder / "sharp_0.png"), strip)
     yield "sharp", folder / "sharp_0.png"
