@@ -77,8 +77,17 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             looks = tuple(
                 Look(matte=one, frame=None if first is None else first + number) for number, one in enumerate(mattes)
             )
+            pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()
             given = read_result(
-                inputs.init_files, scene.height, scene.width, config.init.person, looks, inputs.body, folder
+                inputs.init_files,
+                scene.height,
+                scene.width,
+                config.init.person,
+                looks,
+                inputs.body,
+                pictures,
+                0,
+                folder,
             )
             if whom := given.remark():
                 progress.say(f"hfb: {whom}")
