@@ -20,7 +20,7 @@ from tasks import progress
 from tasks.export_files import ExportsHandle
 from tasks.films import films_of
 from tasks.given_networks import tell_networks
-from tasks.given_result import find_given_body, looks_at, read_result
+from tasks.given_result import find_given_body, looks_at, pictures_of, read_result
 from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from tasks.many import Outcome, run_all
 from tasks.result_report import ReportParts, page_film, write_report
@@ -160,7 +160,8 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
     inputs, config, folder = scene.inputs, scene.config, scene.folder
     size = (scene.footage.height, scene.footage.width)
     looks = looks_at(scene.footage, scene.mattes, config.init.frame)
-    result = read_result(inputs.init_files, *size, config.init.person, looks, inputs.body, folder)
+    pictures = pictures_of(scene.footage, inputs.video, config.init.frame)
+    result = read_result(inputs.init_files, *size, config.init.person, looks, inputs.body, *pictures, folder)
     if remark := result.remark():
         progress.say(f"hfb: {remark}")
     numbers = sorted(scene.mattes)

@@ -126,7 +126,9 @@ def _first_bodies(
         return tuple(one for one in agreed if one is not None)
     first = config.init.frame
     looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
-    given = read_result(inputs.init_files, scene.height, scene.width, config.init.person, looks, inputs.body, folder)
+    pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()
+    size = scene.height, scene.width
+    given = read_result(inputs.init_files, *size, config.init.person, looks, inputs.body, pictures, 0, folder)
     if whom := given.remark():
         progress.say(f"hfb: {whom}")
     return tuple(

@@ -98,6 +98,24 @@ def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: in
     return tuple(Look(matte=mattes[number], frame=middle + number * known.average) for number in chosen)
 
 
+def pictures_of(
+    footage: FootageHandle, files: tuple[FileHandle, ...], first: int | None
+) -> tuple[tuple[str, ...], int]:
+    """(names of a clip's pictures, frames of a video), by which a result's pictures are found in the clip.
+
+    Args:
+        files: of the clip. first: where --init.frame tells the numbers, names tell nothing.
+    """
+    from tasks.video_clip import load_footage
+
+    if first is not None:
+        return (), 0
+    if len(files) > 1:
+        return tuple(file.path.name for file in files), 0
+    known = load_footage(footage)
+    return (), known.first + known.count * known.average
+
+
 @task("other system's result")
 def read_result(
     files: tuple[FileHandle, ...],
@@ -106,6 +124,8 @@ def read_result(
     person: str | None,
     looks: tuple[Look, ...],
     body: FileHandle | None,
+    pictures: tuple[str, ...],
+    frames: int,
     folder: Path,
 ) -> ResultHandle:
     """Everything about one person, as a file that has only numbers in it.
@@ -113,11 +133,13 @@ def read_result(
     Args:
         files: the result, then what lies beside it.
         person: the system's name; where it is None the one whom the looks show, or who is seen longest.
+        pictures: names of the clip's files, in order; none of a video, or where --init.frame says the numbers.
+        frames: of a video, 0 where pictures are given.
 
     Raises:
         InputError: it cannot be read, is about other pictures, or has no such person.
     """
-    return compute(_read_result, files, height, width, person, looks, body, folder)
+    return compute(_read_result, files, height, width, person, looks, body, pictures, frames, folder)
 
 
 @task("first body of the result")
@@ -176,8 +198,11 @@ def _read_result(
     person: str | None,
     looks: tuple[Look, ...],
     body: FileHandle | None,
+    pictures: tuple[str, ...],
+    frames: int,
     folder: Path,
 ) -> ResultHandle:
+    from hfb.initialize.readers.picture_names import ClipPictures
     from hfb.initialize.readers.pose_track import PoseTrack, save_track
     from hfb.initialize.readers.sniff import choose_person, read_tracks
     from hfb.initialize.track_bodies import share_on_matte, with_poses
@@ -185,7 +210,7 @@ def _read_result(
     from tasks.scene import load_chosen_body
 
     model = load_chosen_body(body)
-    tracks = read_tracks([file.path for file in files], height, width)
+    tracks = read_tracks([file.path for file in files], height, width, ClipPictures(pictures, frames))
     several = len(tracks) > 1
     mattes = [read_matte(look.matte.path) for look in looks if several]
 
@@ -200,9 +225,9 @@ def _read_result(
     path = folder / "init_result.npz"
     save_track(path, track)
     others = tuple(one.person for one in tracks if one is not chosen)
-    frames = tuple(int(frame) for frame in track.frames)
+    numbers = tuple(int(frame) for frame in track.frames)
     return ResultHandle.of(
-        path, system=track.system, frames=frames, person=track.person, others=others, rate_hz=track.rate_hz
+        path, system=track.system, frames=numbers, person=track.person, others=others, rate_hz=track.rate_hz
     )
 
 

@@ -151,6 +151,11 @@ class AnatomicalPrior:
         tables = _tables(axis_angle.dtype, axis_angle.device)
         return (_excess(twist_swing(axis_angle, tables.order), tables) ** 2).sum((1, 2)) / 2
 
+    def beyond_limits(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S 23"]:
+        """How far each joint lies outside its range of motion [rad]: the worst of its three angles."""
+        tables = _tables(axis_angle.dtype, axis_angle.device)
+        return _excess(twist_swing(axis_angle, tables.order), tables).abs().amax(-1) * radians(_LIMIT_SCALE_DEG)
+
 
 def _excess(angles: Tensor, tables: _Tables) -> Tensor:
     """How far the angles lie outside their ranges, in units of the limits' softness."""

@@ -1,6 +1,7 @@
 """BVH files: a skeleton and its joint angles over time, as text."""
 
 import io
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +15,12 @@ from hfb.shapes import Array, Float
 _MAX_BYTES, _MAX_HEAD = 64 << 20, 4 << 20
 _MAX_JOINTS = 1000
 _MAX_FPS = 10_000
+_MAX_BLANK = 1000
+_NEAR_ZERO = 0.25  # of the offset
 _MAX_TURNS = 1 << 22  # frames x joints: a joint without channels takes no byte of the table, yet a place in memory
 _POSITIONS = {"xposition": 0, "yposition": 1, "zposition": 2}
 _ROTATIONS = {"xrotation": 0, "yrotation": 1, "zrotation": 2}
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -74,19 +78,26 @@ def read_bvh(path: Path) -> BvhMotion:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError(f"{path} is larger than {_MAX_BYTES >> 20} MB; cut the recording into shorter BVH files")
-        text = path.read_bytes().decode("utf-8-sig", errors="replace")
+        data = path.read_bytes()
+        is_utf16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = data.decode("utf-16" if is_utf16 else "utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); give a .bvh file") from error
     try:
-        return _parse(text)
+        motion, remark = _parse(text)
+        if remark:
+            _log.warning("%s: %s", path.name, remark)
+        return motion
     except InputError as error:
         raise InputError(f"{path} is not a usable BVH file: {error}; export it again") from error
 
 
-def _parse(text: str) -> BvhMotion:
-    if not text.lstrip().startswith("HIERARCHY"):
+def _parse(text: str) -> tuple[BvhMotion, str | None]:
+    """(the motion, what the user should know about the file)."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if not text.lstrip().upper().startswith("HIERARCHY"):
         raise InputError("it does not begin with HIERARCHY")
-    separator = re.search(r"^[ \t]*MOTION[ \t\r]*$", text, re.MULTILINE)
+    separator = re.search(r"^[ \t]*MOTION[ \t]*$", text, re.MULTILINE | re.IGNORECASE)
     if separator is None:
         raise InputError("it has no MOTION part (cut off?)")
     head, motion = text[: separator.start()], text[separator.start() :]
@@ -95,7 +106,7 @@ def _parse(text: str) -> BvhMotion:
     joints = _Hierarchy(head).joints
     first_line = head.count("\n") + 1
     counts = [len(joint.channels or ()) for joint in joints]
-    values, fps = _read_motion(motion, sum(counts), first_line)
+    values, fps, remark = _read_motion(motion, sum(counts), first_line)
     if len(values) * len(joints) > _MAX_TURNS:
         raise InputError(f"{len(values)} frames of {len(joints)} joints are too many at once, cut it into shorter ones")
     rotations = np.zeros((len(values), len(joints), 4))
@@ -107,16 +118,23 @@ def _parse(text: str) -> BvhMotion:
         channels = joint.channels or []
         turns = [(starts[number] + k, _ROTATIONS[c]) for k, c in enumerate(channels) if c in _ROTATIONS]
         by_order.setdefault(tuple(axis for _, axis in turns), []).append((number, [column for column, _ in turns]))
-        for k, channel in enumerate(channels):
-            if channel in _POSITIONS:
-                places[:, number, _POSITIONS[channel]] = values[:, starts[number] + k]
+        moved = [(starts[number] + k, _POSITIONS[c]) for k, c in enumerate(channels) if c in _POSITIONS]
+        if moved:
+            columns, axes = (list(one) for one in zip(*moved, strict=True))
+            places[:, number, axes] = _placed(values[:, columns], offsets[number, axes])
     for order, members in by_order.items():
         numbers = [number for number, _ in members]
         angles = np.deg2rad(values[:, [columns for _, columns in members]]) if order else None
         rotations[:, numbers] = _from_euler(order, angles, (len(values), len(numbers)))
     ends = np.array([joint.end or (0.0, 0.0, 0.0) for joint in joints])
     names, parents = tuple(joint.name for joint in joints), tuple(joint.parent for joint in joints)
-    return BvhMotion(names, parents, offsets, ends, rotations, places, fps)
+    return BvhMotion(names, parents, offsets, ends, rotations, places, fps), remark
+
+
+def _placed(channels: Float[Array, "F c"], offset: Float[Array, "c"]) -> Float[Array, "F c"]:
+    """Position channels stand for the offset in most files; where they stay near zero they are added to it."""
+    added = np.linalg.norm(np.median(channels, 0)) < _NEAR_ZERO * np.linalg.norm(offset)
+    return channels + offset if added else channels
 
 
 def _from_euler(
@@ -142,10 +160,11 @@ class _Hierarchy:
         self.joints: list[_Joint] = []
         stack: list[int] = []
         while self._next < len(self._words):
-            word, line = self._take()
+            given, line = self._take()
+            word = given.upper()
             if word in ("ROOT", "JOINT"):
                 stack.append(self._open_joint(word, stack, line))
-            elif word == "End":
+            elif word == "END":
                 self._end_site(stack, line)
             elif word == "}" and stack:
                 self._close(self.joints[stack.pop()], line)
@@ -154,7 +173,7 @@ class _Hierarchy:
             elif word == "CHANNELS" and stack and self.joints[stack[-1]].channels is None:
                 self.joints[stack[-1]].channels = self._channels(line)
             else:
-                raise InputError(f"line {line}: {word[:40]!r} has no place there")
+                raise InputError(f"line {line}: {given[:40]!r} has no place there")
         if stack or not self.joints:
             raise InputError("its skeleton is not closed by }" if stack else "it has no ROOT")
 
@@ -177,12 +196,21 @@ class _Hierarchy:
         return len(self.joints) - 1
 
     def _end_site(self, stack: list[int], line: int) -> None:
-        words = [self._take()[0] for _ in range(3)]
-        if words != ["Site", "{", "OFFSET"] or not stack:
-            raise InputError(f"line {line}: an End Site needs {{ OFFSET x y z }}")
+        needs = InputError(f"line {line}: an End Site needs {{ OFFSET x y z }}")
+        if self._take()[0].upper() != "SITE" or not stack:
+            raise needs
+        while self._take()[0] != "{":  # some give it a name
+            pass
+        if self._take()[0].upper() != "OFFSET":
+            raise needs
         self.joints[stack[-1]].end = self._numbers(3)
-        if self._take()[0] != "}":
-            raise InputError(f"line {line}: an End Site needs {{ OFFSET x y z }}")
+        word, channels_line = self._take()
+        if word.upper() == "CHANNELS":  # none, or they would be a joint's
+            if self._channels(channels_line):
+                raise needs
+            word, _ = self._take()
+        if word != "}":
+            raise needs
 
     def _close(self, joint: _Joint, line: int) -> None:
         if joint.offset is None:
@@ -211,32 +239,37 @@ class _Hierarchy:
         return numbers
 
 
-def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array, "F C"], float]:
-    """The table of channel values and the frame rate."""
-    lines = text.split("\n", 3)
-    if len(lines) < 4:
+def _read_motion(text: str, columns: int, first_line: int) -> tuple[Float[Array, "F C"], float, str | None]:
+    """The table of channel values, the frame rate, and what the user should know."""
+    lines = text.split("\n")
+    at = [number for number in range(1, min(len(lines), _MAX_BLANK)) if lines[number].strip()][:2]
+    if len(at) < 2 or at[1] + 1 >= len(lines):
         raise InputError("its MOTION part has no frames (cut off?)")
-    frames_word, time_word = (line.rpartition(":")[2].strip() for line in lines[1:3])
-    if not lines[1].strip().lower().startswith("frames:") or not frames_word.isdecimal() or len(frames_word) > 9:
-        raise InputError(f"line {first_line + 1}: {lines[1].strip()[:40]!r} is not 'Frames: N'")
+    table = "\n".join(lines[at[1] + 1 :])
+    (frames_key, _, frames_word), (time_key, _, time_word) = (lines[number].strip().rpartition(":") for number in at)
+    frames_word, frames_line, time_line = frames_word.strip(), lines[at[0]].strip()[:40], lines[at[1]].strip()[:40]
+    if "".join(frames_key.lower().split()) != "frames" or not frames_word.isdecimal() or len(frames_word) > 9:
+        raise InputError(f"line {first_line + at[0]}: {frames_line!r} is not 'Frames: N'")
     try:
         frame_s = float(time_word)
     except ValueError:
         frame_s = np.nan
-    if not lines[2].strip().lower().startswith("frame time:") or not 1 / _MAX_FPS <= frame_s <= 10:
-        raise InputError(f"line {first_line + 2}: {lines[2].strip()[:40]!r} is not 'Frame Time: seconds'")
+    if "".join(time_key.lower().split()) != "frametime" or not 1 / _MAX_FPS <= frame_s <= 10:
+        raise InputError(f"line {first_line + at[1]}: {time_line!r} is not 'Frame Time: seconds'")
     frames = int(frames_word)
     if frames < 2:
         raise InputError(f"it has {frames} frames, a motion needs two")
     if columns == 0:
         raise InputError("its joints have no channels")
     try:
-        values = np.fromstring(lines[3], sep=" ")
+        values = np.fromstring(table, sep=" ")
     except (ValueError, DeprecationWarning):
         values = np.array([])
-    if len(values) != frames * columns or not np.isfinite(values).all():
-        raise InputError(_why(lines[3], frames, columns, first_line + 3))
-    return values.reshape(frames, columns), _frames_per_second(frame_s)
+    rows = len(values) // columns
+    if rows < frames or len(values) % columns or not np.isfinite(values).all():
+        raise InputError(_why(table, frames, columns, first_line + at[1] + 1))
+    remark = f"announces {frames} frames and has {rows}: all are read" if rows > frames else None
+    return values.reshape(rows, columns), _frames_per_second(frame_s), remark
 
 
 def _why(text: str, frames: int, columns: int, first_line: int) -> str:

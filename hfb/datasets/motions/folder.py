@@ -1,5 +1,6 @@
 """A folder of recordings as a source of motions."""
 
+import logging
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -7,10 +8,13 @@ from pathlib import Path
 from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.bvh import read_bvh
 from hfb.datasets.motions.cape import FRAME_FILE, load_cape
+from hfb.datasets.motions.deepmimic import is_deepmimic, read_deepmimic
 from hfb.datasets.motions.retargeting import retarget
-from hfb.datasets.motions.smpl_motions import check_clip, load_smpl_motion
+from hfb.datasets.motions.smpl_motions import check_clip, load_smpl_motion, uniform_clip
 from hfb.errors import InputError
 
+_log = logging.getLogger(__name__)
+_TEXTS = (".txt", ".json")
 _KEPT = 4
 """Clips held in memory by each process: neighbouring cases often share one."""
 
@@ -39,12 +43,12 @@ class FolderMotions:
                 within = relative.parent / frame["sequence"]
                 name = relative.parent if relative.parent.name == frame["sequence"] else within
                 found.setdefault(name.as_posix(), []).append(path)
-            elif path.suffix.lower() in (".npz", ".bvh"):
+            elif path.suffix.lower() in (".npz", ".bvh") or (path.suffix.lower() in _TEXTS and is_deepmimic(path)):
                 found[relative.as_posix()] = [path]
         if not found:
             raise InputError(
-                f"{folder} has no motion in it; expected are AMASS files (.npz), BVH files (.bvh), "
-                "CAPE sequences (folders of SEQUENCE.000001.npz) or motion files of hfb (.npz)"
+                f"{folder} has no motion in it; expected are AMASS files (.npz), BVH files (.bvh), DeepMimic's "
+                "motions (.txt), CAPE sequences (folders of SEQUENCE.000001.npz) or hfb's motion files (.npz)"
             )
         self._found = [(name, tuple(sorted(found[name]))) for name in sorted(found)]
 
@@ -58,15 +62,30 @@ class FolderMotions:
         return _load(name, paths)
 
 
+@lru_cache(maxsize=1024)
+def _tell(remark: str) -> None:
+    """Once per process: cases that share a clip read it again."""
+    _log.warning("%s", remark)
+
+
 @lru_cache(maxsize=_KEPT)
 def _load(name: str, paths: tuple[Path, ...]) -> MotionClip:
     if FRAME_FILE.match(paths[0].name):
         return load_cape(paths, name)
     if paths[0].suffix.lower() == ".npz":
         return load_smpl_motion(paths[0], name)
-    motion = read_bvh(paths[0])
+    times_s = None
+    if paths[0].suffix.lower() in _TEXTS:
+        motion, times_s = read_deepmimic(paths[0])
+    else:
+        motion = read_bvh(paths[0])
     try:
-        poses, translations = retarget(motion)
+        poses, translations, remarks = retarget(motion)
     except InputError as error:
         raise InputError(f"{paths[0]} cannot be brought to SMPL's skeleton: {error}") from error
-    return check_clip(name, paths[0], poses.reshape(len(poses), 72), translations, motion.fps)
+    for remark in remarks:
+        _tell(f"{name}: {remark}")
+    flat = poses.reshape(len(poses), 72)
+    if times_s is not None:
+        return uniform_clip(name, paths[0], flat, translations, times_s)
+    return check_clip(name, paths[0], flat, translations, motion.fps)

@@ -1,29 +1,35 @@
 """Which joint of a foreign skeleton is which of SMPL's: limbs and head by name, trunk by how they hang together."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hfb.errors import InputError
 
 _LIMBS: dict[str, tuple[str, ...]] = {
-    "hip": ("thigh", "upleg", "upperleg", "femur", "hip"),
+    "hip": ("thigh", "thighbend", "upleg", "upperleg", "femur", "hip"),
     "knee": ("shin", "calf", "leg", "lowerleg", "lowleg", "knee", "tibia"),
-    "ankle": ("foot", "ankle"),
-    "shoulder": ("shldr", "upperarm", "uparm", "arm", "humerus", "shoulder"),
-    "elbow": ("forearm", "lowerarm", "lowarm", "elbow", "radius"),
-    "wrist": ("hand", "wrist"),
+    "ankle": ("ankle", "foot"),
+    "shoulder": ("shldr", "shldrbend", "upperarm", "uparm", "uarm", "arm", "humerus", "shoulder"),
+    "elbow": ("forearm", "forearmbend", "lowerarm", "lowarm", "farm", "elbow", "radius"),
+    "wrist": ("wrist", "hand"),
 }
 """What a limb's joint is called, without its side; the first that the skeleton has counts.
 
 Seen in: CMU's database by cgspeed for Daz figures (lThigh, lShldr) and for MotionBuilder (LeftUpLeg, LeftArm), iClone's
 Character Creator (CC_Base_L_Thigh), Mixamo (mixamorig:LeftUpLeg), 3ds Max' Biped (Bip01 L Thigh), Unreal (thigh_l),
-Vicon's and others' LeftHip / LeftKnee / LeftAnkle.
+Vicon's and others' LeftHip / LeftKnee / LeftAnkle, OptiTrack (LThigh, LUArm, LFArm), Bandai-Namco (UpperLeg_L), Blender
+(upper_arm.L), SMPL (L_Ankle with L_Foot for the toes: an ankle is one, and a foot the next joint).
 """
 
-_HEAD = ("head",)
-_TOE = ("toe", "toebase", "toes", "toe0", "ball")
-_PREFIX = re.compile(r"^(mixamorig\d*|ccbase|bip\d+|bip|character\d*|def)(?=[a-z])")
+_HEAD = ("head", "skull", "spine006", "neck1", "neck")
+_TOE = ("toe", "toebase", "toes", "toe0", "ball", "foot")
+_PREFIX = re.compile(
+    r"^(mixamorig\d*|ccbase|valvebipedbip\d+|jbip[clr]?(?=[lr]?[a-z]{4})|bip\d+|bip|character\d*|def|org)(?=[a-z])"
+)
+_OF_ALL = 0.8
+_SEPARATORS = re.compile(r"[_:|. -]")
 
 
 @dataclass(frozen=True)
@@ -51,8 +57,9 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
         InputError: some are missing; the text names them.
     """
     known: dict[str, int] = {}
-    for number, name in enumerate(names):
-        known.setdefault(_normal(name), number)
+    for spelling in (names, _without_subject(names)):
+        for number, name in enumerate(spelling):
+            known.setdefault(_normal(name), number)
     limbs: dict[str, int] = {}
     missing = []
     for side in ("left", "right"):
@@ -83,13 +90,23 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
     for side in ("left", "right"):
         over = parents[limbs[f"{side}_shoulder"]]
         collars[side] = over if over not in (chest, -1) else None
-        toes[side] = _find(known, [sided for alias in _TOE for sided in _sided(side, alias)])
+        toe = _find(known, [sided for alias in _TOE for sided in _sided(side, alias)])
+        toes[side] = toe if toe != limbs[f"{side}_ankle"] else None
     return JointMap(pelvis, chest, head, limbs, collars, toes)
+
+
+def _without_subject(names: Sequence[str]) -> list[str]:
+    """The names without the subject's or the armature's own, which some tools begin all of them with."""
+    firsts = [_SEPARATORS.split(name, maxsplit=1) for name in names]
+    (common, count), *_ = Counter(parts[0] for parts in firsts).most_common(1)
+    if count < _OF_ALL * len(names):
+        return list(names)
+    return [parts[-1] if parts[0] == common else name for parts, name in zip(firsts, names, strict=True)]
 
 
 def _normal(name: str) -> str:
     """Without its name space, prefix, case and punctuation."""
-    plain = re.sub(r"[^a-z0-9]", "", name.rpartition(":")[2].lower())
+    plain = re.sub(r"[^a-z0-9]", "", re.split(r"[:|]", name)[-1].lower())
     return _PREFIX.sub("", plain)
 
 

@@ -5,7 +5,8 @@ skeleton's rest pose. How an arm or a leg is turned about its own bone shows in 
 these are hinges, whatever axes the foreign skeleton's frames have (see `Limb`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from hfb.datasets.motions.bvh import BvhMotion
 from hfb.datasets.motions.joint_names import JointMap, map_joints
 from hfb.datasets.motions.kinematics import rest_joints, to_local
 from hfb.datasets.motions.limbs import Limb, align_frame
+from hfb.datasets.motions.plausibility import without_impossible_ends
 from hfb.datasets.motions.quaternions import (
     between,
     conjugate,
@@ -25,6 +27,7 @@ from hfb.datasets.motions.quaternions import (
     unit,
 )
 from hfb.datasets.motions.rest_pose import Rest, find_rest
+from hfb.errors import InputError
 from hfb.shapes import Array, Float
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}
@@ -57,34 +60,54 @@ class _Source:
         """How a joint has turned since the rest pose, where all its angles are zero."""
         return multiply(self.frames[:, joint], conjugate(self.rest.axes))
 
+    def part(self, name: str) -> Float[Array, "F 4"]:
+        """World rotation of pelvis, chest or head."""
+        return multiply(self.frames[:, getattr(self.joints, name)], self.rest.trunk[name])
 
-def retarget(motion: BvhMotion) -> tuple[Float[Array, "F 24 3"], Float[Array, "F 3"]]:
-    """Poses (axis-angle [rad], y up) and translations [m] of a person with the embedded body's rest joints.
+
+class Retargeted(NamedTuple):
+    """Poses (axis-angle [rad], y up) and translations [m]; what the user should know about the file."""
+
+    poses: Float[Array, "F 24 3"]
+    translations: Float[Array, "F 3"]
+    remarks: tuple[str, ...]
+
+
+def retarget(motion: BvhMotion) -> Retargeted:
+    """The motion of a person with the embedded body's rest joints.
 
     Lengths are scaled by the ratio of the legs, so that feet which stand stay.
 
     Raises:
-        InputError: a person's joints are not all there, or have no length between them.
+        InputError: a person's joints are not all there, have no length between them, or are turned as no person's;
+            or what is up cannot be told.
     """
     joints = map_joints(motion.names, motion.parents)
     rest = find_rest(motion, joints)
     rotations, places = motion.world()
-    source = _Source(motion, joints, rest, multiply(rest.axes, rotations), rotate(rest.axes, places))
+    source = _Source(motion, joints, rest, multiply(rest.world, rotations), rotate(rest.world, places))
     world = np.zeros((len(places), len(JOINT_NAMES), 4))
     _set_trunk(world, source)
+    backwards = [_set_leg(world, source, side) for side in _SIDES]
+    if all(backwards):
+        raise InputError(
+            "both of its knees bend backwards: left and right are exchanged, or the motion is mirrored; export it "
+            "again, or rename its joints"
+        )
     for side in _SIDES:
-        _set_leg(world, source, side)
         _set_arm(world, source, side)
         world[:, _J[f"{side}_hand"]] = world[:, _J[f"{side}_wrist"]]
         world[:, _J[f"{side}_foot"]] = world[:, _J[f"{side}_ankle"]]
-    return to_axis_angle(to_local(world)), _translations(world[:, 0], source)
+    poses, ends = without_impossible_ends(to_axis_angle(to_local(world)))
+    if ends:
+        left_out = f"{', '.join(ends)}: turned as no person can in most frames, left at rest"
+        rest = replace(rest, remarks=(*rest.remarks, left_out))
+    return Retargeted(poses, _translations(world[:, 0], source), rest.remarks)
 
 
 def _set_trunk(world: Float[Array, "F 24 4"], source: _Source) -> None:
     """Pelvis, chest, collars and head; the joints between share the bend evenly."""
-    pelvis = source.since_rest(source.joints.pelvis)
-    chest = multiply(source.since_rest(source.joints.chest), conjugate(source.rest.chest))
-    head = source.since_rest(source.joints.head)
+    pelvis, chest, head = (source.part(name) for name in ("pelvis", "chest", "head"))
     bend, nod = multiply(conjugate(pelvis), chest), multiply(conjugate(chest), head)
     world[:, _J["pelvis"]], world[:, _J["spine3"]], world[:, _J["head"]] = pelvis, chest, head
     world[:, _J["spine1"]] = multiply(pelvis, share_of(bend, 1 / 3))
@@ -129,17 +152,19 @@ def _turn_limb(source: _Source, side: str, parts: tuple[str, str, str], away: Fl
     return _Turned(upper, align_frame(limb.lower, hinge, rest[2] - rest[1], flexion), hinge, repair)
 
 
-def _set_leg(world: Float[Array, "F 24 4"], source: _Source, side: str) -> None:
+def _set_leg(world: Float[Array, "F 24 4"], source: _Source, side: str) -> bool:
+    """Whether the knee bent backwards and was turned round."""
     leg = _turn_limb(source, side, ("hip", "knee", "ankle"), rotate(world[:, 0], -_FORWARD))
     world[:, _J[f"{side}_hip"]], world[:, _J[f"{side}_knee"]] = leg.upper, leg.lower
     ankle, toe = source.joints.limbs[f"{side}_ankle"], source.joints.toes[side]
     if source.rest.upright:
         world[:, _J[f"{side}_ankle"]] = source.since_rest(ankle)  # both stand flat on the ground at rest
-        return
+        return leg.repair is not None
     tip = source.motion.ends[ankle] if toe is None else source.motion.offsets[toe]
     foot = source.rest.foot
     toes = rotate(source.frames[:, ankle], unit(tip)) if np.linalg.norm(tip) > 0 else rotate(leg.lower, foot)
     world[:, _J[f"{side}_ankle"]] = align_frame(toes, leg.hinge, foot, _FLEXION[f"{side}_hip"])
+    return False
 
 
 def _set_arm(world: Float[Array, "F 24 4"], source: _Source, side: str) -> None:

@@ -6,21 +6,24 @@ joint_names   SMPL's names, for joints in another order or number
 frame_index   the video's frame numbers, from 0 on
 
 COCO's and AlphaPose's results: a JSON list of {image_id, keypoints: [x, y, confidence, ...]}, 17 or more of them; an
-image's number is its id, or the last digits of its name. People are told apart by track_id or idx, else by score.
+image's number is its id, or the last digits of its name; names are matched with the clip's own. People are told apart
+by track_id or idx, else a person is who lies nearest from frame to frame.
+MMPose's: {instance_info: [{frame_id, instances: [{keypoints, keypoint_scores}]}]}, frames counted from 1.
 OpenPose's: {people: [{pose_keypoints_2d}]}, one picture.
 """
 
 import math
-import re
 from collections import defaultdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
 from hfb.initialize.readers.contents import array_in, named, numbers, text_of
+from hfb.initialize.readers.linking import linked
 from hfb.initialize.readers.parts import named_all
+from hfb.initialize.readers.picture_names import number_in
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole
 from hfb.shapes import Array, Float
 
@@ -38,7 +41,16 @@ _OPENPOSE = (
 )  # fmt: skip
 _LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
 _MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
-_Detection = tuple[int, Float[Array, "_ c"]]
+_REACH = 0.4
+"""How far somebody goes from one frame to the next, in the size of what is seen of them."""
+
+
+class _Detection(NamedTuple):
+    """Somebody in a picture: its number, the keypoints, and its name where it has one."""
+
+    number: int
+    points: Float[Array, "_ c"]
+    image: str | None = None
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
@@ -50,7 +62,9 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
     if isinstance(one.get("people"), list):
         people = named_all(one["people"], ("pose_keypoints_2d",))
         points = [_points(person["pose_keypoints_2d"]) for person in people or ()]
-        return [_person(str(at), [(0, found)], size) for at, found in enumerate(points)] or None
+        return [_person(str(at), [_Detection(0, found)], size) for at, found in enumerate(points)] or None
+    if isinstance(one.get("instance_info"), list):
+        return _of_detections(_of_mmpose(one["instance_info"]), size)
     detections = named_all(content, ("image_id", "keypoints")) if isinstance(content, list) else None
     return _of_detections(detections, size) if detections else None
 
@@ -62,31 +76,74 @@ def _of_array(given: Float[Array, "..."], one: dict[str, Any], size: tuple[int, 
         raise InputError(f"its keypoints are {given.shape} instead of (frames, 17 | 24 | 25, 2 | 3)")
     names = tuple(text_of(name) for name in one["joint_names"]) if "joint_names" in one else None
     frames = numbers(one["frame_index"], len(given)) if "frame_index" in one else np.arange(len(given))
-    return _person("0", list(zip(frames.astype(int).tolist(), given, strict=True)), size, names)
+    return _person("0", list(map(_Detection, frames.astype(int).tolist(), given)), size, names)
+
+
+def _of_mmpose(frames: list[Any]) -> list[dict[str, Any]]:
+    """MMPose's detections as COCO's; its demo counts frames from 1."""
+    parts = []
+    for frame in named_all(frames, ("frame_id", "instances")) or []:
+        for one in named_all(frame["instances"], ("keypoints", "keypoint_scores")) or []:
+            points = numbers(one["keypoints"], None, 2)
+            rows = np.column_stack([points, numbers(one["keypoint_scores"], len(points))])
+            number = int(numbers(frame["frame_id"], 1)[0]) - 1
+            parts.append({**one, "image_id": number, "keypoints": rows.ravel().tolist()})
+    if not parts:
+        raise InputError("it holds nobody")
+    return parts
 
 
 def _of_detections(parts: list[dict[str, Any]], size: tuple[int, int]) -> list[PoseTrack]:
     if len(parts) > _MOST:
         raise InputError(f"it holds {len(parts)} people one by one; give the frames of one clip")
     people: dict[str, list[_Detection]] = defaultdict(list)
-    in_image: dict[int, int] = defaultdict(int)
+    nameless: list[_Detection] = []
     for part in sorted(parts, key=lambda part: -float(numbers(part.get("score", 0), 1)[0])):
-        image = _number(part["image_id"])
-        mark = part.get("track_id", part.get("idx"))
-        person = str(in_image[image]) if not isinstance(mark, int | float | str) else text_of(mark)
-        in_image[image] += 1
-        people[person].append((image, _points(part["keypoints"])))
-    return [_person(person, found, size) for person, found in sorted(people.items())]
+        image = part["image_id"]
+        seen = _Detection(_number(image), _points(part["keypoints"]), None if _is_number(image) else text_of(image))
+        person = _name(part.get("track_id")) or _name(part.get("idx"))
+        (nameless if person is None else people[person]).append(seen)
+    found = sorted(people.items())
+    found += [
+        (f"unnamed {number}" if people else str(number), one) for number, one in enumerate(linked(nameless, _way))
+    ]
+    return [_person(person, one, size) for person, one in found]
+
+
+def _name(mark: Any) -> str | None:
+    """A person's name out of a whole number, a text, or such in lists; None where it names nobody."""
+    while isinstance(mark, list | tuple) and mark:
+        mark = mark[0]
+    if isinstance(mark, bool) or not isinstance(mark, int | float | str) or mark in ("", -1):
+        return None
+    return str(int(mark)) if isinstance(mark, float) and mark.is_integer() else text_of(mark)
+
+
+def _way(one: _Detection, other: _Detection) -> float:
+    """How far a person would have gone, in what somebody of that size goes from frame to frame."""
+    trusted = [points[:, 2] >= _LEAST_CONFIDENCE for points in (one.points, other.points)]
+    if one.points.shape != other.points.shape or not (both := trusted[0] & trusted[1]).any():
+        return math.inf
+    size_px = max(
+        float(np.ptp(points[seen, :2], axis=0).max())
+        for points, seen in zip((one.points, other.points), trusted, strict=True)
+    )
+    away_px = float(np.median(np.linalg.norm(one.points[both, :2] - other.points[both, :2], axis=1)))
+    return away_px / max(_REACH * size_px, 1e-6)
+
+
+def _is_number(image: Any) -> bool:
+    return isinstance(image, int) and not isinstance(image, bool)
 
 
 def _number(image: Any) -> int:
-    """Of an image: its id, or the last digits of its name."""
-    if isinstance(image, int):
-        return image
-    digits = re.findall(r"\d+", text_of(image))
-    if not digits:
+    """Of an image: its id, or the last number of its name."""
+    if _is_number(image):
+        return int(image)
+    number = number_in(text_of(image))
+    if number is None:
         raise InputError(f"its image_id {text_of(image)[:40]} has no number in it")
-    return int(digits[-1][-9:])
+    return number
 
 
 def _points(value: Any) -> Float[Array, "J 3"]:
@@ -100,12 +157,16 @@ def _person(
     name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
 ) -> PoseTrack:
     """A camera is assumed, whose focal length is the picture's diagonal: it only says how large a person is."""
-    found = sorted(found, key=lambda detection: detection[0])
+    found = sorted(found, key=lambda detection: detection.number)
     height, width = size
     K = pinhole(math.hypot(height, width), width / 2, height / 2)
-    pixels = np.stack([_as_24(points, names) for _, points in found])
-    frames = np.array([frame for frame, _ in found], np.int64)
-    return PoseTrack(SYSTEM, name, frames, size, pixels=pixels, K=np.tile(K, (len(found), 1, 1)))
+    pixels = np.stack([_as_24(one.points, names) for one in found])
+    frames = np.array([one.number for one in found], np.int64)
+    images = tuple(one.image for one in found if one.image is not None)
+    return PoseTrack(
+        SYSTEM, name, frames, size, pixels=pixels, K=np.tile(K, (len(found), 1, 1)),
+        images=images if len(images) == len(found) else None,
+    )  # fmt: skip
 
 
 def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:

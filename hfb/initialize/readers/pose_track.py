@@ -13,8 +13,8 @@ from hfb.initialize.readers.contents import array_in, frame_numbers, named, numb
 from hfb.shapes import Array, Bool, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
-_OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
-_SAVED = tuple(name for name in _OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
+OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
+_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
 _NEAR = 0.02
 _LEAST_JOINTS = 6
 """So many a body needs to be laid onto them (`hfb.initialize.point_registration`)."""
@@ -37,6 +37,7 @@ class PoseTrack:
         pixels: where the picture shows SMPL's joints [px], NaN where unknown; of systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
+        images: names of the pictures, of systems that go by names; see `picture_names`.
         rate_hz: of a motion with a clock of its own; its frames are then its own too, not the video's.
     """
 
@@ -54,15 +55,17 @@ class PoseTrack:
     K: Float[Array, "R 3 3"] | None = None
     turn_is_known: bool = True
     rate_hz: float | None = None
+    images: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def rows(self, chosen: Int[Array, "n"]) -> "PoseTrack":
         """Some of its frames."""
-        arrays = {name: getattr(self, name) for name in _OPTIONAL}
+        arrays = {name: getattr(self, name) for name in OPTIONAL}
         cut: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in arrays.items()}
-        return replace(self, frames=self.frames[chosen], **cut)
+        images = None if self.images is None else tuple(self.images[row] for row in chosen)
+        return replace(self, frames=self.frames[chosen], images=images, **cut)
 
     def at_size(self, height: int, width: int) -> "PoseTrack":
         """For pictures of another resolution.

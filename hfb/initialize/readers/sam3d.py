@@ -1,5 +1,5 @@
 """SAM 3D Body: what its estimator returns, saved as a pickle, .npy, .npz or JSON: per person pred_keypoints_3d (70, 3),
-pred_cam_t, focal_length, pred_keypoints_2d.
+pred_cam_t, focal_length, pred_keypoints_2d. Where focal_length was not saved both kinds of keypoints tell it.
 
 - one dictionary, or a flat list of them: the people of one picture, as the system's own call returns them
 - a list of lists: the people of each frame, counted from 0
@@ -10,34 +10,33 @@ Its body is MHR, not SMPL: the joints are taken, and hfb's body is laid onto the
 
 import logging
 import re
-from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from hfb.errors import InputError
 from hfb.initialize.joint_layouts import MHR70_AS_24
 from hfb.initialize.readers.contents import named
+from hfb.initialize.readers.linking import linked
 from hfb.initialize.readers.parts import MAX_PEOPLE, has_keys, named_all, numbers_at
 from hfb.initialize.readers.pose_track import PoseTrack, pinhole, size_seen
 from hfb.shapes import Array, Float
 
 SYSTEM = "SAM 3D Body"
-_NEEDED = {"pred_keypoints_3d", "pred_cam_t", "focal_length"}
-_REACH_M, _MOST_STEPS = 1.0, 3
-"""How far a pelvis moves from one frame to the next, and over how many frames this grows."""
-_REMEMBERED, _MOST_IN_FRAME = 5, 128
-"""After so many given frames without them people are new; more in a frame are not told apart."""
+_NEEDED = {"pred_keypoints_3d", "pred_cam_t"}
+_REACH_M = 1.0
+"""How far a pelvis moves from one frame to the next."""
+_LEAST_KEYPOINTS, _LEAST_SPREAD = 6, 1e-3
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A person in a frame: joints [m], NaN where unknown, and the camera."""
+    """A person in a frame: joints [m], NaN where unknown, and the camera; the picture's name where it is known."""
 
     number: int
+    image: str | None
     joints: Float[Array, "24 3"]
     K: Float[Array, "3 3"]
 
@@ -45,37 +44,40 @@ class _Seen:
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
     """The persons of a saved estimate, numbered as they come; None where it is something else."""
     frames = _frames(content)
-    if sum(len(people) for _, people in frames) > MAX_PEOPLE:
+    if sum(len(people) for *_, people in frames) > MAX_PEOPLE:
         raise InputError(f"it holds people more than {MAX_PEOPLE} times")
-    found = named_all((one for _, people in frames for one in people), _NEEDED)
+    found = named_all((one for *_, people in frames for one in people), _NEEDED)
     if not found:
         return None
-    numbers = [number for number, people in frames for _ in people]
-    seen = [_look(number, one, size) for number, one in zip(numbers, found, strict=True)]
+    places = [(number, image) for number, image, people in frames for _ in people]
+    seen = [_look(number, image, one, size) for (number, image), one in zip(places, found, strict=True)]
     placed = [one for one in seen if one.joints[0, 2] > 0]
     if len(placed) < len(seen):
         _log.warning(
             "%s: %d of %d people are left out: not before the camera", SYSTEM, len(seen) - len(placed), len(seen)
         )
-    return [_person(str(name), rows, size) for name, rows in enumerate(_linked(placed))]
+    return [_person(str(name), rows, size) for name, rows in enumerate(linked(placed, _way))]
 
 
-def _frames(content: Any) -> list[tuple[int, list[Any]]]:
-    """(frame number, people) of each frame, as far as it looks like frames."""
+def _frames(content: Any) -> list[tuple[int, str | None, list[Any]]]:
+    """(frame number, picture's name, people) of each frame, as far as it looks like frames."""
     if isinstance(content, dict) and len(content) == 1:
         (inner,) = content.values()
         if not has_keys(inner, _NEEDED) and not (isinstance(inner, list) and _are_people(inner)):
             content = inner  # an .npz with one array of frames
     if has_keys(content, _NEEDED):
-        return [(0, [content])]
+        return [(0, None, [content])]
     if isinstance(content, dict):
         parts = [one if isinstance(one, list) else [one] for one in content.values()]
-        return list(zip(_written(list(named(content))), parts, strict=False))
+        names = list(named(content))
+        are_pictures = any(not name.isdecimal() for name in names)
+        images = names if are_pictures else [None] * len(names)
+        return list(zip(_written(names), images, parts, strict=False))
     if not isinstance(content, list):
         return []
     if _are_people(content):
-        return [(0, content)]
-    return list(enumerate(one if isinstance(one, list) else [one] for one in content))
+        return [(0, None, content)]
+    return [(number, None, one if isinstance(one, list) else [one]) for number, one in enumerate(content)]
 
 
 def _are_people(part: list[Any]) -> bool:
@@ -89,14 +91,34 @@ def _written(names: list[str]) -> list[int]:
     return numbers if len(set(numbers)) == len(names) else list(range(len(names)))
 
 
-def _look(number: int, one: dict[str, Any], size: tuple[int, int]) -> _Seen:
+def _look(number: int, image: str | None, one: dict[str, Any], size: tuple[int, int]) -> _Seen:
     place = numbers_at(one, "pred_cam_t", 3, finite=False)
     points = numbers_at(one, "pred_keypoints_3d", 70, 3, finite=False) + place
-    focal_px = float(numbers_at(one, "focal_length", 1, finite=False)[0])
+    focal_px = _focal_px(one, points)
     joints = np.full((24, 3), np.nan)
     joints[list(MHR70_AS_24)] = points[list(MHR70_AS_24.values())]
     joints[0] = (joints[1] + joints[2]) / 2
-    return _Seen(number, joints, _camera(one, points, focal_px, size))
+    return _Seen(number, image, joints, _camera(one, points, focal_px, size))
+
+
+def _focal_px(one: dict[str, Any], points: Float[Array, "70 3"]) -> float:
+    """As it is stored, else as the system's own 2D and 3D keypoints say.
+
+    Raises:
+        InputError: neither is there.
+    """
+    if one.get("focal_length") is not None:
+        return float(numbers_at(one, "focal_length", 1, finite=False)[0])
+    if one.get("pred_keypoints_2d") is None:
+        raise InputError("it has no focal_length, and no pred_keypoints_2d that would tell it; save one of them too")
+    pixels = numbers_at(one, "pred_keypoints_2d", 70, 2, finite=False)
+    known = np.isfinite(pixels).all(1) & np.isfinite(points).all(1) & (points[:, 2] > 0)
+    rays = points[known, :2] / points[known, 2:]
+    if known.sum() < _LEAST_KEYPOINTS or np.ptp(rays, axis=0).max() < _LEAST_SPREAD:
+        return float("nan")  # such rows are left out
+    spread = rays - rays.mean(0)
+    focal_px = float((spread * (pixels[known] - pixels[known].mean(0))).sum() / (spread * spread).sum())
+    return focal_px if focal_px > 0 else float("nan")
 
 
 def _camera(
@@ -113,40 +135,15 @@ def _camera(
     return pinhole(focal_px, float(cx), float(cy))
 
 
-def _linked(seen: list[_Seen]) -> list[list[_Seen]]:
-    """Everybody's rows. The order of detections says nothing: a person is who stands nearest to where it stood."""
-    frames: dict[int, list[_Seen]] = defaultdict(list)
-    for one in seen:
-        frames[one.number].append(one)
-    if len(frames) > 1 and max(map(len, frames.values())) > _MOST_IN_FRAME:
-        raise InputError(f"it holds more than {_MOST_IN_FRAME} people in a frame")
-    people: list[list[_Seen]] = []
-    recent: list[set[int]] = []
-    for number in sorted(frames):
-        known = sorted(set().union(*recent[-_REMEMBERED:]))
-        follows = _followed([people[person][-1] for person in known], frames[number])
-        recent.append(set())
-        for at, one in enumerate(frames[number]):
-            person = known[follows[at]] if at in follows else len(people)
-            if person == len(people):
-                people.append([])
-            people[person].append(one)
-            recent[-1].add(person)
-    return people
-
-
-def _followed(before: list[_Seen], now: list[_Seen]) -> dict[int, int]:
-    """Whom of `before` those of `now` continue, by their places in the lists."""
-    if not before:
-        return {}
-    steps = [min(now[0].number - one.number, _MOST_STEPS) for one in before]
-    away = np.stack([one.joints[0] for one in before])[:, None] - np.stack([one.joints[0] for one in now])
-    cost = np.linalg.norm(away, axis=-1) / (_REACH_M * np.array(steps, np.float64)[:, None])
-    pairs = zip(*linear_sum_assignment(np.minimum(cost, 1)), strict=True)
-    return {int(new): int(old) for old, new in pairs if cost[old, new] < 1}
+def _way(one: _Seen, other: _Seen) -> float:
+    return float(np.linalg.norm(one.joints[0] - other.joints[0])) / _REACH_M
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:
     K = np.stack([one.K for one in rows])
     frames = np.array([one.number for one in rows], np.int64)
-    return PoseTrack(SYSTEM, name, frames, size_seen(K, size), joints=np.stack([one.joints for one in rows]), K=K)
+    images = tuple(one.image for one in rows if one.image is not None)
+    return PoseTrack(
+        SYSTEM, name, frames, size_seen(K, size), joints=np.stack([one.joints for one in rows]), K=K,
+        images=images if len(images) == len(rows) else None,
+    )  # fmt: skip

@@ -7,8 +7,11 @@ from typing import Any
 from hfb.errors import InputError
 from hfb.initialize.readers import amass, gvhmr, hybrik, joints, keypoints, own, phalp, pymaf, sam3d, tram, wham
 from hfb.initialize.readers.contents import named, read_contents
+from hfb.initialize.readers.joining import JOINT, joined
+from hfb.initialize.readers.picture_names import ClipPictures, by_pictures
 from hfb.initialize.readers.pose_track import PoseTrack, tidy
 
+_ANY_CLIP = ClipPictures()
 Reader = Callable[[Any, tuple[int, int], dict[str, Any]], list[PoseTrack] | None]
 _READERS: tuple[Reader, ...] = (
     own.read, wham.read, pymaf.read, hybrik.read, phalp.read, tram.read, gvhmr.read, sam3d.read, amass.read,
@@ -29,12 +32,15 @@ SYSTEMS = (
 )
 
 
-def read_tracks(files: Sequence[Path], height: int, width: int) -> tuple[PoseTrack, ...]:
+def read_tracks(
+    files: Sequence[Path], height: int, width: int, clip: ClipPictures = _ANY_CLIP
+) -> tuple[PoseTrack, ...]:
     """Everybody in a result.
 
     Args:
         files: the result, then what lies beside it (`hfb.initialize.readers.beside.companions`).
         height, width: of the pictures [px], for systems that do not say.
+        clip: the names of the pictures, for systems that go by names.
 
     Raises:
         InputError: damaged, a pickle that names code, unknown, or about other pictures.
@@ -46,7 +52,7 @@ def read_tracks(files: Sequence[Path], height: int, width: int) -> tuple[PoseTra
         for read in _READERS:
             tracks = read(content, (height, width), beside)
             if tracks is not None:
-                return tuple(track.at_size(height, width) for track in _usable(tracks))
+                return tuple(track.at_size(height, width) for track in joined(_usable(by_pictures(tracks, clip))))
         if _holds_nothing(content):
             raise InputError("it holds nobody")
     except InputError as error:
@@ -92,7 +98,7 @@ def choose_person(
         raise InputError("the result holds nobody")
     if person is None:
         return max(tracks, key=lambda track: (0.0 if shown is None else shown(track), len(track)))
-    chosen = next((track for track in tracks if track.person == person), None)
+    chosen = next((track for track in tracks if person in (track.person, *track.person.split(JOINT))), None)
     if chosen is None:
         known = ", ".join(track.person for track in tracks[:20])
         raise InputError(f"the {tracks[0].system} result has no person {person}; it has {known}")

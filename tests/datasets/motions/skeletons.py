@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.datasets.motions.bvh import BvhMotion
 from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
-from hfb.datasets.motions.quaternions import conjugate, from_axis_angle, multiply, rotate
+from hfb.datasets.motions.quaternions import between, conjugate, from_axis_angle, multiply, rotate, unit
 from hfb.shapes import Array, Float
 
 MIXAMO = (
@@ -27,6 +27,7 @@ class Foreign:
         axes: rotation (w, x, y, z) of its world against SMPL's axes.
         rest: SMPL pose (axis-angle) of the person in its rest pose.
         frames: of every joint's own axes against the world's at rest (w, x, y, z); zero angles are then no pose.
+        world: rotation (w, x, y, z) of the file's world against its rest pose's; only the root's channels have it.
     """
 
     names: tuple[str, ...] = MIXAMO
@@ -34,6 +35,7 @@ class Foreign:
     axes: Float[Array, "4"] | None = None
     rest: Float[Array, "24 3"] | None = None
     frames: Float[Array, "24 4"] | None = None
+    world: Float[Array, "4"] | None = None
 
     def carry(self, poses: Float[Array, "F 24 3"], translations: Float[Array, "F 3"], fps: float) -> BvhMotion:
         """The same movement on this skeleton: every bone turns in the world as SMPL's does."""
@@ -57,8 +59,24 @@ class Foreign:
             offsets[joint] = rotate(axes, bone) if self.frames is None else rotate(conjugate(parent), bone)
         repeated = np.repeat(offsets[None], len(poses), 0)
         repeated[:, 0] = self.scale * rotate(axes, joints[0] + translations)
+        if self.world is not None:
+            local[:, 0] = multiply(self.world, local[:, 0])
+            repeated[:, 0] = rotate(self.world, repeated[:, 0])
         ends = np.zeros((24, 3))
         return BvhMotion(self.names, PARENTS, offsets, ends, local, repeated, fps)
+
+
+def bones_along_one_axis() -> Float[Array, "24 4"]:
+    """Every joint's frame with its x axis along the bone to its child: with zero angles all bones lie along x."""
+    places = rest_joints()
+    child = {parent: joint for joint, parent in reversed(list(enumerate(PARENTS))) if parent >= 0}
+    child |= {JOINT_NAMES.index("pelvis"): JOINT_NAMES.index("spine1"), JOINT_NAMES.index("spine3"): 12}
+    frames = np.tile([1.0, 0, 0, 0], (24, 1))
+    for joint in range(24):
+        tip = child.get(joint)
+        bone = places[tip] - places[joint] if tip else places[joint] - places[PARENTS[joint]]
+        frames[joint] = between(np.array([1.0, 0, 0]), unit(bone))
+    return frames
 
 
 def own_frames() -> Float[Array, "24 4"]:

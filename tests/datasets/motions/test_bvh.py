@@ -110,3 +110,49 @@ def test_bytes_that_are_no_text_and_no_file(tmp_path):
 def test_a_skeleton_of_endless_joints_is_refused(tmp_path):
     with pytest.raises(InputError, match="more than 1000 joints"):
         read_bvh(_write(tmp_path, "HIERARCHY\nROOT a\n{\n" + "JOINT b\n{\n" * 100_000 + "MOTION\n"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("MOTION\n", "MOTION\n\n"), ("MOTION\n", "Motion\n \n\t\n"), ("End Site", "End site"), ("End Site", "END SITE"),
+        ("End Site", "End Site left_end"), ("OFFSET 0 5 0\n", "OFFSET 0 5 0\n      CHANNELS 0\n"), ("JOINT", "joint"),
+        ("HIERARCHY", "Hierarchy"), ("Frames: 3", "FRAMES:3"), ("Frames: 3", "Frames:\t3\n"),
+        ("Frame Time: .0083333", "Frame time:  0.00833333"), ("0 0 90\n", "0 0 90\n\n\n"),
+        ("Zrotation Xrotation Yrotation", "ZROTATION xrotation YRotation"),
+    ],
+)  # fmt: skip
+def test_harmless_variants_of_exporters(tmp_path, old, new):
+    text = _ARM.replace(old, new, 1)
+    assert text != _ARM
+    got, same = read_bvh(_write(tmp_path, text)), read_bvh(_write(tmp_path, _ARM))
+    np.testing.assert_array_equal(got.ends, same.ends)
+    np.testing.assert_array_equal(got.rotations, same.rotations)
+    np.testing.assert_array_equal(got.places, same.places)
+    for encoding in ("utf-16", "utf-8-sig"):
+        again = read_bvh(_write(tmp_path, text.encode(encoding)))
+        np.testing.assert_array_equal(again.places, same.places)
+    again = read_bvh(_write(tmp_path, text.replace("\n", "\r")))
+    np.testing.assert_array_equal(again.places, same.places)
+
+
+@pytest.mark.parametrize("more", [1, 3])
+def test_more_rows_than_announced_are_read_with_a_remark(tmp_path, caplog, more):
+    motion = read_bvh(_write(tmp_path, _ARM + "2 91 0 10 20 30 0 0 90\n" * more))
+    assert len(motion.places) == 3 + more
+    assert motion.places[-1, 0, 1] == 91
+    assert f"announces 3 frames and has {3 + more}" in caplog.text
+    with pytest.raises(InputError, match="line 22 has 3 values"):
+        read_bvh(_write(tmp_path, _ARM + "2 91 0\n"))
+
+
+def test_position_channels_of_joints(tmp_path):
+    """They are the place itself (Blender, MotionBuilder), but where they stay at zero they are added to the offset."""
+    text = _ARM.replace("CHANNELS 3 Yr", "CHANNELS 6 Xposition Yposition Zposition Yr")
+    rows = [line for line in text.splitlines() if line[0].isdigit()]
+    for place, expected in (("0 12 0", [0, 12, 0]), ("0 0 12", [0, 0, 12]), ("0 0.5 0", [0, 10.5, 0])):
+        moved = text
+        for row in rows:
+            words = row.split()
+            moved = moved.replace(row, " ".join([*words[:6], place, *words[6:]]))
+        np.testing.assert_array_equal(read_bvh(_write(tmp_path, moved)).places[:, 1], [expected] * 3)

@@ -61,7 +61,7 @@ def _joints(poses: np.ndarray, translations: np.ndarray) -> np.ndarray:
 def test_a_known_motion_comes_back(skeleton, tolerance_m, name):
     poses, translations = _motion(name)
     got = retarget(skeleton.carry(poses, translations, 30.0))
-    true, joints = _joints(poses, translations), _joints(*got)
+    true, joints = _joints(poses, translations), _joints(got.poses, got.translations)
     for start, end in _LIMB_BONES:
         cosine = (unit(true[:, end] - true[:, start]) * unit(joints[:, end] - joints[:, start])).sum(-1)
         assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 0.01
@@ -74,7 +74,7 @@ def test_a_known_motion_comes_back(skeleton, tolerance_m, name):
 def test_the_turn_of_a_limb_shows_in_its_joints():
     poses, translations = _motion("hook")
     for skeleton in (Foreign(), Foreign(rest=_A_POSE), Foreign(frames=own_frames())):
-        got, _ = retarget(skeleton.carry(poses, translations, 30.0))
+        got, *_ = retarget(skeleton.carry(poses, translations, 30.0))
         for name in ("left_elbow", "right_elbow", "left_knee", "right_knee", "left_hip", "right_hip"):
             across = [1, 2] if "elbow" not in name else [0, 2]
             if "hip" in name:
@@ -89,7 +89,7 @@ def test_straight_limbs_do_not_turn_round():
     poses = np.zeros((frames, 24, 3))
     poses[:, _J["left_knee"], 0] = 0.08 * np.sin(np.arange(frames))
     poses[:, _J["left_hip"], 0] = -0.6
-    got, _ = retarget(Foreign().carry(poses, np.zeros((frames, 3)), 60.0))
+    got, *_ = retarget(Foreign().carry(poses, np.zeros((frames, 3)), 60.0))
     np.testing.assert_allclose(got[:, _J["left_hip"]], poses[:, _J["left_hip"]], atol=0.15)
 
 
@@ -98,7 +98,7 @@ def test_elbows_that_bend_backwards_are_put_right():
     broken = poses.copy()
     for name in ("left_elbow", "right_elbow"):
         broken[:, _J[name]] *= -1
-    got, _ = retarget(Foreign().carry(broken, translations, 30.0))
+    got, *_ = retarget(Foreign().carry(broken, translations, 30.0))
     penalty = AnatomicalPrior().limit_penalty(torch.from_numpy(got[:, 1:]))
     assert penalty.median() < 0.5
     assert AnatomicalPrior().limit_penalty(torch.from_numpy(broken[:, 1:])).median() > 100
@@ -121,6 +121,35 @@ _CONVENTIONS = {
     "joints": "Hips x LeftHip LeftKnee LeftAnkle LeftToe RightHip RightKnee RightAnkle Chest Chest2 Chest3 Head "
     "LeftCollar LeftShoulder LeftElbow LeftWrist RightCollar RightShoulder RightElbow RightWrist",
 }
+_MORE_NAMES = {
+    "bandai": "joint_Root x UpperLeg_L LowerLeg_L Foot_L Toes_L UpperLeg_R LowerLeg_R Foot_R Spine Spine2 Chest Head "
+    "Shoulder_L UpperArm_L LowerArm_L Hand_L Shoulder_R UpperArm_R LowerArm_R Hand_R",
+    "rokoko": "Hips x LeftThigh LeftShin LeftFoot LeftToe RightThigh RightShin RightFoot Spine1 Spine2 Spine4 Head "
+    "LeftShoulder LeftArm LeftForeArm LeftHand RightShoulder RightArm RightForeArm RightHand",
+    "lafan": "Hips x LeftUpLeg LeftLeg LeftFoot LeftToe RightUpLeg RightLeg RightFoot Spine Spine1 Spine2 Head "
+    "LeftShoulder LeftArm LeftForeArm LeftHand RightShoulder RightArm RightForeArm RightHand",
+    "xsens": "Pelvis x LeftUpperLeg LeftLowerLeg LeftFoot LeftToe RightUpperLeg RightLowerLeg RightFoot L5 L3 T8 Head "
+    "LeftShoulder LeftUpperArm LeftForeArm LeftHand RightShoulder RightUpperArm RightForeArm RightHand",
+    "optitrack": "Skeleton_Hip Skeleton_x Skeleton_LThigh Skeleton_LShin Skeleton_LFoot Skeleton_LToe Skeleton_RThigh "
+    "Skeleton_RShin Skeleton_RFoot Skeleton_Ab Skeleton_Ab2 Skeleton_Chest Skeleton_Head Skeleton_LShoulder "
+    "Skeleton_LUArm Skeleton_LFArm Skeleton_LHand Skeleton_RShoulder Skeleton_RUArm Skeleton_RFArm Skeleton_RHand",
+    "motionbuilder": "Ann:Hips Ann:x Ann:LeftUpLeg Ann:LeftLeg Ann:LeftFoot Ann:LeftToeBase Ann:RightUpLeg "
+    "Ann:RightLeg Ann:RightFoot Ann:Spine Ann:Spine1 Ann:Spine2 Ann:Head Ann:LeftShoulder Ann:LeftArm Ann:LeftForeArm "
+    "Ann:LeftHand Ann:RightShoulder Ann:RightArm Ann:RightForeArm Ann:RightHand",
+    "neuron": "Robot_Hips Robot_x Robot_LeftUpLeg Robot_LeftLeg Robot_LeftFoot Robot_LeftToe Robot_RightUpLeg "
+    "Robot_RightLeg Robot_RightFoot Robot_Spine Robot_Spine1 Robot_Spine3 Robot_Head Robot_LeftShoulder Robot_LeftArm "
+    "Robot_LeftForeArm Robot_LeftHand Robot_RightShoulder Robot_RightArm Robot_RightForeArm Robot_RightHand",
+    "blender": "hips x thigh.L shin.L foot.L toe.L thigh.R shin.R foot.R spine.001 spine.002 spine.003 spine.006 "
+    "shoulder.L upper_arm.L forearm.L hand.L shoulder.R upper_arm.R forearm.R hand.R",
+    "smpl": "Pelvis x L_Hip L_Knee L_Ankle L_Foot R_Hip R_Knee R_Ankle Spine1 Spine2 Spine3 Head L_Collar L_Shoulder "
+    "L_Elbow L_Wrist R_Collar R_Shoulder R_Elbow R_Wrist",
+    "asf": "root lhipjoint lfemur ltibia lfoot ltoes rfemur rtibia rfoot lowerback upperback thorax head lclavicle "
+    "lhumerus lradius lwrist rclavicle rhumerus rradius rwrist",
+    "vrm": "J_Bip_C_Hips x J_Bip_L_UpperLeg J_Bip_L_LowerLeg J_Bip_L_Foot J_Bip_L_ToeBase J_Bip_R_UpperLeg "
+    "J_Bip_R_LowerLeg J_Bip_R_Foot J_Bip_C_Spine J_Bip_C_Chest J_Bip_C_UpperChest J_Bip_C_Head J_Bip_L_Shoulder "
+    "J_Bip_L_UpperArm J_Bip_L_LowerArm J_Bip_L_Hand J_Bip_R_Shoulder J_Bip_R_UpperArm J_Bip_R_LowerArm J_Bip_R_Hand",
+}
+_CONVENTIONS |= _MORE_NAMES
 _PARENTS = (-1, 0, 1, 2, 3, 4, 0, 6, 7, 0, 9, 10, 11, 11, 13, 14, 15, 11, 17, 18, 19)
 
 
@@ -160,7 +189,8 @@ def _recorded(name: str) -> tuple[BvhMotion, np.ndarray, np.ndarray]:
     if not path.is_file():
         pytest.skip("the shared motion capture is not here")
     motion = read_bvh(path)
-    return motion, *retarget(motion)
+    got = retarget(motion)
+    return motion, got.poses, got.translations
 
 
 _CLIPS = {  # largest mean penalty for limits; largest median speed of the slower foot [m/s]
