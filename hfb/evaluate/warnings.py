@@ -179,9 +179,9 @@ def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Re
     share = float(largest.sum()) / float(np.median(areas))
     return _warning(
         "static_change", share, (),
-        f"something (at {x:.0%} of the width, {y:.0%} of the height) differs from the plate in nearly all frames and does "
-        "not move: a thing that was moved since the plate was taken becomes body where the person is near; give a new "
-        "plate of the scene as it is, or --background median",
+        f"something (at {x:.0%} of the width, {y:.0%} of the height) differs from the plate in nearly all frames and "
+        "does not move: a thing that was moved since the plate was taken becomes body where the person is near; give a "
+        "new plate of the scene as it is, or --background median",
     )  # fmt: skip
 
 
@@ -196,9 +196,9 @@ def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning
         return None
     left, top, right, bottom = seen[:, 0].min(), seen[:, 1].min(), seen[:, 2].max(), seen[:, 3].max()
     xs, ys = (np.linspace(low, high, 65)[:-1] for low, high in ((left, right), (top, bottom)))
-    inside = sum(
-        np.outer((ys >= box[1]) & (ys < box[3]), (xs >= box[0]) & (xs < box[2])).astype(np.int64) for box in seen
-    )
+    inside = np.zeros((len(ys), len(xs)), np.int64)
+    for box in seen:
+        inside += np.outer((ys >= box[1]) & (ys < box[3]), (xs >= box[0]) & (xs < box[2]))
     cell = (right - left) * (bottom - top) / 64**2
     area = float(np.median((seen[:, 2] - seen[:, 0]) * (seen[:, 3] - seen[:, 1])))
     share = float((inside > len(boxes) / 2).sum() * cell / max(area, 1e-9))
