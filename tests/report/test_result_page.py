@@ -108,8 +108,9 @@ def assert_readable(shown: Opened) -> None:
 def test_what_it_says(report: Path) -> None:
     said = report.read_text()
     for words in (
-        "Warning: the body is off", "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval",
-        "right arm the other way", "61 % for the one shown", "agree to 0.61 only", "3.2 s",
+        "Warning: the body is off",
+        "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval", "right arm the other way",
+        "61 % for the one shown", "agree to 0.61 only", "3.2 s",
     ):  # fmt: skip
         assert words in said, words
     assert "javascript:alert(1)</p>" in said  # a word, not a link
