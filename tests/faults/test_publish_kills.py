@@ -22,8 +22,9 @@ _SCRIPT = Path(__file__).with_name("killed_publish.py")
 
 
 def contents(out: Path) -> dict[str, str]:
-    """sha256 of all that a user sees."""
-    return {path.name: sha256_of(path) for path in out.iterdir() if path.is_file() and path.name != "result.json"}
+    """sha256 of all that a user sees but result.json."""
+    shown = (path for path in out.iterdir() if path.is_file() and not path.name.startswith("."))
+    return {path.name: sha256_of(path) for path in shown if path.name != "result.json"}
 
 
 def is_told_unfinished(out: Path) -> bool:
