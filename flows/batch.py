@@ -17,15 +17,17 @@ from flows.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import InputError, NotNow, ServerLost, Unavailable
 from hfb.export.names import RESULT
+from hfb.media.names import shown_name
 from hfb.media.safe_folder import check_ordinary
 from hfb.toml_file import read_toml, to_record
 from tasks import progress, tracking
-from tasks.batch_ledger import Entry, Ledger, set_aside, stamp_of
+from tasks.batch_ledger import Entry, Ledger, pause_s, set_aside, stamp_of
 from tasks.batch_summary import PAGE, BatchSummary
 from tasks.clip_places import ClipPlace, find_clips
 from tasks.displays import shown_somewhere
 from tasks.engine import Engine, engine_of
 from tasks.handles import files_in
+from tasks.notifications import ClipTrouble, notify, notify_end
 from tasks.out_place import check_batch_out, check_not_clips
 from tasks.result_folder import is_unfinished
 from tasks.video_inputs import check_options, take_video_inputs
@@ -81,7 +83,11 @@ def batch(
         if again:
             round_.ledger.again()
         while True:
-            due_s = round_.once()
+            try:
+                due_s = round_.once()
+            except Exception as error:
+                notify_end(shown_name(folder.resolve().name), str(error) or type(error).__name__)
+                raise
             if due_s is None and watch_s is None:
                 return round_.summary()
             pause_s = min(one for one in (due_s, watch_s) if one is not None)
@@ -102,11 +108,13 @@ class _Rounds:
         self.ledger = Ledger(out / _LOG)
         if self.ledger.damage:
             progress.say(f"hfb: {self.ledger.damage}; the file is now {set_aside(out / _LOG).name}")
+        self._troubles: list[ClipTrouble] = []  # of this look
         self._seen: dict[str, float] = {}  # stamp of a clip -> when it was first seen, on a clock that does not jump
 
     def once(self) -> float | None:
         """Work on every clip whose time has come; the seconds until the next one's, None where nothing waits."""
         due: list[float] = []
+        self._troubles.clear()
         for place in self._look():
             stamp, written = stamp_of(place.files, self._options)
             entry = self._entry(place, stamp)
@@ -123,6 +131,7 @@ class _Rounds:
         with suppress(Exception):  # those whose end a server took no word of; it may still be away
             end_abandoned_flow_runs()
         self._look()
+        notify(shown_name(self._folder.resolve().name), self._troubles, self.summary())
         return max(0.2, min(due) - time.monotonic()) if due else None
 
     def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
@@ -149,7 +158,7 @@ class _Rounds:
 
     def _pause(self, entry: Entry) -> float:
         """Seconds between a failure and the next attempt."""
-        return self._wait_s * 2 ** (entry.attempts - 1)
+        return pause_s(self._wait_s, entry.attempts)
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
         """One clip; None where it is done."""
@@ -186,6 +195,8 @@ class _Rounds:
         progress.say(f"hfb: {place.shown}: {entry.status}: {reason}")
         _log.info("%s: %s: %s", place.shown, entry.status, reason)
         self._summary.show(place.name, _state(entry), entry.reason)
+        if entry.attempts == 1 or entry.status == "set aside":  # every further attempt is no news
+            self._troubles.append(ClipTrouble(place.shown, entry.status, entry.reason))
         return entry
 
     def summary(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from flows.options import run_config
 from flows.running import Chain, surrounded, tell, through_prefect, when_ready
 from hfb.errors import InputError
 from tasks.engine import engine_of
+from tasks.notifications import FORMS, VARIABLE, addresses_of, notifying
 from tasks.out_place import check_batch_out, default_out
 
 VIDEO_KEYS = (
@@ -47,6 +48,10 @@ def add_batch_flags(parser: argparse.ArgumentParser) -> None:
     add("--wait", type=positive, default=60, metavar="S", help="before a second attempt, doubled for each further [60]")
     add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
     add("--again", action="store_true", help="take clips that were set aside once more")
+    add(
+        "--notify", action="append", default=[], metavar="URL",
+        help=f"tell of clips that fail: {FORMS}; several times for several; also from the variable {VARIABLE}",
+    )  # fmt: skip
     _add_shared_flags(parser)
 
 
@@ -85,6 +90,7 @@ def batch(given: argparse.Namespace) -> int:
     out = given.out or default_out(given.folder)
     check_batch_out(given.folder, out)
     find_clips(given.folder, out)  # a folder that is none is said at once
+    addresses = addresses_of(given.notify)
 
     def load() -> Chain:
         from flows.batch import batch as every_clip
@@ -93,7 +99,8 @@ def batch(given: argparse.Namespace) -> int:
         pace = (given.attempts, given.wait, given.watch, given.again, given.store)
         return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
 
-    result = through_prefect(given, out, load)
+    with notifying(addresses):
+        result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))
     return int(result["done"] < result["clips"])
 

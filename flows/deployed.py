@@ -28,6 +28,7 @@ from tasks import tracking
 from tasks.displays import shown_somewhere
 from tasks.engine import engine_of
 from tasks.metrics import served
+from tasks.notifications import addresses_of, notifying
 from tasks.store_place import check_store, tracking_uri
 from tasks.video_inputs import take_video_inputs
 
@@ -148,7 +149,8 @@ def batch(
     config = options.config()
     with _on_a_worker(out):
         content = config.model_dump(mode="json")
-        return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
+        with notifying(addresses_of(())):  # the worker's own: an address in a form would be recorded
+            return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
 
 
 @flow(name="methods", persist_result=False, on_running=[mark_owner])

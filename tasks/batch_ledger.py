@@ -22,6 +22,7 @@ from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import digest
 
 _FOUND_AGAIN = "finished clips are found again in their folders"
+_LONGEST_REASON, _DAY_S = 2000, 86_400.0
 Status = Literal["done", "failed", "set aside"]
 
 
@@ -84,10 +85,9 @@ class Ledger:
         before = self.entry(name, stamp)
         count = 1 + (before.attempts if before else 0)
         aside = hopeless or count >= attempts
-        due = 0.0 if aside else time.time() + wait_s * 2 ** (count - 1)
-        entry = Entry(
-            stamp=stamp, status="set aside" if aside else "failed", attempts=count, reason=reason, due=due
-        )  # fmt: skip
+        due = 0.0 if aside else time.time() + pause_s(wait_s, count)
+        said = reason[:_LONGEST_REASON].encode("utf-8", "backslashreplace").decode()  # libraries' errors say anything
+        entry = Entry(stamp=stamp, status="set aside" if aside else "failed", attempts=count, reason=said, due=due)
         self._keep(name, entry)
         return entry
 
@@ -99,6 +99,11 @@ class Ledger:
         self._entries[name] = entry
         content = {key: one.model_dump() for key, one in sorted(self._entries.items())}
         write_bytes_atomic(self._path, json.dumps(content, indent=2).encode() + b"\n")
+
+
+def pause_s(wait_s: float, attempts: int) -> float:
+    """Seconds between so many failures and the next attempt: doubled each time, a day at most."""
+    return min(max(wait_s, _DAY_S), wait_s * 2.0 ** min(attempts - 1, 60))
 
 
 def set_aside(path: Path) -> Path:

@@ -105,7 +105,9 @@ class BatchSummary:
             return BatchClip(
                 shown, status, reason, facts, self._thumbnail(name, folder), link, self._report_in(folder), people
             )
-        except (InputError, OSError) as error:
+        except Exception as error:  # whatever is wrong with one clip's files, the page tells of all
+            if not isinstance(error, InputError | OSError):
+                _log.exception("%s", shown)
             told = f"its result is damaged: {error}; move {folder} away to have it made again"
             return BatchClip(shown, "set aside", told, facts, link=link)
 
