@@ -19,6 +19,7 @@ from hfb.config import Record
 from hfb.errors import InputError
 from hfb.json_file import read_json
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.safe_folder import check_ordinary
 from tasks.handles import digest
 
 _FOUND_AGAIN = "finished clips are found again in their folders"
@@ -55,6 +56,7 @@ class Ledger:
         self._entries: dict[str, Entry] = {}
         self.damage = ""
         try:
+            check_ordinary(path.parent, path.name)  # a link would show another file's content
             content = read_json(path, _FOUND_AGAIN) if os.path.lexists(path) else {}
         except InputError as error:
             self.damage, content = str(error), {}

@@ -47,3 +47,13 @@ def test_a_stamp_follows_files_and_options(tmp_path: Path) -> None:
     assert stamp_of([clip], {"seed": 1})[0] != stamp
     os.utime(clip, (1001, 1001))
     assert stamp_of([clip], {"seed": 0})[0] != stamp
+
+
+def test_a_linked_record_is_not_read(tmp_path: Path) -> None:
+    """It would be another batch's, or no batch's at all."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "mine").write_text('{"walk": {"stamp": "a", "status": "done"}}')
+    (tmp_path / "out" / "batch.json").symlink_to(tmp_path / "mine")
+    ledger = Ledger(tmp_path / "out" / "batch.json")
+    assert "symbolic link" in ledger.damage
+    assert ledger.entry("walk", "a") is None
