@@ -16,6 +16,7 @@ from typing import Any
 import httpx
 import pytest
 
+from flows.deployment_run import COMMAND
 from tests.infra.asking import api, ended, prefect_routes, started
 from tests.infra.team import Team, missing, stop
 from tests.orchestration import Problem
@@ -94,6 +95,23 @@ def test_hooks_of_a_cancelled_run_are_ours_too(here: Team, worker: None, marker:
         run = _run(client, deployment)
         client.post(f"/flow_runs/{run}/set_state", json={"state": {"type": "CANCELLING"}, "force": True})
         assert ended(client, run, _ENDED_S)["type"] in ("CANCELLED", "CRASHED")
+    assert not marker.exists()
+
+
+def test_the_program_of_a_container_refuses_too(here: Team, deployed: dict[str, str], marker: Path) -> None:
+    """What a pool of type docker or kubernetes starts; here without a pool, so that no worker takes the run."""
+    steps = [{"prefect.deployments.steps.run_shell_script": {"script": f"touch {marker}"}}]
+    with api(here, "prefect_admin") as client:
+        flow = _flow_of(client, "fit/fit")["flow_id"]
+        row = {"name": "evil-container", "flow_id": flow, "entrypoint": "flows.deployed.fit", "pull_steps": steps}
+        made = client.post("/deployments/", json=row)
+        run = _run(client, made.json()["id"])
+        command = [sys.executable, *COMMAND.split()[1:]]
+        program = here.run(command, deployed | {"PREFECT__FLOW_RUN_ID": run}, "container")
+        assert program.wait(_ENDED_S) == 2, here.log("container")
+        state = client.get(f"/flow_runs/{run}").json()["state"]
+    assert state["type"] == "CRASHED"
+    assert "workers of hfb start its own flows alone" in state["message"]
     assert not marker.exists()
 
 
