@@ -17,7 +17,7 @@ from uuid import UUID
 
 from anyio import TASK_STATUS_IGNORED
 from anyio.abc import TaskStatus
-from prefect.client.orchestration import PrefectClient
+from prefect.client.orchestration import PrefectClient, get_client
 from prefect.client.schemas.objects import FlowRun, State
 from prefect.exceptions import ObjectNotFound
 from prefect.runner._flow_run_executor import FlowRunExecutorContext
@@ -98,12 +98,12 @@ class _NoHooks:
 
 
 async def _in_a_container() -> int:
-    async with FlowRunExecutorContext() as context:
-        flow_run = await context.client.read_flow_run(UUID(os.environ["PREFECT__FLOW_RUN_ID"]))
+    async with get_client() as client:
+        flow_run = await client.read_flow_run(UUID(os.environ["PREFECT__FLOW_RUN_ID"]))
         try:
-            entrypoint = await entrypoint_of(flow_run, context.client)
+            entrypoint = await entrypoint_of(flow_run, client)
         except NotOurs as refused:
-            await context.client.set_flow_run_state(flow_run.id, Crashed(message=str(refused)), force=True)
+            await client.set_flow_run_state(flow_run.id, Crashed(message=str(refused)), force=True)
             print(refused, file=sys.stderr)
             return 2
     code, _ = await supervise(flow_run, entrypoint, {})

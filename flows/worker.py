@@ -66,7 +66,7 @@ class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult])
 def _fixed(configuration: type[Any]) -> type[Any]:
     """A job configuration of containers whose image and mounts are the pool's, and whose command is ours."""
 
-    class Fixed(configuration):  # type: ignore[misc]
+    class Fixed(configuration):
         """Job variables of runs and deployments have no effect."""
 
         @classmethod

@@ -68,7 +68,7 @@ def test_a_run_is_heard_of_and_a_crash_is_told(
             given = {"folder": str(data / "clips"), "out": str(data / "out"), "attempts": 2, "wait_s": 600}
             run = started(client, "batch/nightly-batch", given)  # waits ten minutes before its second attempt
             beats = _beats(client, run, 2)
-            assert 3 * (beats[1] - beats[0]) <= patience_s + 3
+            assert 2 * (beats[1] - beats[0]) < patience_s
             assert client.get(f"/flow_runs/{run}").json()["state"]["type"] == "RUNNING"
             os.kill(_process_of(run), signal.SIGKILL)
             assert ended(client, run, 60)["type"] == "CRASHED"
@@ -77,7 +77,7 @@ def test_a_run_is_heard_of_and_a_crash_is_told(
             while not told:
                 assert time.monotonic() < until, here.log("prefect")
                 time.sleep(0.2)
-        (message,) = told
+        message = told[0]
         assert message["subject"] == f"hfb: {name} crashed"
         assert "started again with the same parameters" in message["text"]
     finally:

@@ -84,7 +84,7 @@ def test_sockets_of_workers_are_for_the_administrators_key(here: Team, deployed:
     url = here.url("prefect").replace("https", "wss") + path
     said = {"type": "auth", "token": here.secret("prefect_auth")}
     for spelled in (path, path.replace("/api/", "/api//"), path.replace("_", "%5f")):
-        assert asyncio.run(_refusal(here, url.replace(path, spelled), ["prefect"], said)) == 403
+        assert asyncio.run(_refusal(here, url.replace(path, spelled), ["prefect"], said)) in (401, 403)
     key = {"Hfb-Administrator": b64encode(here.secret("prefect_admin").encode()).decode()}
     with pytest.raises(AssertionError, match="auth_success"):
         asyncio.run(_refusal(here, url, ["prefect"], said, key))
