@@ -23,7 +23,6 @@ from tests.faults.stores import (
     lost,
     older_store,
     standing_still,
-    statuses,
 )
 from tests.flows.test_fit_image import run
 from tests.orchestration import TINY_OPTIONS, Problem, mlflow_rows
