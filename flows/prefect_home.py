@@ -27,19 +27,13 @@ def use_own_home() -> None:
 
     Has to come before Prefect is imported. A process that a command of hfb starts has the same home.
     """
-    default = platformdirs.user_state_path("hfb") / "prefect"
-    given = _whole(os.environ[_HOME]) if os.environ.get(_HOME) else None
-    if given is None or (given != default and given.name != _OWN):
-        with suppress(RuntimeError):  # there is no home folder: `check_home` says so
+    with suppress(RuntimeError):  # no home folder is known: `check_home` says so
+        default = platformdirs.user_state_path("hfb") / "prefect"
+        given = Path(os.environ[_HOME]).expanduser().absolute() if os.environ.get(_HOME) else None
+        if given is None or (given != default and given.name != _OWN):
             users = given or Path(_USERS_HOME).expanduser()
             os.environ[_PROFILES] = os.environ.get(_PROFILES) or str(users / "profiles.toml")
-        os.environ[_HOME] = str(default if given is None else given / _OWN)
-
-
-def _whole(path: str) -> Path:
-    with suppress(RuntimeError):
-        return Path(path).expanduser().absolute()
-    return Path(path).absolute()
+            os.environ[_HOME] = str(default if given is None else given / _OWN)
 
 
 def check_home() -> None:

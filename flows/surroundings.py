@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import io
 import logging
 import logging.handlers
 import os
@@ -11,6 +12,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
@@ -76,11 +78,14 @@ def load_prefect() -> None:
     Raises:
         InputError: a setting, in the environment or in the user's profiles, cannot be used.
     """
+    said = io.StringIO()  # Prefect prints pydantic's lines before it fails
     try:
-        import prefect.main  # noqa: F401
-        from prefect.settings import get_current_settings
+        with redirect_stderr(said):
+            import prefect.main  # noqa: F401
+            from prefect.settings import get_current_settings
 
-        get_current_settings()
+            get_current_settings()
+        sys.stderr.write(said.getvalue())
     except (ValueError, TypeError) as error:  # of pydantic and of TOML
         reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
         raise InputError(

@@ -242,7 +242,9 @@ def _found_or_created(
     if found:
         info = found[0].info
     else:
-        info = client.create_run(experiment_id, run_name=name, tags={**environment(), **tags, _KEY_TAG: key}).info
+        info = client.create_run(
+            experiment_id, run_name=name, tags={**environment(), **tags, _KEY_TAG: key, _OWNER_TAG: owner()}
+        ).info
     if not complete:
         client.set_tag(info.run_id, _OWNER_TAG, owner())
         client.update_run(info.run_id, status="RUNNING")
