@@ -15,7 +15,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.media.capture_rate import differs
 from hfb.media.footage_names import PICTURE_SUFFIXES
-from hfb.media.frame_times import irregular, nominal_interval
+from hfb.media.frame_times import irregular, is_pulled_down, nominal_interval
 from hfb.media.interlacing import Scan
 from hfb.media.lens import Lens
 from hfb.media.picture_files import footage_files, one_size, sample_remarks
@@ -25,6 +25,9 @@ from hfb.media.video_packets import ASSUMED_FPS
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.shapes import Array, Float
 
+_PULLED_DOWN = (
+    "{} shows its frames for two and three fields in turn, as film on television: taken for even, {:.6g} per second"
+)
 _Wanted = tuple[int, int | None, float | None, float | None, Path]
 
 
@@ -243,11 +246,15 @@ def _remarks(index: VideoIndex) -> Iterator[str]:
 
 def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage:
     """A range of frames; a rate that is told wins, as for high-speed footage that is stored to play slowly."""
-    times_s, interval_s = whole.times_s, whole.interval_s
+    times_s, interval_s, remarks = whole.times_s, whole.interval_s, whole.remarks
+    if is_pulled_down(times_s):
+        interval_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
+        times_s = times_s[0] + np.arange(len(times_s)) * interval_s
+        remarks = (*remarks, _PULLED_DOWN.format(whole.source.name, 1 / interval_s))
     if fps:
         times_s, interval_s = times_s[0] + (times_s - times_s[0]) / (fps * interval_s), 1 / fps
     times_s = times_s[first:last]
-    remarks = (*whole.remarks, *irregular(times_s, interval_s))
+    remarks = (*remarks, *irregular(times_s, interval_s))
     tick_s = 0.0 if fps else whole.tick_s
     return replace(whole, times_s=times_s, interval_s=interval_s, first=first, remarks=remarks, tick_s=tick_s)
 

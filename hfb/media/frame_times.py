@@ -6,6 +6,7 @@ from hfb.media.video_packets import ASSUMED_FPS
 from hfb.shapes import Array, Float
 
 _JITTER = 0.25
+_FEWEST_PULLED_DOWN, _ALTERNATING_SHARE = 4, 0.9
 _NOISE_S, _ONE_TICK = 1e-9, 1.001
 
 
@@ -30,6 +31,17 @@ def even_times(times_s: Float[Array, "t"], fps: float, tick_s: float) -> Float[A
     even = times_s[:1] + np.arange(len(times_s)) / fps
     apart = float(np.abs(times_s - even).max(initial=0.0))
     return even if _NOISE_S < apart <= tick_s * _ONE_TICK else times_s
+
+
+def is_pulled_down(times_s: Float[Array, "t"]) -> bool:
+    """Whether frames are shown for two and three fields in turn, as film is on television: it was taken evenly."""
+    steps = np.diff(times_s)
+    if len(steps) < _FEWEST_PULLED_DOWN or steps.min() <= 0:
+        return False
+    long = steps > 1.25 * steps.min()
+    usual = np.where(long, 1.5, 1.0) * np.median(steps[~long])
+    alternates = (long[1:] != long[:-1]).mean() > _ALTERNATING_SHARE
+    return bool(alternates and (np.abs(steps - usual) <= 0.1 * usual).all())
 
 
 def irregular(times_s: Float[Array, "T"], interval_s: float) -> list[str]:

@@ -13,6 +13,8 @@ _FLAGGED_BY_DECODER = frozenset(
     {"h264", "hevc", "mpeg1video", "mpeg2video", "mpeg4", "vc1", "wmv3", "prores", "dvvideo"}
 )
 _FEWEST_COMBED, _LEAST_SHARE, _ONE_ORDER, _FILM_SHARE = 2, 0.3, 4, 0.2
+_MOST_COMPARED = 300
+"""Frames; a comparison costs about as much as decoding a frame."""
 
 
 def stated_interlaced(stream: av.VideoStream) -> bool:
@@ -31,7 +33,7 @@ class Scan:
         """
         self._path, self._stated = path, stated
         self._filter: av.filter.Graph | None = None
-        self._gave_up = False
+        self._compared = 0
         self._looks = {"tff": 0, "bff": 0, "progressive": 0}
         self._repeated = 0
 
@@ -43,7 +45,7 @@ class Scan:
                 f"`{self._command('bwdif=mode=send_field')}` (telecined film: -vf fieldmatch,decimate), or give "
                 'scan = "progressive" in clip.toml if its frames are whole pictures all the same.'
             )
-        if not self._gave_up:
+        if self._compared < _MOST_COMPARED:
             self._compare(frame)
 
     def remark(self) -> str | None:
@@ -65,6 +67,7 @@ class Scan:
 
     def _compare(self, frame: av.VideoFrame) -> None:
         """With FFmpeg's own detector, which compares each frame's lines with its neighbours'."""
+        self._compared += 1
         try:
             if self._filter is None:
                 self._filter = _detector(frame)
@@ -78,7 +81,7 @@ class Scan:
         except (BlockingIOError, EOFError):
             return
         except (av.FFmpegError, ValueError):  # a size or kind that changes on the way: reading says so
-            self._gave_up = True
+            self._compared = _MOST_COMPARED
 
 
 def _detector(frame: av.VideoFrame) -> av.filter.Graph:

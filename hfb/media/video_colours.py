@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 import av
-from av.sidedata.sidedata import Type
 
 from hfb.errors import InputError
 
@@ -51,7 +50,7 @@ def refuse_hdr(frame: av.VideoFrame, stated: Stated, name: str) -> None:
     """Raises InputError for high dynamic range, whether the frames or only the container say so."""
     transfers = {int(frame.color_trc), stated[2]}
     kinds = [kind for code, kind in _HDR.items() if code in transfers]
-    if not kinds and Type.DOVI_METADATA in frame.side_data:
+    if not kinds and "DOVI_METADATA" in frame.side_data:
         kinds = ["Dolby Vision"]
     if kinds:
         raise InputError(f"{name}: is high dynamic range video ({kinds[0]}); convert it to BT.709 first.")

@@ -2,11 +2,11 @@
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
 import numpy as np
-from av.sidedata.sidedata import Type
 
 from hfb.errors import InputError
 from hfb.media.video_colours import NOT_STATED, Stated, source_colours
@@ -49,10 +49,10 @@ def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Ar
     The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
     picture on its sides counts.
     """
-    if Type.DISPLAYMATRIX not in frame.side_data:
+    told: Any = frame.side_data.get("DISPLAYMATRIX")
+    if told is None:
         return pixels
-    told = bytes(frame.side_data[Type.DISPLAYMATRIX])
-    a, b, _, c, d, *_ = struct.unpack("=9i", told[:36])
+    a, b, _, c, d, *_ = struct.unpack("=9i", bytes(told)[:36])
     if a * d == b * c:
         return pixels
     if a * a + d * d < b * b + c * c:  # columns become rows

@@ -133,3 +133,16 @@ def test_a_varying_rate_is_not_made_even(tmp_path: Path) -> None:
     stamps = [0, 40, 80, 118, 163, 200, 240]
     footage = open_footage(write_video(tmp_path / "v.mkv", FRAMES[:7], "ffv1", stamps=stamps))
     assert np.allclose(footage.times_s * 1000, stamps)
+
+
+@pytest.mark.parametrize("name", ["soft.mkv", "soft.mp4"])
+def test_film_that_is_shown_for_two_and_three_fields(tmp_path: Path, name: str) -> None:
+    """Soft telecine, as MPEG-2 from film discs has it: whole pictures, uneven stamps."""
+    fields = np.cumsum([0, *(2 + number % 2 for number in range(15))])
+    stamps = [round(one * 1001 / 60) for one in fields]
+    codec = "ffv1" if name.endswith("mkv") else "libx264"
+    footage = open_footage(write_video(tmp_path / name, FRAMES, codec, stamps=stamps, rate=24))
+    assert footage.interval_s == pytest.approx(2.5 * 1.001 / 60, rel=0.02)
+    assert np.allclose(np.diff(footage.times_s), footage.interval_s)
+    (remark,) = footage.remarks
+    assert "two and three fields in turn" in remark

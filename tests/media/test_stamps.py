@@ -183,10 +183,13 @@ def test_a_video_that_is_trimmed_at_its_end_is_whole(tmp_path: Path) -> None:
     check_all_readable(footage, range(25))
 
 
-@pytest.mark.parametrize("name", ["sound.mp4", "sound.mkv"])
+@pytest.mark.parametrize("name", ["sound.mp4", "sound.mkv", "sound.ts", "sound.wmv"])
 def test_sound_may_last_longer(tmp_path: Path, name: str) -> None:
     with av.open(str(tmp_path / name), "w") as container:
-        video, sound = container.add_stream("libx264", rate=25), container.add_stream("aac", rate=48000, layout="mono")
+        codecs = ("wmv2", "wmav2") if name.endswith("wmv") else ("libx264", "aac")
+        video = container.add_stream(codecs[0], rate=25, options={"b": "4000k"})
+        sound = container.add_stream(codecs[1], rate=48000, layout="mono")
+        sound.bit_rate = 64000
         video.height, video.width, video.pix_fmt = 48, 64, "yuv420p"
         for content in FRAMES:
             container.mux(video.encode(av.VideoFrame.from_ndarray(content, format="rgb24")))
