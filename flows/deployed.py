@@ -183,7 +183,7 @@ def benchmark(
         methods: names as in `hfb benchmark --help`.
         start: what all methods start from; left empty, what suits the set.
         seed: of everything that is random.
-        motions: a folder with AMASS, BVH, CAPE or hfb's own motion files; left empty, the built-in ones.
+        motions: a folder with AMASS, BVH, DeepMimic, CAPE or hfb's own motion files; left empty, the built-in ones.
         videos: of b-aist, a folder with videos of a static camera.
         average: of b-aist, frames per exposure.
         body: a SMPL file, for the truth and the fit; left empty, the embedded body.

@@ -31,7 +31,7 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     shown = "as in the experiment's file" if count is None else str(count)
     add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
     add("--seed", type=_natural, default=0, metavar="S", help="of everything that is random [0]")
-    add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, CAPE or hfb's own motion files [built in]")
+    add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files [built in]")
     add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
     add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
     add("--videos", type=Path, metavar="DIR", help="b-aist: videos of a static camera")

@@ -20,7 +20,13 @@ def add_training_flags(parser: argparse.ArgumentParser) -> None:
     """What is learned, from what, for how long."""
     add = parser.add_argument
     epochs = f"{MotionTraining().epochs}; of a pose prior {PoseTraining().epochs} at most"
-    add("--motions", type=Path, required=True, metavar="DIR", help="AMASS, BVH, CAPE or hfb's own motion files")
+    add(
+        "--motions",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files",
+    )
     add("--kind", choices=("motion", "pose"), default="motion", help="how people move, or how they stand [motion]")
     add("--epochs", type=int, metavar="N", help=f"passes over the data [{epochs}]")
     add("--seed", type=int, default=0, metavar="S", help="of everything that is random [0]")

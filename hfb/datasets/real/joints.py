@@ -9,6 +9,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from hfb.datasets.real.calibration import CalibratedCamera
 from hfb.datasets.real.markers import Markers, body_columns
+from hfb.datasets.real.truth_source import TruthKind
 from hfb.errors import InputError
 from hfb.initialize.initializer import Initializer
 from hfb.render.camera import PinholeCamera
@@ -25,7 +26,7 @@ class SeenJoints:
 
     Attributes:
         joints: [m], NaN where unknown. smpl_joints: which joint of SMPL each one is.
-        source: ``"multi-view"``, or the estimator that saw them.
+        source: what measured them (`truth_source.TruthKind`), or the estimator that saw them.
     """
 
     joints: Float[Array, "R P 3"]
@@ -44,14 +45,16 @@ def pixels_of(points_m: Float[Array, "R P 3"], camera: PinholeCamera) -> Float[A
     return camera.project(torch.from_numpy(ahead)).numpy()
 
 
-def measured_joints(markers: Markers, camera: CalibratedCamera, first: int, count: int) -> SeenJoints:
+def measured_joints(
+    markers: Markers, camera: CalibratedCamera, first: int, count: int, kind: TruthKind = "measured"
+) -> SeenJoints:
     """The measured points that show SMPL's joints, in consecutive rows.
 
-    They lie where the detectors put them, some centimetres from SMPL's own joints (see markers.py).
+    They lie where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
     """
     columns, joints = body_columns(markers.names)
     rows = markers.rows(first, count)[:, columns]
-    return SeenJoints(camera.to_camera(rows), tuple(joints), "multi-view")
+    return SeenJoints(camera.to_camera(rows), tuple(joints), kind)
 
 
 def all_points(markers: Markers, camera: CalibratedCamera, first: int, count: int) -> Float[Array, "R M 3"]:

@@ -1,6 +1,7 @@
 """3D joints that somebody measured: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
 
-Detectors and SMPL put their joints at slightly different places of the body: hips and shoulders lie 2 to 5 cm apart.
+Marker-based skeletons, detectors and SMPL put their joints at slightly different places of the body: hips and shoulders
+lie 2 to 5 cm from SMPL's (see truth_source.py).
 The neck of a detector is the middle of the shoulders, SMPL's lies above it, so it is left out, as are nose, head, toes
 and heels, for which SMPL has no joint at the same place.
 """
@@ -13,7 +14,7 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
-from hfb.media.array_files import read_arrays
+from hfb.media.array_files import names_in, read_arrays
 from hfb.shapes import Array, Float, Int
 
 _FILE_LIMIT = 64 << 20
@@ -32,12 +33,14 @@ class Markers:
         frames: number of each row's frame, increasing, on the clock of the recording (0 is its first frame).
         rate_hz: rows per second; None where the file leaves it to the video.
         names: as in the file. xyz_m: NaN where a point is unknown.
+        views_known: whether the file tells in how many views a point was seen, as triangulations do.
     """
 
     frames: Int[Array, "F"]
     rate_hz: float | None
     names: tuple[str, ...]
     xyz_m: Float[Array, "F M 3"]
+    views_known: bool = False
 
     def turned(self) -> "Markers":
         """The same points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
@@ -92,7 +95,8 @@ def read_joints_npz(path: Path) -> Markers:
     if names.ndim != 1 or xyz.shape != (frames.size, names.size, 3) or frames.shape != (frames.size,):
         raise InputError(f"{path}: has frames {frames.shape}, names {names.shape}, xyz {xyz.shape}; {fix}.")
     text = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else str(name) for name in names)
-    return _checked(Markers(frames.astype(np.int64), None, text, xyz.astype(np.float64)), path)
+    triangulated = not {"n_views", "reproj_err_px"}.isdisjoint(names_in(path))
+    return _checked(Markers(frames.astype(np.int64), None, text, xyz.astype(np.float64), triangulated), path)
 
 
 def read_trc(path: Path) -> Markers:

@@ -19,6 +19,7 @@ from hfb.datasets.real.joints import SeenJoints, SharpEstimates, all_points, mea
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.real.sharp_frames import Exposure, expose
 from hfb.datasets.real.shutter import Shutter
+from hfb.datasets.real.truth_source import TRUTH_SOURCES, truth_kind, truth_offsets_mm
 from hfb.datasets.real.view import Box, View, box_of_change, box_of_joints, make_view
 from hfb.datasets.real.windows import RealWindow, choose, real_windows
 from hfb.datasets.sharp import save_sharp
@@ -92,7 +93,8 @@ def _look(
     pixels = pixels_of(every, view.camera)
     whole = box_of_joints(pixels)
     boxes = [box_of_joints(one) if np.isfinite(one).all() else whole for one in pixels]
-    return measured_joints(markers, calibrated, row, count), view, boxes
+    kind = truth_kind(markers, window.recording.camera_count())
+    return measured_joints(markers, calibrated, row, count, kind), view, boxes
 
 
 def _full_camera(footage: Footage, calibrated: CalibratedCamera | None, height: int, width: int) -> PinholeCamera:
@@ -157,8 +159,12 @@ def _facts(
         pixels_of(joints.joints, view.camera), np.concatenate([exposure.masks for exposure in exposures])
     )
     remarks = list(window.remarks)
-    if joints.source == "multi-view":
-        remarks.append("the truth's joints are a detector's: hips and shoulders lie centimetres from SMPL's")
+    measured = joints.source in TRUTH_SOURCES
+    if measured:
+        remarks.append(
+            f"the truth is {TRUTH_SOURCES[joints.source]}: hips and shoulders lie 20 to 50 mm from SMPL's own; "
+            f"compared are {', '.join(joints.names)}"
+        )
     else:
         remarks.append(f"pseudo truth: {joints.source} on the sharp frames, with errors of its own")
     if not footage.fps_known:
@@ -169,7 +175,9 @@ def _facts(
         "video": recording.video.relative_to(spec.videos).as_posix(), "first_frame": window.first,
         "average": shutter.average, "fps": footage.fps, "exposure_s": shutter.exposure_s,
         "interval_s": shutter.interval_s, "light": "linear", "spec": spec.model_dump(mode="json", exclude={"videos"}),
-        "truth": "multi-view" if joints.source == "multi-view" else "estimator", "truth_source": joints.source,
+        "truth": joints.source if measured else "estimator",
+        "truth_source": TRUTH_SOURCES[joints.source] if measured else joints.source,
+        "truth_joints": list(joints.names), "truth_offset_mm": truth_offsets_mm(joints.smpl_joints) if measured else {},
         "matte": "mean of the sharp frames' own mattes", "plate": "given" if recording.plate else "median",
         "joints_inside_matte": inside, "joint_shift_frames": recording.shift,
         "joints_known": float(np.isfinite(joints.joints).all(-1).mean()),

@@ -56,6 +56,10 @@ class Recording:
         read = read_trc(self.joints) if self.joints.suffix.lower() == ".trc" else read_joints_npz(self.joints)
         return read.turned() if self.y_up else read
 
+    def camera_count(self) -> int:
+        """How many cameras the calibration has."""
+        return len(read_calibration(self.calibration)) if self.calibration else 0
+
     def row_of(self, frame: int) -> int:
         """The number that a frame of the video has on the joints' clock."""
         camera = self.camera()

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def _places(track: PoseTrack) -> Float[Array, "R 3"] | None:
 
 def _both(one: PoseTrack, other: PoseTrack) -> PoseTrack:
     order = np.argsort(np.concatenate([one.frames, other.frames]))
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.concatenate([mine, getattr(other, name)])[order]
         for name in OPTIONAL
         if (mine := getattr(one, name)) is not None

@@ -1,12 +1,14 @@
 """Measured joints: what is written is read, what is damaged is refused in one sentence."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.real.markers import body_columns, read_joints_npz, read_trc, smpl_joint
+from hfb.datasets.real.markers import Markers, body_columns, read_joints_npz, read_trc, smpl_joint
+from hfb.datasets.real.truth_source import truth_kind, truth_offsets_mm
 from hfb.errors import InputError
 from tests.datasets.real.videos import write_trc
 
@@ -138,3 +140,43 @@ def test_turning_up_undoes_pose2sims_own_turn(tmp_path: Path) -> None:
     z_up = _points()
     write_trc(tmp_path / "a.trc", z_up[..., [1, 2, 0]], _NAMES, 60)  # as Pose2Sim writes: x = y, y = z, z = x
     np.testing.assert_allclose(read_trc(tmp_path / "a.trc").turned().xyz_m, z_up, atol=1e-12)
+
+
+def _skeleton(bones_m: np.ndarray, bend_deg: np.ndarray) -> Markers:
+    """A leg and an arm of given bone lengths over time that bend."""
+    count = len(bend_deg)
+    bend = np.deg2rad(bend_deg)
+    middle = np.stack([0 * bend, 0 * bend, -bones_m], 1)
+    end = middle + np.stack([np.sin(bend) * bones_m, 0 * bend, -np.cos(bend) * bones_m], 1)
+    points = np.stack([np.zeros((count, 3)), middle, end], 1)
+    names = ("RHip", "RKnee", "RAnkle", "LShoulder", "LElbow", "LWrist")
+    return Markers(np.arange(count), None, names, np.concatenate([points, points + 1], 1))
+
+
+def test_what_measured_joints_are() -> None:
+    bend, rng = 30 * np.sin(np.arange(40) / 5), np.random.default_rng(0)
+    rigid, noisy = np.full(40, 0.4), 0.4 + rng.normal(0, 0.01, 40)
+    assert truth_kind(_skeleton(rigid, bend), cameras=1) == "markers"
+    assert truth_kind(_skeleton(rigid, bend), cameras=3) == "markers"
+    assert truth_kind(_skeleton(noisy, bend), cameras=1) == "measured"
+    assert truth_kind(_skeleton(noisy, bend), cameras=2) == "multi-view"
+    assert truth_kind(_skeleton(rigid, 0 * bend), cameras=2) == "multi-view"  # who does not move tells nothing
+    assert truth_kind(replace(_skeleton(rigid, bend), views_known=True), cameras=1) == "multi-view"
+    assert truth_kind(replace(_skeleton(noisy, bend), rate_hz=60.0), cameras=1) == "multi-view"  # Pose2Sim's .trc
+
+
+@pytest.mark.parametrize(
+    ("recording", "cameras", "kind"),
+    [("opencap_walk_a", 1, "markers"), ("opencap_squat", 1, "markers"), ("pose2sim_balancing", 2, "multi-view")],
+)
+def test_what_the_shared_recordings_are(recording: str, cameras: int, kind: str) -> None:
+    path = Path(__file__).parents[4] / "shared" / "data" / recording / "joints3d.npz"
+    if not path.is_file():
+        pytest.skip("the shared recordings are not here")
+    assert truth_kind(read_joints_npz(path), cameras) == kind
+
+
+def test_offsets_of_joints_are_said() -> None:
+    offsets = truth_offsets_mm(tuple(range(24)))
+    assert offsets["left_hip"] == offsets["right_shoulder"] == (20, 50)
+    assert set(offsets) == {"left_hip", "right_hip", "left_shoulder", "right_shoulder"}

@@ -89,6 +89,9 @@ def test_clip_and_facts_agree_with_the_clock(case: Case) -> None:
     np.testing.assert_allclose(clip.camera.K, case.facts["camera"]["K"])
     assert (case.number, case.frames, case.facts["set"]) == (7, 2, "b-aist")
     assert case.facts["truth"] == "multi-view"
+    assert "triangulated" in case.facts["truth_source"]
+    assert {"left_hip", "right_wrist"} < set(case.facts["truth_joints"])
+    assert case.facts["truth_offset_mm"]["left_hip"] == [20, 50]
     assert case.start_paths()[0].exists() is False
     assert load_case(case.folder).facts == case.facts
 
