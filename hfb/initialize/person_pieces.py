@@ -6,6 +6,7 @@ faint rest of a body, between two people nothing.
 
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 
 from hfb.matting.matting import shrink
@@ -26,6 +27,7 @@ _WIDEST_GAP = 0.35
 _LEAST_BRIDGE = 0.04
 """Width of what the network sees in every row between two pieces, of the narrower piece's width: at most 0.016 between
 two people and above a reflection, 0.05 to 0.7 across hips that hardly differ from a hedge."""
+_FAINT = 0.1
 _SMALLEST_PIECE = 0.06
 """Of the larger piece's area: less changes no box that matters."""
 
@@ -75,7 +77,7 @@ def _might_be_one(one: Person, other: Person) -> bool:
 def _bridged(
     one: Person, other: Person, frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], alpha: Alpha
 ) -> bool:
-    """Does every row between the pieces hold a part of a body?"""
+    """Does every row between the pieces hold a part of a body; where their boxes overlap, are they one area?"""
     left, top, right, bottom, _ = _together(one, other)
     extra = _AROUND * max(right - left, bottom - top)
     height, width = frame.shape[:2]
@@ -89,6 +91,10 @@ def _bridged(
     first = int(np.clip((edges[0] - rows.start) * scale, 0, len(seen) - 1))
     last = int(np.clip((edges[1] - rows.start) * scale, first, len(seen) - 1))
     inner = slice(int(max(0, (left - columns.start) * scale)), int((right - columns.start) * scale) + 1)
+    if upper[3] > lower[1]:  # hands beside thighs, or two people slantwise: every row holds something
+        _, labels = cv2.connectedComponents((seen[:, inner] > _FAINT).astype(np.uint8))
+        most = [int(np.bincount(part[part > 0], minlength=1).argmax()) for part in (labels[:first], labels[last + 1 :])]
+        return most[0] == most[1] > 0
     narrower_px = min(one[2] - one[0], other[2] - other[0]) * scale
     profile = seen[first : last + 1, inner].sum(1) / narrower_px
     return bool(profile.min() >= _LEAST_BRIDGE)

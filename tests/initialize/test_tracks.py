@@ -106,6 +106,19 @@ def test_side_by_side_and_behind_are_not_asked_about() -> None:
     assert len(find_tracks(frames(WALKS, STANDS), PLATE, alpha=asked)) == 2
 
 
+def test_two_people_slantwise_are_two() -> None:
+    """An arm over somebody smaller: each row between them holds a part of both."""
+    pictures = frames([None] * 4)
+    for picture in pictures:
+        for rows, columns in (
+            (slice(10, 60), slice(40, 54)),
+            (slice(10, 16), slice(54, 82)),
+            (slice(28, 82), slice(67, 81)),
+        ):
+            picture[rows, columns] = (0.9, 0.2, 0.3)
+    assert len(find_tracks(pictures, PLATE, alpha=sharp)) == 2
+
+
 def test_a_fragment_does_not_take_over_the_person() -> None:
     """A reflection comes off the feet in one frame and is one with somebody who crouches in the next."""
     pictures = frames([None] * 6)
