@@ -132,11 +132,12 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
         cell = cells["all"]
         interval = cell["ratio_ci95"]
         low_high = f"[{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "-"
+        of = cell["n_pose"] if interval else cell["n"]
         share = "-" if cell["better_than_start"] is None else f"{cell['better_than_start']:.0%}"
         numbers = ((cell["initial_mpjpe_mm"], ".1f", 9), (cell["mpjpe_mm"], ".1f", 9), (cell["ratio"], ".3f", 8))
         text = "".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in numbers)
         iou = "-" if cell["iou"] is None else f"{cell['iou']:.3f}"
-        lines.append(f"{name:<24}{cell['n']:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
+        lines.append(f"{name:<24}{of:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
     lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"page     {result['page']}"]
     lines += [f"result   {result['out']}"]
     if result.get("mlflow_link"):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.evaluate.bootstrap import mean_ci95, ratio_ci95
+from hfb.evaluate.intervals import mean_ci95, ratio_ci95
 from hfb.evaluate.reliability import COLUMNS as RELIABILITY_COLUMNS
 from hfb.evaluate.reliability import reliability_cell
 from hfb.shapes import Array, Bool, Float, Int
@@ -117,26 +117,28 @@ def _joints(errors: Any) -> list[float]:
     return known if len(known) == 24 else [math.nan] * 24
 
 
-def make_cell(cases: MethodCases, seed: int) -> Cell:
+def make_cell(cases: MethodCases) -> Cell:
     """One cell of a results table.
 
-    ``n`` counts the answered cases, ``n_pose`` those behind the MPJPE. ``ratio`` is mean fitted / mean initial MPJPE
-    over the cases that know both, as are these two means then. Shares of cases are strict: an equal error is neither
+    ``n`` counts the answered cases, ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
+    intervals. ``ratio`` is mean fitted / mean initial MPJPE over the cases that know both, as are these two means then. Shares of cases are strict: an equal error is neither
     better nor worse.
     """
     answered = cases.chosen(~cases.failed)
     initial, fitted, known = _pair(answered, "initial_mpjpe_mm", "mpjpe_mm")
     initial_pa, fitted_pa, known_pa = _pair(answered, "initial_pa_mpjpe_mm", "pa_mpjpe_mm")
     initial_iou, iou, _ = _pair(answered, "initial_iou", "iou")
-    ratio, ratio_bounds = _ratio(fitted, initial, seed) if known else (None, None)
-    pa_ratio, pa_ratio_bounds = _ratio(fitted_pa, initial_pa, seed) if known_pa else (None, None)
+    ratio, ratio_bounds = _ratio(fitted, initial) if known else (None, None)
+    pa_ratio, pa_ratio_bounds = _ratio(fitted_pa, initial_pa) if known_pa else (None, None)
     return {
         "n": len(answered.numbers),
         "n_pose": len(fitted),
+        "n_pa": len(fitted_pa),
+        "n_iou": len(iou),
         "failed": int(cases.failed.sum()),
         "initial_mpjpe_mm": _mean(initial),
         "mpjpe_mm": _mean(fitted),
-        "mpjpe_ci95": _interval(mean_ci95(fitted, seed)),
+        "mpjpe_ci95": _interval(mean_ci95(fitted)),
         "ratio": ratio,
         "ratio_ci95": ratio_bounds,
         "initial_pa_mpjpe_mm": _mean(initial_pa),
@@ -145,7 +147,7 @@ def make_cell(cases: MethodCases, seed: int) -> Cell:
         "pa_ratio_ci95": pa_ratio_bounds,
         "initial_iou": _mean(initial_iou),
         "iou": _mean(iou),
-        "iou_ci95": _interval(mean_ci95(iou, seed)),
+        "iou_ci95": _interval(mean_ci95(iou)),
         "better_than_start": _mean((fitted < initial).astype(float)) if known else None,
         "worse_than_start": _mean((fitted > initial).astype(float)) if known else None,
         **{entry: _mean(_known(answered.values[column])) for entry, column in _MEANS.items()},
@@ -166,16 +168,18 @@ def start_cases(methods: Iterable[MethodCases]) -> MethodCases:
     return _columns([{"case": number, **known[number]} for number in sorted(known)])
 
 
-def start_cell(starts: MethodCases, seed: int) -> Cell:
+def start_cell(starts: MethodCases) -> Cell:
     """The start's row of a table."""
     mpjpe, pa_mpjpe, iou = (_known(starts.values[name]) for name in ("mpjpe_mm", "pa_mpjpe_mm", "iou"))
     return {
         "n": len(starts.numbers),
+        "n_pose": len(mpjpe),
+        "n_iou": len(iou),
         "mpjpe_mm": _mean(mpjpe),
-        "mpjpe_ci95": _interval(mean_ci95(mpjpe, seed)),
+        "mpjpe_ci95": _interval(mean_ci95(mpjpe)),
         "pa_mpjpe_mm": _mean(pa_mpjpe),
         "iou": _mean(iou),
-        "iou_ci95": _interval(mean_ci95(iou, seed)),
+        "iou_ci95": _interval(mean_ci95(iou)),
     }
 
 
@@ -184,7 +188,7 @@ def is_start(cell: Mapping[str, Any]) -> bool:
     return cell["ratio"] == 1 and cell["better_than_start"] == cell["worse_than_start"] == 0
 
 
-def compare(one: MethodCases, other: MethodCases, seed: int) -> Cell:
+def compare(one: MethodCases, other: MethodCases) -> Cell:
     """Two methods on the cases that both answered: what a claim "one is better" rests on.
 
     ``difference_mm`` is mean(one - other), negative where `one` is better; ``ratio`` mean one / mean other; ``better``
@@ -194,11 +198,11 @@ def compare(one: MethodCases, other: MethodCases, seed: int) -> Cell:
     ours, theirs = one.values["mpjpe_mm"][first], other.values["mpjpe_mm"][second]
     both = np.isfinite(ours) & np.isfinite(theirs) & ~one.failed[first] & ~other.failed[second]
     ours, theirs = ours[both], theirs[both]
-    ratio, bounds = _ratio(ours, theirs, seed)
+    ratio, bounds = _ratio(ours, theirs)
     return {
         "n": len(ours),
         "difference_mm": _mean(ours - theirs),
-        "difference_ci95": _interval(mean_ci95(ours - theirs, seed)),
+        "difference_ci95": _interval(mean_ci95(ours - theirs)),
         "ratio": ratio,
         "ratio_ci95": bounds,
         "better": _mean((ours < theirs).astype(float)),
@@ -214,11 +218,11 @@ def _pair(cases: MethodCases, before: str, after: str) -> tuple[Float[Array, "B"
     return _known(first), _known(second), False
 
 
-def _ratio(above: Float[Array, "C"], below: Float[Array, "C"], seed: int) -> tuple[float | None, list[float] | None]:
+def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | None, list[float] | None]:
     """Ratio of the means and its 95 % interval."""
     if not len(below) or below.mean() <= 0:
         return None, None
-    return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below, seed))
+    return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below))
 
 
 def _known(values: Float[Array, "C"]) -> Float[Array, "K"]:

@@ -191,7 +191,7 @@ def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
                 str(cell["n"]),
                 number(cell[f"initial_{metric}"] if starts or ratio else None, digits),
             ]
-            line += [number(cell[metric], digits), number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2)]
+            line += [number(cell[metric], digits), _ratio_text(cell, metric)]
             lines.append(line)
     return grid(header, lines, left=2)
 
@@ -210,10 +210,16 @@ def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, our
         line += [number(theirs[index], digits)]
         line += [number(theirs[index] / before[index], 3)] if before else []
         line += [str(cell.get("n", UNKNOWN)), number(cell.get(f"initial_{metric}"), digits)]
-        line += [number(cell.get(metric), digits), number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2)]
+        line += [number(cell.get(metric), digits), _ratio_text(cell, metric)]
         lines.append(line)
     weighted = _in_the_papers_shares(experiment, summary, ours, metric)
     return grid(header, lines) + (f"\n\n{weighted}" if weighted else "")
+
+
+def _ratio_text(cell: Mapping[str, Any], metric: Metric) -> str:
+    """A cell's ratio to the start with its interval, as far as it has one of this metric."""
+    ratio, count = _RATIOS.get(metric, ""), "n_pa" if metric == "pa_mpjpe" else "n_pose"
+    return number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2, cell.get(count, 0))
 
 
 def _papers_counts(experiment: Experiment) -> list[str]:
@@ -259,7 +265,7 @@ def _against_start(experiment: Experiment, summary: Mapping[str, Any]) -> list[s
         for pair, both in summary.get("comparisons", {}).items():
             cell = both["all"]
             if pair.endswith(f" vs {reference}") and reference != "static":
-                ratio = number(cell["ratio"], 3) + interval(cell["ratio_ci95"], 2)
+                ratio = number(cell["ratio"], 3) + interval(cell["ratio_ci95"], 2, cell["n"])
                 lines.append(f"On the same cases, {pair}: ratio of MPJPE {ratio}, n {cell['n']}.")
     return lines
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from hfb.evaluate.cells import Cell, is_start
+from hfb.evaluate.intervals import FEWEST_CASES
 from hfb.evaluate.reliability import LEVELS, WITHIN
 
 Metric = Literal["mpjpe", "pa_mpjpe", "iou"]
@@ -54,7 +55,8 @@ def table_markdown(
         *(["; ".join(notes) + "."] if notes else []),
         _counts(summary),
         "## All cases",
-        "In brackets the 95 % interval of a bootstrap over cases (2000 draws).",
+        f"In brackets the 95 % interval over cases (Student's t on the logarithm) and their number n; none below "
+        f"{FEWEST_CASES} cases.",
         _overall(summary, out_of_contest),
         *(f"## {_BLOCKS[metric].title} by blur rate\n\n{_block(summary, metric, out_of_contest)}" for metric in chosen),
     ]
@@ -78,9 +80,16 @@ def number(value: float | None, digits: int) -> str:
     return UNKNOWN if value is None else f"{value:.{digits}f}"
 
 
-def interval(bounds: Sequence[float] | None, digits: int) -> str:
-    """`` [low, high]`` with a space before it, or nothing; a line breaks before the bracket only."""
-    return "" if bounds is None else f" [{bounds[0]:.{digits}f},{_TIED}{bounds[1]:.{digits}f}]"
+def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
+    """`` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only."""
+    if bounds is None:
+        return ""
+    return f" [{bounds[0]:.{digits}f},{_TIED}{bounds[1]:.{digits}f};{_TIED}n{_TIED}{cases}]"
+
+
+def ratio_text(cell: Cell, digits: int) -> str:
+    """A method's ratio to the start with its interval."""
+    return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
 
 def blur_label(blur: Sequence[float]) -> str:
@@ -124,8 +133,8 @@ def _overall_row(cell: Cell, best: str | None) -> list[str]:
     error, better_iou = number(cell["mpjpe_mm"], 1), cell.get("best_of_two_iou")
     return [
         str(cell["n"]) + (f" ({cell['failed']}{_TIED}failed)" if cell["failed"] else ""),
-        (f"**{error}**" if error == best else error) + interval(cell["mpjpe_ci95"], 1),
-        number(cell["ratio"], 3) + interval(cell["ratio_ci95"], 3),
+        (f"**{error}**" if error == best else error) + interval(cell["mpjpe_ci95"], 1, cell["n_pose"]),
+        ratio_text(cell, 3),
         number(cell["pa_mpjpe_mm"], 1),
         _TIED.join([number(cell["in_plane_mm"], 0), "/", number(cell["depth_mm"], 0)]),
         number(cell["iou"], 3),
@@ -174,7 +183,7 @@ def _ratios(summary: Mapping[str, Any]) -> str:
     rows = []
     for index, start in enumerate(starts):
         label = blur_label(start["blur"]) if "blur" in start else "all"
-        ratios = [number(row[index]["ratio"], 3) + interval(row[index]["ratio_ci95"], 2) for row in cells.values()]
+        ratios = [ratio_text(row[index], 2) for row in cells.values()]
         rows.append([label, str(start["n"]), number(start["mpjpe_mm"], 1), *ratios])
     return grid(["blur rate", "n", "start [mm]", *cells], rows)
 
@@ -203,8 +212,8 @@ def _same_cases(comparisons: Mapping[str, Any]) -> str:
         [
             pair,
             str(both["all"]["n"]),
-            number(both["all"]["difference_mm"], 1) + interval(both["all"]["difference_ci95"], 1),
-            number(both["all"]["ratio"], 3) + interval(both["all"]["ratio_ci95"], 3),
+            number(both["all"]["difference_mm"], 1) + interval(both["all"]["difference_ci95"], 1, both["all"]["n"]),
+            number(both["all"]["ratio"], 3) + interval(both["all"]["ratio_ci95"], 3, both["all"]["n"]),
             _percent(both["all"]["better"]),
         ]
         for pair, both in comparisons.items()

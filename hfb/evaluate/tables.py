@@ -50,17 +50,17 @@ def summarize(
         "cases": len(numbers),
         "outside_bins": len(numbers - inside),
         "start": {
-            "all": start_cell(starts, seed),
-            "bins": _per_bin(bins, [start_cell(starts.within(bins, index), seed) for index in range(len(bins))]),
+            "all": start_cell(starts),
+            "bins": _per_bin(bins, [start_cell(starts.within(bins, index)) for index in range(len(bins))]),
         },
         "methods": {
             name: {
-                "all": make_cell(cases, seed),
-                "bins": _per_bin(bins, [make_cell(part, seed) for part in binned[name]]),
+                "all": make_cell(cases),
+                "bins": _per_bin(bins, [make_cell(part) for part in binned[name]]),
             }
             for name, cases in found.items()
         },
-        "comparisons": _comparisons(found, binned, pairs, bins, seed),
+        "comparisons": _comparisons(found, binned, pairs, bins),
         "skipped_reasons": dict(sorted(skipped.items())),
     }
 
@@ -74,15 +74,14 @@ def _comparisons(
     binned: Mapping[str, Sequence[MethodCases]],
     pairs: Sequence[tuple[str, str]],
     bins: Bins,
-    seed: int,
 ) -> dict[str, Any]:
     """Those of the pairs that share a case with known errors."""
     compared = {}
     for one, other in pairs:
         if one not in found or other not in found:
             continue
-        overall = compare(found[one], found[other], seed)
+        overall = compare(found[one], found[other])
         if overall["n"]:
-            by_bin = [compare(*both, seed) for both in zip(binned[one], binned[other], strict=True)]
+            by_bin = [compare(*both) for both in zip(binned[one], binned[other], strict=True)]
             compared[f"{one} vs {other}"] = {"all": overall, "bins": _per_bin(bins, by_bin)}
     return compared

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from hfb.evaluate.cells import is_start
-from hfb.evaluate.table_page import UNKNOWN, is_oracle, number
+from hfb.evaluate.table_page import UNKNOWN, interval, is_oracle, number
 from hfb.media.pictures import read_picture_srgb
 from hfb.report.markdown import markdown
 from hfb.report.page import Html, element, folded, joined, page, picture, section, small_picture, table
@@ -19,11 +19,11 @@ _MOST_LOOKS = 360
 """So many pictures of some 25 KB are shown; of a larger benchmark those of cases spread over the whole range."""
 
 _PLOTS = {
-    "ratio_by_blur.png": "MPJPE over the start's, by blur rate, with 95 % intervals; below 1 is better than the start",
-    "ratio_beside_paper.png": "MPJPE over the start's: ours with 95 % intervals, the paper's HfB over its own start",
-    "error_by_blur.png": "MPJPE by blur rate, with 95 % bands; a point is a case",
+    "ratio_by_blur.png": "MPJPE over the start's, by blur rate, with 95 % intervals from 6 cases on; below 1 is better than the start",
+    "ratio_beside_paper.png": "MPJPE over the start's: ours with 95 % intervals from 6 cases on, the paper's HfB over its own start",
+    "error_by_blur.png": "MPJPE by blur rate, with 95 % bands from 6 cases on; a point is a case",
     "iou_by_blur.png": "IoU of silhouettes by blur rate",
-    "error_by_joint.png": "Mean error of every joint",
+    "error_by_joint.png": "Mean error of every joint, with 95 % intervals from 6 cases on",
     "reliability.png": "How sure a method said it was, and how often that was right",
 }
 
@@ -82,9 +82,11 @@ def _in_short(summary: Mapping[str, Any]) -> Html:
     cells = {name: both["all"] for name, both in summary["methods"].items() if not is_start(both["all"])}
     items = []
     for name, cell in cells.items():
-        ratio, bounds = cell["ratio"], cell["ratio_ci95"]
+        ratio = cell["ratio"]
         if ratio is not None:
-            between = f" [{bounds[0]:.2f}, {bounds[1]:.2f}]" if bounds else ""
+            between = (
+                interval(cell["ratio_ci95"], 2, cell["n_pose"]) or f" (n {cell['n_pose']}, too few for an interval)"
+            )
             words = f"{name}{' (an oracle)' if is_oracle(name) else ''}: MPJPE over the start's{between}"
             items.append(element("li", element("b", f"{ratio:.2f}"), element("span", words)))
     start = summary["start"]["all"]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.evaluate.bootstrap import mean_ci95
+from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.cells import MethodCases, by_method, is_start, start_cases
 from hfb.evaluate.table_page import blur_label
 from hfb.media.atomic import write_bytes_atomic
@@ -87,7 +87,14 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
         reach = np.abs(bounds - heights[:, None]).T
         places = [index + shift for index, _ in known]
         axes.errorbar(
-            places, heights, reach, fmt=style["marker"], color=style["color"], markersize=5, linewidth=1.6, label=name
+            places,
+            heights,
+            reach,
+            fmt=style["marker"],
+            color=style["color"],
+            markersize=5,
+            linewidth=1.6,
+            label=f"{name} (n {row[-1]['n_pose']})",
         )
     axes.axvline(len(labels) - 1.5, color=FAINT_GRAY, linewidth=1)
     axes.set_xticks(range(len(labels)), labels)
@@ -114,16 +121,14 @@ def error_by_joint(
     width = 0.84 / len(errors)
     for place, (name, table) in enumerate(errors.items()):
         means = table.mean(0)
-        bounds = [
-            mean_ci95(column, summary["seed"]) or (mean, mean) for column, mean in zip(table.T, means, strict=True)
-        ]
+        bounds = [mean_ci95(column) or (mean, mean) for column, mean in zip(table.T, means, strict=True)]
         lefts = np.arange(len(groups)) + (place - (len(errors) - 1) / 2) * width
         axes.bar(
             lefts,
             means,
             width * 0.92,
             color=styles(summary)[name]["color"],
-            label=f"start ({name})" if is_start(summary["methods"][name]["all"]) else name,
+            label=f"{f'start ({name})' if is_start(summary['methods'][name]['all']) else name} (n {len(table)})",
             yerr=np.abs(np.array(bounds).T - means),
             error_kw={"linewidth": 0.9, "ecolor": "#222222"},
         )
@@ -149,9 +154,9 @@ def _against_blur(
         style = gray if name == "start" else styles(summary)[name]
         rates, heights = cases.values["blur_rate"], cases.values[column]
         axes.scatter(rates, heights, s=7, color=style["color"], alpha=0.5 / (1 + len(drawn)), linewidths=0)
-        middles, means, bands = _per_bin(cases, column, bins, summary["seed"])
+        middles, means, bands = _per_bin(cases, column, bins)
         axes.fill_between(middles, *bands.T, color=style["color"], alpha=0.5 / (2 + len(drawn)), linewidth=0)
-        axes.plot(middles, means, linewidth=2, markersize=5, label=name, **style)
+        axes.plot(middles, means, linewidth=2, markersize=5, label=f"{name} (n {np.isfinite(heights).sum()})", **style)
     if column == "iou":
         axes.set_ylim(0, 1)
     else:
@@ -163,7 +168,7 @@ def _against_blur(
 
 
 def _per_bin(
-    cases: MethodCases, column: str, bins: Sequence[tuple[float, float]], seed: int
+    cases: MethodCases, column: str, bins: Sequence[tuple[float, float]]
 ) -> tuple[Float[Array, "P"], Float[Array, "P"], Float[Array, "P 2"]]:
     """Mean blur rate, mean of a column and its 95 % interval, of every interval with a case."""
     points = []
@@ -172,7 +177,7 @@ def _per_bin(
         part = part.chosen(np.isfinite(part.values[column]))
         if len(part.numbers):
             mean = part.values[column].mean()
-            low, high = mean_ci95(part.values[column], seed) or (mean, mean)
+            low, high = mean_ci95(part.values[column]) or (mean, mean)
             points.append((part.values["blur_rate"].mean(), mean, low, high))
     table = np.array(points, np.float64).reshape(-1, 4)
     return table[:, 0], table[:, 1], table[:, 2:]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from hfb.evaluate.bootstrap import mean_ci95
+from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.cells import MethodCases
 from hfb.evaluate.reliability import LEVELS, WITHIN, direction_groups
 from hfb.report.plot_style import GRAY, png, sheet, styles
@@ -31,9 +31,12 @@ def reliability(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) 
         axes.set_aspect("equal")
     for name, cases in {**sure, **directed}.items():
         style = styles(summary)[name]
-        joints.plot([], [], linewidth=2, markersize=6, label=name, **style)  # in the legend, whichever panel it is in
+        count = int(np.isfinite(cases.values["radius_mm"]).sum())
+        joints.plot(
+            [], [], linewidth=2, markersize=6, label=f"{name} (n {count})", **style
+        )  # in the legend, whichever panel it is in
         if name in sure:
-            _draw_joints(joints, cases, style, summary["seed"])
+            _draw_joints(joints, cases, style)
         if name in directed:
             _draw_directions(directions, cases, style)
     joints.set_xlabel("said: joint within its radius")
@@ -43,10 +46,10 @@ def reliability(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) 
     return png(figure, joints, directions)
 
 
-def _draw_joints(axes: Any, cases: MethodCases, style: Mapping[str, Any], seed: int) -> None:
+def _draw_joints(axes: Any, cases: MethodCases, style: Mapping[str, Any]) -> None:
     shares = [cases.values[name][np.isfinite(cases.values[name])] for name in WITHIN]
     means = np.array([share.mean() for share in shares])
-    bounds = np.array([mean_ci95(s, seed) or (m, m) for s, m in zip(shares, means, strict=True)])
+    bounds = np.array([mean_ci95(s) or (m, m) for s, m in zip(shares, means, strict=True)])
     axes.fill_between(LEVELS, *bounds.T, color=style["color"], alpha=0.2, linewidth=0)
     axes.plot(LEVELS, means, linewidth=2, markersize=6, **style)
 

@@ -52,7 +52,8 @@ def test_everything_is_there_and_is_text(tmp_path: Path) -> None:
         assert words in page
     for markup in ("<script", "<b>mine", "<u>", "<em>", "<img src=x", "<i>"):
         assert markup not in page
-    assert "0.44" in page  # 43.5 over 100
+    assert "<b>0.43</b>" in page  # 43.5 over 100
+    assert "n\u00a06]" in page
     assert page.count("data:image/png") == 1
     assert page.count("data:image/jpeg") == 1 + 6  # gallery, and a picture per case
     links = set(re.findall(r'href="#([^"]+)"', page))
