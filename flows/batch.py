@@ -192,8 +192,8 @@ class _Rounds:
             reason, kind = "it is finished, but MLflow did not take its record: that is tried again", "StoreLost"
         progress.fail(kind)
         entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
-        progress.say(f"hfb: {place.shown}: {entry.status}: {reason}")
-        _log.info("%s: %s: %s", place.shown, entry.status, reason)
+        progress.say(f"hfb: {place.shown}: {entry.status}: {entry.reason}")
+        _log.info("%s: %s: %s", place.shown, entry.status, entry.reason)
         self._summary.show(place.name, _state(entry), entry.reason)
         if entry.attempts == 1 or entry.status == "set aside":  # every further attempt is no news
             self._troubles.append(ClipTrouble(place.shown, entry.status, entry.reason))
@@ -213,7 +213,8 @@ class _Rounds:
         states = []
         for place in places:
             entry = self._entry(place, stamp_of(place.files, self._options)[0])
-            states.append((place.name, _state(entry), *((entry.reason, entry.link) if entry else ("", None))))
+            reason, link = (entry.reason, entry.link) if entry else ("", None)
+            states.append((place.name, _state(entry), reason, link))
         self._summary.show_all(states)
         return places
 

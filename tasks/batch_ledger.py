@@ -19,6 +19,7 @@ from hfb.config import Record
 from hfb.errors import InputError
 from hfb.json_file import read_json
 from hfb.media.atomic import write_bytes_atomic
+from hfb.media.names import shown_name
 from hfb.media.safe_folder import check_ordinary
 from tasks.handles import digest
 
@@ -88,7 +89,7 @@ class Ledger:
         count = 1 + (before.attempts if before else 0)
         aside = hopeless or count >= attempts
         due = 0.0 if aside else time.time() + pause_s(wait_s, count)
-        said = reason[:_LONGEST_REASON].encode("utf-8", "backslashreplace").decode()  # libraries' errors say anything
+        said = shown_name(reason[:_LONGEST_REASON])  # names of files, and libraries' errors, hold anything
         entry = Entry(stamp=stamp, status="set aside" if aside else "failed", attempts=count, reason=said, due=due)
         self._keep(name, entry)
         return entry

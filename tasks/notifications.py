@@ -6,7 +6,9 @@ Light to import.
 
 from __future__ import annotations
 
+import asyncio
 import contextvars
+import inspect
 import json
 import logging
 import os
@@ -154,7 +156,9 @@ def _by_block(name: str, text: str) -> None:
     if not isinstance(block, NotificationBlock):
         raise TypeError("no notification block")
     with _quiet():
-        block.notify(text, subject="hfb batch")
+        sent: Any = block.notify(text, subject="hfb batch")
+        if inspect.iscoroutine(sent):  # of blocks that know no other way
+            asyncio.run(sent)
 
 
 def _by_apprise(address: str, text: str) -> None:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hfb.media.pictures import read_picture_srgb
-from hfb.report.page import Html, element, joined, page, picture, section, small_picture, table
+from hfb.report.page import Html, element, page, picture, section, small_picture, table
 
 CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
@@ -80,7 +80,7 @@ def batch_page(
         clips: those of this page alone. number: of the page, from 0.
         troubles: (place among all clips, clip) of those that were set aside; the first page lists them.
     """
-    head = ["clip", "state", *(label for label, _, _ in _FIGURES), "", ""]
+    head = ["clip", "", "state", *(label for label, _, _ in _FIGURES), ""]
     rows = [row for clip in clips for row in (_row(clip), *(_row(one, clip.name) for one in clip.people))]
     told = f"{counts.clips} clips: {counts.done} done, {counts.set_aside} set aside, {counts.waiting} waiting."
     return page(
@@ -134,10 +134,10 @@ def _troubles(troubles: Iterable[tuple[int, BatchClip]]) -> Html | None:
 def _row(clip: BatchClip, whole: str | None = None) -> list[object]:
     """Of a clip; or of one of several people in it, whose ``whole`` clip has the row above."""
     state = element("span", clip.status, class_=_CLASSES.get(clip.status, "warn"))
-    links = [element("a", "MLflow", href=clip.link)] if clip.link and clip.link.startswith("http") else []
-    told = joined([element("span", clip.reason[:_LONGEST_REASON], class_="said"), " ", *links])
+    link = element("a", "MLflow", href=clip.link) if clip.link and clip.link.startswith("http") else ""
+    shown = _picture(clip) or element("span", clip.reason[:_LONGEST_REASON], class_="said")
     figures = [_figure(clip.figures.get(key), form) for _, key, form in _FIGURES]
-    return [_named(clip, whole), state, *figures, _picture(clip), told]
+    return [_named(clip, whole), shown, state, *figures, link]
 
 
 def _named(clip: BatchClip, whole: str | None) -> Html:

@@ -50,7 +50,7 @@ def run(clips: Path, out: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
 
 def test_names_that_no_folder_of_results_can_have(store: Path, tmp_path: Path) -> None:
     kept = ["summary.html", "batch.json", "Intermediate", "summary-2.html.mp4", "batch.json.set-aside-1"]
-    odd = ["line\nbreak", "..walk..", "a" * 251 + ".mp4", "b" * 252 + ".ts", "<b>bold</b>.mp4", "\x1b[31mred"]
+    odd = ["line\nbreak", "..walk..", "a" * 251 + ".mp4", "b" * 252 + ".ts", "<b>bold<b>.mp4", "\x1b[31mred"]
     clips = made(tmp_path / "clips", [*kept, *odd, f"{_NOT_UTF8}.mp4", _NOT_UTF8 + "2", "broken.mp4"])
     told, ledger, page = run(clips, tmp_path / "out")
     count = len(kept) + len(odd) - 1 + 3  # what begins with a dot is hidden
@@ -164,7 +164,7 @@ def test_a_damaged_result_is_its_clips_trouble(name: str, damage: Callable[[Path
     assert "2 clips: 1 done, 1 set aside, 0 waiting" in page
     assert f"{name}" in page
     assert "move" in page
-    assert page.count("data:image/jpeg;base64,") == 2, "the other clip's picture, and that of one in it"
+    assert page.count("data:image/jpeg;base64,") == 1, "the other clip's picture"
 
 
 @pytest.mark.parametrize(
