@@ -213,7 +213,8 @@ class _Rounds:
         states = []
         for place in places:
             entry = self._entry(place, stamp_of(place.files, self._options)[0])
-            states.append((place.name, _state(entry), *((entry.reason, entry.link) if entry else ("", None))))
+            reason, link = (entry.reason, entry.link) if entry else ("", None)
+            states.append((place.name, _state(entry), reason, link))
         self._summary.show_all(states)
         return places
 

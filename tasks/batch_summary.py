@@ -66,7 +66,7 @@ class BatchSummary:
 
         self._names = [name for name, *_ in states]
         self._places = {name: place for place, name in enumerate(self._names)}
-        self._clips = {name: self._row(name, *more) for name, *more in states}
+        self._clips = {name: self._row(name, status, reason, link) for name, status, reason, link in states}
         self._found = {name: found for name, found in self._found.items() if name in self._clips}
         pages = page_count(len(self._names))
         self._write(range(pages))
