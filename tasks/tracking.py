@@ -141,6 +141,7 @@ def open_store() -> None:
         InputError: see `tasks.store_client.usable_store`.
     """
     uri = tracking_uri()
+    patience(uri).another_try()  # it may be back
     with usable_store(uri):
         _experiment(client_of(uri))
     with suppress(Exception):  # tidying up after others must not stop this run
