@@ -67,9 +67,14 @@ def _yaml(path: Path, text: str) -> dict[str, Any]:
         content = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
         raise InputError(f"{path}: is no calibration as OpenCV, ROS or Kalibr write it; export it again.") from None
-    if not isinstance(content, dict):
-        return {}
-    return {str(key): value for key, value in content.items()}
+    return _named(content) if isinstance(content, dict) else {}
+
+
+def _named(value: Any) -> Any:
+    """With texts as the keys of every table: YAML's may be numbers and dates."""
+    if isinstance(value, dict):
+        return {str(key): _named(one) for key, one in value.items()}
+    return [_named(one) for one in value] if isinstance(value, list) else value
 
 
 def _opencv(path: Path, text: str) -> dict[str, Any]:

@@ -61,7 +61,7 @@ def is_fisheye(entries: Mapping[str, Any], coefficients: Float[Array, "n"], wher
     """
     fisheye = False
     for key, value in entries.items():
-        name, model = plain(key), plain(value) if isinstance(value, str) else ""
+        name, model = plain(str(key)), plain(value) if isinstance(value, str) else ""
         if name == "xi":
             raise _unread(where, "omnidirectional (it has an xi)")
         if "fisheye" in name and not isinstance(value, dict | list):
@@ -106,7 +106,7 @@ def named_coefficients(part: Mapping[str, Any], fisheye: bool, where: str) -> li
         InputError: it has one that the model does not have.
     """
     order = _BY_NAME[fisheye]
-    given = {plain(key): value for key, value in part.items()}
+    given = {plain(str(key)): value for key, value in part.items()}
     unknown = [key for key, value in given.items() if key not in order and value]
     if unknown:
         raise InputError(f"{where}: its distortion has {unknown[0][:20]}, which is none of {', '.join(order)}.")

@@ -13,6 +13,7 @@ OpenPose's: {people: [{pose_keypoints_2d}]}, one picture.
 """
 
 import math
+import warnings
 from collections import defaultdict
 from typing import Any, NamedTuple
 
@@ -105,7 +106,7 @@ def _of_detections(parts: list[dict[str, Any]], size: tuple[int, int]) -> list[P
         (nameless if person is None else people[person]).append(seen)
     found = sorted(people.items())
     found += [
-        (f"unnamed {number}" if people else str(number), one) for number, one in enumerate(linked(nameless, _way))
+        (f"unnamed {number}" if people else str(number), one) for number, one in enumerate(linked(nameless, _ways))
     ]
     return [_person(person, one, size) for person, one in found]
 
@@ -119,17 +120,20 @@ def _name(mark: Any) -> str | None:
     return str(int(mark)) if isinstance(mark, float) and mark.is_integer() else text_of(mark)
 
 
-def _way(one: _Detection, other: _Detection) -> float:
-    """How far a person would have gone, in what somebody of that size goes from frame to frame."""
-    trusted = [points[:, 2] >= _LEAST_CONFIDENCE for points in (one.points, other.points)]
-    if one.points.shape != other.points.shape or not (both := trusted[0] & trusted[1]).any():
-        return math.inf
-    size_px = max(
-        float(np.ptp(points[seen, :2], axis=0).max())
-        for points, seen in zip((one.points, other.points), trusted, strict=True)
-    )
-    away_px = float(np.median(np.linalg.norm(one.points[both, :2] - other.points[both, :2], axis=1)))
-    return away_px / max(_REACH * size_px, 1e-6)
+def _ways(before: list[_Detection], now: list[_Detection]) -> Float[Array, "b n"]:
+    """Between keypoints that are trusted in both, in what somebody of that size goes from frame to frame."""
+    if len({one.points.shape for one in (*before, *now)}) > 1:
+        raise InputError("its people have different numbers of keypoints; give those of one model")
+    old, new = (np.stack([_trusted(one.points) for one in people]) for people in (before, now))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # nothing is trusted in both: NaN, which is nobody's way
+        away_px = np.nanmedian(np.linalg.norm(old[:, None] - new, axis=-1), -1)
+        old_px, new_px = ((np.nanmax(one, 1) - np.nanmin(one, 1)).max(-1) for one in (old, new))
+    return away_px / np.maximum(_REACH * np.fmax(old_px[:, None], new_px), 1e-6)
+
+
+def _trusted(points: Float[Array, "J c"]) -> Float[Array, "J 2"]:
+    return np.where(points[:, 2:3] >= _LEAST_CONFIDENCE, points[:, :2], np.nan)
 
 
 def _is_number(image: Any) -> bool:

@@ -29,11 +29,11 @@ class Seen(Protocol):
 SeenT = TypeVar("SeenT", bound=Seen)
 
 
-def linked(seen: Sequence[SeenT], way: Callable[[SeenT, SeenT], float]) -> list[list[SeenT]]:
+def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]) -> list[list[SeenT]]:
     """Everybody's rows, in the order in which they appear. The order within a frame says nothing.
 
     Args:
-        way: between two frames' people, 1 being as far as somebody goes from one frame to the next.
+        ways: between the people of two frames, 1 being as far as somebody goes from one frame to the next.
 
     Raises:
         InputError: a frame has more people than can be told apart.
@@ -47,7 +47,7 @@ def linked(seen: Sequence[SeenT], way: Callable[[SeenT, SeenT], float]) -> list[
     recent: list[set[int]] = []
     for number in sorted(frames):
         known = sorted(set().union(*recent[-_REMEMBERED:]))
-        follows = _followed([people[person][-1] for person in known], frames[number], way)
+        follows = _followed([people[person][-1] for person in known], frames[number], ways)
         recent.append(set())
         for at, one in enumerate(frames[number]):
             person = known[follows[at]] if at in follows else len(people)
@@ -58,12 +58,14 @@ def linked(seen: Sequence[SeenT], way: Callable[[SeenT, SeenT], float]) -> list[
     return people
 
 
-def _followed(before: list[SeenT], now: list[SeenT], way: Callable[[SeenT, SeenT], float]) -> dict[int, int]:
+def _followed(
+    before: list[SeenT], now: list[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]
+) -> dict[int, int]:
     """Whom of `before` those of `now` continue, by their places in the lists."""
     if not before:
         return {}
     steps = np.array([min(now[0].number - one.number, _MOST_STEPS) for one in before], np.float64)
-    cost: Float[Array, "b n"] = np.array([[way(one, other) for other in now] for one in before]) / steps[:, None]
+    cost = ways(before, now) / steps[:, None]
     cost = np.where(np.isfinite(cost), cost, np.inf)
     pairs = zip(*linear_sum_assignment(np.minimum(cost, 1)), strict=True)
     return {int(new): int(old) for old, new in pairs if cost[old, new] < 1}

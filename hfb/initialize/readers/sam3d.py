@@ -56,7 +56,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
         _log.warning(
             "%s: %d of %d people are left out: not before the camera", SYSTEM, len(seen) - len(placed), len(seen)
         )
-    return [_person(str(name), rows, size) for name, rows in enumerate(linked(placed, _way))]
+    return [_person(str(name), rows, size) for name, rows in enumerate(linked(placed, _ways))]
 
 
 def _frames(content: Any) -> list[tuple[int, str | None, list[Any]]]:
@@ -135,8 +135,10 @@ def _camera(
     return pinhole(focal_px, float(cx), float(cy))
 
 
-def _way(one: _Seen, other: _Seen) -> float:
-    return float(np.linalg.norm(one.joints[0] - other.joints[0])) / _REACH_M
+def _ways(before: list[_Seen], now: list[_Seen]) -> Float[Array, "b n"]:
+    """Between pelvises."""
+    away = np.stack([one.joints[0] for one in before])[:, None] - np.stack([one.joints[0] for one in now])
+    return np.linalg.norm(away, axis=-1) / _REACH_M
 
 
 def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:

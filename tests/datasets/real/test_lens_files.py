@@ -178,6 +178,9 @@ def test_standard_lenses(tmp_path: Path, name: str) -> None:
         ("skew.json", json.dumps({"K": [[300, 5, 320], *K[1:]], "D": list(STANDARD)}), "skew"),
         ("k5.json", json.dumps({"K": K, "fisheye": True, "D": {"k1": 0.1, "p1": 0.2}}), "p1"),
         ("alias.yaml", "a: &a [1, 2]\nK: [*a, *a]\n", "aliases"),
+        ("keys.yaml", "1: {2: 3}\nK: [[1, 2], [3]]\n4: [5]\n", "not numbers"),
+        ("list.yaml", "- 1\n- 2\n", "no camera_matrix"),
+        ("keys_of_lens.yaml", "K: [300, 310, 320, 240]\nD: {1: 0.5}\n7: x\n", "which is none of k1"),
         ("section.toml", "[metadata]\nerror = 1.0\n", "no camera_matrix"),
     ],
 )  # fmt: skip

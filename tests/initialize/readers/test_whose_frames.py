@@ -208,6 +208,10 @@ def test_as_reported() -> None:
     tracks = read_tracks([_REPORTS / "wham_chunks.pkl"], HEIGHT, WIDTH)
     assert len(tracks) == 1
     assert len(tracks[0]) == 20
+    named = _REPORTS / "named_from_1"
+    own = ClipPictures(tuple(sorted(path.name for path in (named / "frames").iterdir())))
+    (track,) = read_tracks([named / "alphapose-results.json"], 120, 160, own)
+    assert track.frames.tolist() == list(range(6))
     (track,) = read_tracks([_REPORTS / "sam3d_without_focal_length.npz"], HEIGHT, WIDTH)
     assert np.isfinite(track.K).all()
     assert track.joints is not None
