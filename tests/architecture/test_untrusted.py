@@ -24,8 +24,6 @@ _MAY = {
     ("hfb/body/pickles.py", "pickle._Unpickler"),
     # a network is a program: the user names it, and hfb/networks.py refuses what is more than one
     ("hfb/networks.py", "torch.jit.load"),
-    # an archive whose digest is known, of which one member is read in memory
-    ("hfb/initialize/fetch_networks.py", "import tarfile"),
     # our own arrays of numbers, mapped and not read, on the machine of whoever trains
     ("infra/train_joints/train.py", "np.load"), ("infra/train_matting/measure.py", "np.load"),
     ("infra/train_matting/pairs.py", "np.load"), ("infra/train_matting/train.py", "np.load"),
