@@ -13,6 +13,7 @@ from flows.workplace import publish, workplace
 from hfb.config import RunConfig
 from hfb.export.names import CURVES, REPORT
 from hfb.fit.alternatives import what_is_unknown
+from hfb.fit.confidence import radius_condition
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
 from tasks.export_files import export_files
@@ -150,6 +151,7 @@ def _result(
         "fit_seconds": round(fitted.seconds, 3),
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
+        "confidence": radius_condition([first.source for first in firsts]),
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
         "report": str(out.resolve() / REPORT) if config.export.report else None,

@@ -20,7 +20,7 @@ import platformdirs
 
 from hfb.errors import InputError
 from tasks import progress
-from tasks.secrets import SecretFormatter, without_login, without_secrets
+from tasks.secrets import SecretFormatter, shown_address, without_login, without_secrets
 from tasks.structured_log import JsonFormatter, WithIds
 
 LOG_VARIABLE = "HFB_LOG"
@@ -83,7 +83,7 @@ class PrefectServer:
             reason = does_not_answer(self._api)
             if reason:
                 raise InputError(
-                    f"the Prefect server at {without_login(self._api)} {reason}: "
+                    f"the Prefect server at {shown_address(self._api)} {reason}: "
                     "start it, or unset PREFECT_API_URL for a temporary one"
                 )
         else:

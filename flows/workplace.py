@@ -20,6 +20,7 @@ from hfb.errors import Busy, InputError, NotNow
 from hfb.export.names import CURVES, EXPORTED_NAMES, REPORT, RESULT
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import sha256_of
+from tasks.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
 _OF_MOTIONS = ("motion.npz", "texture.png", "strip.png", CURVES, "edges.json")  # results of several people have none
@@ -133,7 +134,7 @@ def beside_result(out: Path, names: Iterable[str]) -> Iterator[None]:
 
 
 def _as_json(result: dict[str, Any]) -> bytes:
-    return json.dumps(result, indent=2, allow_nan=False).encode() + b"\n"
+    return json.dumps(hidden_in(result), indent=2, allow_nan=False).encode() + b"\n"
 
 
 def _published(folder: Path, out: Path) -> set[str] | None:

@@ -12,7 +12,7 @@ from urllib.request import urlopen
 import platformdirs
 
 from hfb.errors import InputError
-from tasks.secrets import without_login
+from tasks.secrets import shown_address, without_login
 
 LOCAL_PORT = 5000
 LOCAL_PAGES = f"http://127.0.0.1:{LOCAL_PORT}"
@@ -34,7 +34,9 @@ def check_store(uri: str) -> None:
     """
     scheme = urlsplit(uri).scheme
     if scheme in ("", "file"):
-        raise InputError(f"MLflow no longer keeps runs in plain folders: set MLFLOW_TRACKING_URI to sqlite:///{uri}.db")
+        raise InputError(
+            f"MLflow no longer keeps runs in plain folders: set MLFLOW_TRACKING_URI to sqlite:///{shown_address(uri)}.db"
+        )
     if not on_server(uri):
         return
     try:
@@ -46,8 +48,9 @@ def check_store(uri: str) -> None:
         reason = f"answers {error.code}"
     except (URLError, OSError) as error:
         reason = f"does not answer ({getattr(error, 'reason', error)})"
-    shown = without_login(uri)
-    raise InputError(f"the MLflow server at {shown} {reason}: start it, or unset MLFLOW_TRACKING_URI to record locally")
+    raise InputError(
+        f"the MLflow server at {shown_address(uri)} {reason}: start it, or unset MLFLOW_TRACKING_URI to record locally"
+    )
 
 
 def on_server(uri: str) -> bool:
@@ -63,7 +66,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     """
     uri = tracking_uri()
     if on_server(uri):
-        raise InputError(f"runs are recorded on a server that has pages of its own: open {without_login(uri)}")
+        raise InputError(f"runs are recorded on a server that has pages of its own: open {shown_address(uri)}")
     make_folder(uri)
     return [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",
