@@ -14,6 +14,7 @@ from hfb.config import RunConfig
 from hfb.evaluate.warnings import ResultWarning
 from hfb.export.names import CURVES, RECORD, REPORT
 from hfb.fit.alternatives import what_is_unknown
+from hfb.fit.confidence import radius_condition
 from tasks import progress, tracking
 from tasks.evaluate import evaluate
 from tasks.export_files import export_files
@@ -173,6 +174,7 @@ def _result(
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],
+        "confidence": radius_condition([first.source for first in firsts]),
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
         "report": str(out.resolve() / REPORT) if config.export.report else None,

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from flows import summary
+from tasks.secrets import hidden_in, without_secrets
 
 Chain = Callable[[Callable[[], None]], dict[str, Any]]
 """Does the work; calls what it is given before it needs the server."""
@@ -127,9 +128,9 @@ def when_ready(work: Callable[[], dict[str, Any]]) -> Chain:
 def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
     """The result as JSON, or in words."""
     if given.json:
-        print(json.dumps(result))
+        print(json.dumps(hidden_in(result)))
     elif not given.quiet:
-        print(text)
+        print(without_secrets(text))
 
 
 def report(
@@ -138,9 +139,9 @@ def report(
     """The chosen keys as JSON, or a table of scores, times and places."""
     result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
     if given.json:
-        print(json.dumps({key: result.get(key) for key in keys}))
+        print(json.dumps(hidden_in({key: result.get(key) for key in keys})))
     elif not given.quiet:
         from tasks.store_place import on_server, tracking_uri
 
         local = not on_server(tracking_uri())
-        print(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None))
+        print(without_secrets(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None)))

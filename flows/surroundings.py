@@ -24,7 +24,7 @@ from flows.prefect_database import PrefectDatabase
 from hfb.errors import InputError, Unavailable
 from tasks import progress
 from tasks.addresses import check_address, no_answer
-from tasks.secrets import SecretFormatter, without_login, without_secrets
+from tasks.secrets import SecretFormatter, shown_address, without_secrets
 from tasks.structured_log import JsonFormatter, WithIds
 
 LOG_VARIABLE = "HFB_LOG"
@@ -116,7 +116,7 @@ class PrefectServer:
             reason = does_not_answer(self._api)
             if reason:
                 raise InputError(
-                    f"the Prefect server at {without_login(self._api)} {reason}: "
+                    f"the Prefect server at {shown_address(self._api)} {reason}: "
                     "start it, or unset PREFECT_API_URL for a temporary one"
                 )
         else:

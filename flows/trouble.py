@@ -17,7 +17,7 @@ from flows.surroundings import does_not_answer
 from hfb.errors import InputError, ServerLost, Unavailable
 from tasks.engine import WorkerLost
 from tasks.handles import StaleFile
-from tasks.secrets import without_login
+from tasks.secrets import shown_address
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _GOES_ON = "what is finished is kept, and the same command goes on from there"
@@ -81,7 +81,7 @@ def _server_lost() -> ServerLost:
 
 
 def _server() -> str:
-    return without_login(str(PREFECT_API_URL.value()))
+    return shown_address(str(PREFECT_API_URL.value()))
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:

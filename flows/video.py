@@ -18,6 +18,7 @@ from flows.trouble import ask_server
 from flows.workplace import publish
 from hfb.config import RunConfig
 from hfb.export.names import CURVES, RECORD, REPORT
+from hfb.fit.confidence import radius_condition
 from tasks.engine import Engine
 from tasks.export_files import export_files
 from tasks.handles import FileHandle
@@ -133,6 +134,7 @@ def _result(
         "windows": len(fitted.windows),
         "resumed_frames": len(fitted.resumed),
         **{name: _mean(values) for name, values in scores.items()},
+        "confidence": radius_condition([first.source for first in bodies.firsts if first is not None]),
         "worst_jump_mm": joined.worst_jump_mm,
         "worst_velocity_share": joined.worst_velocity_share,
         "out": str(out.resolve()),

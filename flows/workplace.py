@@ -24,6 +24,7 @@ from hfb.media.names import is_text
 from hfb.media.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from tasks.handles import sha256_of
 from tasks.result_folder import UNFINISHED, result_content
+from tasks.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
 _LOCK, _STAGING = ".lock", "publish"
@@ -204,7 +205,7 @@ def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> No
 
 
 def _as_json(result: dict[str, Any]) -> bytes:
-    return json.dumps(result, indent=2, allow_nan=False).encode() + b"\n"
+    return json.dumps(hidden_in(result), indent=2, allow_nan=False).encode() + b"\n"
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,8 @@ from prefect.exceptions import ObjectNotFound
 from prefect.utilities.templating import apply_values
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
+from tasks.secrets import without_secrets
+
 _HERE = Path(__file__).parent
 _BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
 _PATIENCE_S = 180
@@ -72,7 +74,7 @@ def _wait_for(client: SyncPrefectClient) -> None:
     began = time.monotonic()
     while (trouble := client.api_healthcheck()) is not None:
         if time.monotonic() - began > _PATIENCE_S:
-            sys.exit(f"the Prefect server at {client.api_url} does not answer: {trouble}")
+            sys.exit(without_secrets(f"the Prefect server at {client.api_url} does not answer: {trouble}"))
         time.sleep(2)
 
 
@@ -159,7 +161,7 @@ def _make_account(mlflow: str) -> None:
     except HTTPError as error:
         reason = error.read().decode(errors="replace")
         if "RESOURCE_ALREADY_EXISTS" not in reason:
-            sys.exit(f"{url} answers {error.code}: {reason[:200]}")
+            sys.exit(without_secrets(f"{url} answers {error.code}: {reason[:200]}"))
 
 
 if __name__ == "__main__":

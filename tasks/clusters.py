@@ -21,6 +21,7 @@ from typing import Any, Protocol, TypeVar
 from hfb.errors import InputError, NotNow
 from tasks.engine import Engine, WorkerLost
 from tasks.handles import FileHandle, files_in, with_files
+from tasks.secrets import without_secrets
 from tasks.shared_store import shared_store
 from tasks.task import code_version
 
@@ -93,7 +94,9 @@ class _Dask:
         try:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise NotNow(f"no Dask scheduler answers at {address} ({type(error).__name__}): is it up?") from None
+            raise NotNow(
+                f"no Dask scheduler answers at {without_secrets(address)} ({type(error).__name__}): is it up?"
+            ) from None
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
@@ -133,7 +136,9 @@ class _Ray:
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:
-            raise NotNow(f"no Ray node answers at {address} ({type(error).__name__}): is it up?") from None
+            raise NotNow(
+                f"no Ray node answers at {without_secrets(address)} ({type(error).__name__}): is it up?"
+            ) from None
         self._ray: Any = ray
         self._running: set[Any] = set()
 

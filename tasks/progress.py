@@ -14,6 +14,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from tasks.secrets import without_secrets
+
 
 @dataclass(eq=False)
 class Shown:
@@ -123,7 +125,7 @@ def say(line: str) -> None:
     """A line for the person who waits."""
     display = _display()
     if display is not None:
-        display.say(line)
+        display.say(without_secrets(line))
 
 
 def _audience(display: Display | None) -> list[Display | Listener]:

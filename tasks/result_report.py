@@ -15,6 +15,7 @@ from tasks import progress, tracking
 from tasks.environment import environment
 from tasks.films import shot_of, watched
 from tasks.handles import ClipHandle, FileHandle, FitHandle
+from tasks.secrets import hidden_in
 from tasks.task import task
 from tasks.video_handles import WindowHandle
 from tasks.workers import compute
@@ -74,7 +75,7 @@ def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> Fil
     Args:
         facts: the content of result.json, the run's id among it.
     """
-    return compute(_write_report, parts, facts, folder)
+    return compute(_write_report, parts, hidden_in(facts), folder)
 
 
 def shows_another_motion(film: Path, motion_sha256: str) -> bool:

@@ -16,6 +16,7 @@ from hfb.toml_file import to_record
 from tasks import tracking
 from tasks.handles import FileHandle, sha256_of
 from tasks.recipe import RECIPE
+from tasks.secrets import hidden_in
 
 _LIMIT_BYTES = 64 << 20
 _CONTENTS = (RESULT, "config.json", RECIPE)
@@ -81,7 +82,7 @@ def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
     key, tags = tracking.as_recorded_here(record.key, record.tags)
     path = folder / RECORD
     kept = record.model_copy(update={"key": key, "tags": tags})
-    write_bytes_atomic(path, json.dumps(kept.model_dump()).encode() + b"\n")
+    write_bytes_atomic(path, json.dumps(hidden_in(kept.model_dump())).encode() + b"\n")
     return FileHandle.of(path)
 
 

@@ -1,36 +1,92 @@
-"""Passwords are for the servers they are meant for: no log, message, record or page shows one. Light to import."""
+"""Passwords and tokens are for the servers they are meant for: no log, message, record or page shows one.
+
+Everything that leaves hfb as text goes through `without_secrets`, or `hidden_in` where it is plain content. Light to
+import.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
 import re
-from urllib.parse import urlsplit, urlunsplit
+from base64 import b64encode
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 _HIDDEN = "***"
-_IN_ADDRESS = re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@")
-_IN_QUERY = re.compile(r"(?i)([?&;](?:password|passwd|pwd|token|secret|api_?key|access_?key|signature)=)[^&\s'\"]+")
+_NAMES = (
+    r"(?:[\w.-]*[._-])?(?:password|passwd|passphrase|pwd|token|secret|signature|sig|api[_-]?key|access[_-]?key(?:[_-]?id)?|"
+    r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
+    r"AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
+)
+"""What a value that nobody may see is called: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
+
+_RULES: tuple[tuple[re.Pattern[str], str], ...] = (
+    (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{_HIDDEN}@"),
+    (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{_HIDDEN}@"),
+    (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{_HIDDEN}%40"),
+    (
+        re.compile(r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"
+                   r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"),
+        rf"\1{_HIDDEN}",
+    ),
+    (re.compile(r"(?i)\b(bearer(?:\s+|%20))[\w+/=.~-]{8,}"), rf"\1{_HIDDEN}"),
+    (re.compile(r"(?i)\b(basic\s+)(?=\S*[\d=])[\w+/=-]{8,}"), rf"\1{_HIDDEN}"),
+    (re.compile(r"(?i)\b((?:set-)?cookie\\?[\"']?\s*:\s*\\?[\"']?)[^\r\n'\"\\]+"), rf"\1{_HIDDEN}"),
+    (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{_HIDDEN}"),
+    (re.compile(rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?(?:(?!%26)[^&\s'\"<>\\])+"), rf"\1{_HIDDEN}"),
+    (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{_HIDDEN}"),
+)  # fmt: skip
 _SECRETS = (
     "PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING", "PREFECT_API_KEY", "MLFLOW_TRACKING_PASSWORD",
     "MLFLOW_TRACKING_TOKEN", "MLFLOW_FLASK_SERVER_SECRET_KEY", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN",
     "PGPASSWORD",
 )  # fmt: skip
-_SHORTEST = 4  # a shorter value would be hidden wherever its letters stand by chance
+_SECRET_NAME = re.compile(rf"(?i)(?:{_NAMES}|.*(?:connection_string|sas))$")
+_SHORTEST, _SHORTEST_GUESSED = 4, 8  # a shorter value would be hidden wherever its letters stand by chance
 
 
 def without_secrets(text: str) -> str:
-    """The text with every password hidden: those within addresses, and those that the environment holds."""
-    for name in _SECRETS:
-        value = os.environ.get(name, "")
-        if len(value) >= _SHORTEST:
-            text = text.replace(value, _HIDDEN)
-    return _IN_QUERY.sub(rf"\1{_HIDDEN}", _IN_ADDRESS.sub(rf"\1:{_HIDDEN}@", text))
+    """The text with every password and token hidden: in addresses, in headers, by name, and what the environment holds."""
+    for value in _held():
+        text = text.replace(value, _HIDDEN)
+    for pattern, shown in _RULES:
+        text = pattern.sub(shown, text)
+    return text
+
+
+def hidden_in(content: Any) -> Any:
+    """Plain content (of JSON) with `without_secrets` for each of its texts."""
+    if isinstance(content, dict):
+        return {name: hidden_in(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [hidden_in(one) for one in content]
+    return without_secrets(content) if isinstance(content, str) else content
 
 
 def without_login(address: str) -> str:
     """An http address without the name and password that may stand in it, to ask or to show: nobody's login."""
     parts = urlsplit(address)
     return urlunsplit(parts._replace(netloc=parts.netloc.rpartition("@")[2]))
+
+
+def shown_address(address: str) -> str:
+    """An address as people may see it: without a login, its tokens hidden."""
+    return without_secrets(without_login(address))
+
+
+def _held() -> Iterator[str]:
+    """Secrets of the environment, also as an address and as a header would hold them; the longest first."""
+    found: set[str] = set()
+    for name, value in os.environ.items():
+        least = _SHORTEST if name in _SECRETS else _SHORTEST_GUESSED
+        if len(value) >= least and (name in _SECRETS or _SECRET_NAME.match(name)) and value[:1] != "/":
+            found |= {value, quote(value, safe=""), b64encode(value.encode()).decode()}
+        elif "://" in value and "@" in value:
+            password = urlsplit(value).netloc.rpartition("@")[0].partition(":")[2]
+            found |= {one for one in (password, unquote(password)) if len(one) >= _SHORTEST_GUESSED}
+    yield from sorted(found, key=len, reverse=True)
 
 
 class SecretFormatter(logging.Formatter):

@@ -14,11 +14,11 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
-from urllib.parse import urlsplit
 
 from hfb.errors import InputError
 from hfb.media.atomic import write_bytes_atomic
 from tasks.handles import FileHandle, StaleFile, files_in, sha256_of, with_files
+from tasks.secrets import without_secrets
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
@@ -86,13 +86,13 @@ class SharedStore:
 def _opened(url: str) -> tuple[FileSystem, str]:
     from pyarrow.fs import FileSystem
 
-    if urlsplit(url).password is not None:
+    if without_secrets(url) != url:
         raise InputError("--store: keep the password out of the URL; the store's own environment variables name it")
     try:
         fs, root = FileSystem.from_uri(url)
     except (ValueError, OSError) as error:
         raise InputError(
-            f"--store {url}: give a place such as s3://bucket/prefix or file:///folder ({error})"
+            without_secrets(f"--store {url}: give a place such as s3://bucket/prefix or file:///folder ({error})")
         ) from None
     return fs, root.rstrip("/")
 

@@ -17,7 +17,7 @@ import platformdirs
 
 from hfb.errors import InputError, NotNow
 from tasks.addresses import check_address, no_answer
-from tasks.secrets import without_login, without_secrets
+from tasks.secrets import shown_address, without_secrets
 
 LOCAL_PORT = 5000
 LOCAL_PAGES = f"http://127.0.0.1:{LOCAL_PORT}"
@@ -76,7 +76,7 @@ def check_store(uri: str) -> None:
     if on_server(uri):
         check_address(_VARIABLE, uri, "http://127.0.0.1:5000")
         if reason := no_answer(f"{uri.rstrip('/')}/health", _HEALTH_TIMEOUT_S):
-            shown = without_login(uri)
+            shown = shown_address(uri)
             raise NotNow(
                 f"the MLflow server at {shown} {reason}: start it, or unset {_VARIABLE} to record locally"
             )  # fmt: skip
@@ -111,7 +111,7 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     """
     uri = tracking_uri()
     if on_server(uri):
-        raise InputError(f"runs are recorded on a server that has pages of its own: open {without_login(uri)}")
+        raise InputError(f"runs are recorded on a server that has pages of its own: open {shown_address(uri)}")
     check_store(uri)
     return [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",

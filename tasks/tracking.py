@@ -22,7 +22,7 @@ from tasks.environment import environment
 from tasks.handles import digest
 from tasks.ownership import is_abandoned, owner
 from tasks.patience import within
-from tasks.secrets import without_login, without_secrets
+from tasks.secrets import hidden_in, shown_address, without_secrets
 from tasks.store_client import StoreLost as StoreLost
 from tasks.store_client import client, client_of, patience, store_losses, usable_store
 from tasks.store_place import LOCAL_PAGES, on_server, sqlite_file, tracking_uri
@@ -201,7 +201,7 @@ def log_files(run: Run, files: Sequence[Path], folder: str | None = None) -> Non
 
 def log_dict(run: Run, content: Mapping[str, Any], name: str) -> None:
     """An artifact made of plain values."""
-    client_of(run.uri).log_dict(run.run_id, dict(content), name)
+    client_of(run.uri).log_dict(run.run_id, hidden_in(dict(content)), name)
 
 
 def link(run: Run) -> str:
@@ -210,7 +210,7 @@ def link(run: Run) -> str:
     ``HFB_MLFLOW_PAGES``: where people find a server that workers see under another address.
     """
     base = os.environ.get("HFB_MLFLOW_PAGES") or (run.uri if on_server(run.uri) else LOCAL_PAGES)
-    base = without_login(base).rstrip("/")
+    base = shown_address(base).rstrip("/")
     return f"{base}/#/experiments/{run.experiment_id}/runs/{run.run_id}?workflowType=machine_learning"
 
 
@@ -244,7 +244,9 @@ def _found_or_created(
         info = found[0].info
     else:
         info = client.create_run(
-            experiment_id, run_name=name, tags={**environment(), **tags, _KEY_TAG: key, _OWNER_TAG: owner()}
+            experiment_id,
+            run_name=name,
+            tags={**hidden_in({**environment(), **tags}), _KEY_TAG: key, _OWNER_TAG: owner()},
         ).info
     if not complete:
         client.set_tag(info.run_id, _OWNER_TAG, owner())
@@ -282,5 +284,5 @@ def flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         if isinstance(value, Mapping):
             flat |= flatten(value, f"{prefix}{name}.")
         else:
-            flat[prefix + name] = value if isinstance(value, str) else json.dumps(value, default=str)
+            flat[prefix + name] = without_secrets(value if isinstance(value, str) else json.dumps(value, default=str))
     return flat

@@ -16,7 +16,7 @@ from hfb.fit.direction_odds import EVIDENCE
 from hfb.shapes import Array, Float
 
 _SMALLEST_ERROR_MM = 1.0
-_RIDGE = 0.3
+_RIDGE = 3.0
 _STAKE_MM, _LARGEST_STAKE_MM = 1.0, 10.0
 _ODDS_RIDGE = 0.05
 
@@ -26,8 +26,8 @@ class JointCase:
     """One case's joints: what was known of them, and their errors.
 
     Attributes:
-        recording: cases of one recording stay together when some are held out.
-        features: by name; `hfb.fit.confidence.joint_features`.
+        recording: cases of one recording, or person, stay together when some are held out.
+        features: by name; `hfb.fit.joint_features`.
         errors_mm: as `hfb.evaluate.metrics.errors_mm` takes them.
     """
 
@@ -49,11 +49,17 @@ class DirectionCase:
     errors_mm: Float[Array, "A"]
 
 
-def fit_confidence(cases: Sequence[JointCase], names: Sequence[str]) -> ConfidenceModel:
-    """The likeliest coefficients of the log-linear radius and exponent of the Weibull law, with a weak pull to zero.
+def fit_confidence(
+    cases: Sequence[JointCase],
+    names: Sequence[str],
+    exponent: float | None = None,
+    prior: ConfidenceModel | None = None,
+) -> ConfidenceModel:
+    """The likeliest coefficients of the log-linear radius and exponent of the Weibull law, with a weak pull.
 
     Args:
-        names: the features to use.
+        names: the features to use. exponent: of the law, where it is known already.
+        prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]
     errors = [np.maximum(case.errors_mm[:, 1:].ravel(), _SMALLEST_ERROR_MM) for case in cases]
@@ -61,25 +67,34 @@ def fit_confidence(cases: Sequence[JointCase], names: Sequence[str]) -> Confiden
     weight = np.concatenate([np.full(len(one), 1 / len(one)) for one in errors])
     mean, spread = table.mean(0), table.std(0) + 1e-9
     scaled = (table - mean) / spread
+    pulled_to = spread * [0.0 if prior is None else prior.coefficients.get(name, 0.0) for name in names]
 
     def cost(numbers: Array) -> tuple[float, Array]:
         log_k, constant, slopes = numbers[0], numbers[1], numbers[2:]
         k, log_ratio = np.exp(log_k), error - constant - scaled @ slopes
         power = np.log(2) * np.exp(np.clip(k * log_ratio, -50, 50))
-        value = weight @ (power - k * log_ratio) - len(cases) * log_k + _RIDGE / 2 * slopes @ slopes
+        value = weight @ (power - k * log_ratio) - len(cases) * log_k + _RIDGE / 2 * np.square(slopes - pulled_to).sum()
         pull = weight * k * (1 - power)
         of_k = weight @ ((power - 1) * log_ratio) * k - len(cases)
-        return float(value), np.concatenate([[of_k, pull.sum()], pull @ scaled + _RIDGE * slopes])
+        return float(value), np.concatenate([[of_k, pull.sum()], pull @ scaled + _RIDGE * (slopes - pulled_to)])
 
-    start = np.concatenate([[0.5, np.median(error)], np.zeros(len(names))])
-    found = minimize(cost, start, jac=True, method="L-BFGS-B").x
+    log_exponent = 0.5 if exponent is None else float(np.log(exponent))
+    start = np.concatenate([[log_exponent, np.median(error)], pulled_to])
+    held = None if exponent is None else [(log_exponent, log_exponent), *[(None, None)] * (1 + len(names))]
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=held).x
     slopes = found[2:] / spread
     coefficients = {name: float(slope) for name, slope in zip(names, slopes, strict=True)}
     typical = {name: float(value) for name, value in zip(names, mean, strict=True)}
     return ConfidenceModel(coefficients, float(found[1] - slopes @ mean), float(np.exp(found[0])), typical)
 
 
-def held_out_reliability(cases: Sequence[JointCase], names: Sequence[str], folds: int = 8) -> dict[str, float]:
+def held_out_reliability(
+    cases: Sequence[JointCase],
+    names: Sequence[str],
+    folds: int = 8,
+    exponent: float | None = None,
+    prior: ConfidenceModel | None = None,
+) -> dict[str, float]:
     """How honest and how sharp the radii are on recordings that the coefficients were not fitted to.
 
     ``within_p50`` and its like: share of joints within the radius; ``off``: mean distance from what was said;
@@ -87,7 +102,7 @@ def held_out_reliability(cases: Sequence[JointCase], names: Sequence[str], folds
     """
     shares, ranks, radii, errors = [], [], [], []
     for part in _folds([case.recording for case in cases], folds):
-        model = fit_confidence([cases[i] for i in range(len(cases)) if i not in part], names)
+        model = fit_confidence([cases[i] for i in range(len(cases)) if i not in part], names, exponent, prior)
         for case in (cases[i] for i in part):
             radius, error = model.radius_mm(case.features)[:, 1:], case.errors_mm[:, 1:]
             shares.append([(error <= radius * radius_factor(level, model.exponent)).mean() for level in LEVELS])
@@ -146,6 +161,17 @@ def _logistic(pairs: Sequence[Pairs], columns: Sequence[int]) -> Float[Array, "_
         return float(stakes @ np.logaddexp(0, -(table @ slopes)) + _ODDS_RIDGE * slopes @ slopes)
 
     return minimize(cost, np.full(len(columns), 0.3), bounds=[(0, None)] * len(columns)).x
+
+
+def reliability_of(model: ConfidenceModel, cases: Sequence[JointCase]) -> dict[str, float]:
+    """Share of joints within a given model's radius for every level, as `held_out_reliability` counts them."""
+    shares = [
+        [(case.errors_mm[:, 1:] <= radius * radius_factor(level, model.exponent)).mean() for level in LEVELS]
+        for case, radius in ((case, model.radius_mm(case.features)[:, 1:]) for case in cases)
+    ]
+    return {
+        f"within_p{100 * level:.0f}": round(float(s), 4) for level, s in zip(LEVELS, np.mean(shares, 0), strict=True)
+    }
 
 
 def _folds(recordings: Sequence[str], count: int) -> list[list[int]]:

@@ -120,8 +120,9 @@ def _joints(errors: Any) -> list[float]:
 def make_cell(cases: MethodCases) -> Cell:
     """One cell of a results table.
 
-    ``n`` counts the answered cases, ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
-    intervals. ``ratio`` is mean fitted / mean initial MPJPE over the cases that know both, as are these two means then. Shares of cases are strict: an equal error is neither
+    ``n`` counts the answered cases; ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
+    intervals. ``ratio`` is mean fitted / mean initial MPJPE over the cases that know both, as are these two means then.
+    Shares of cases are strict: an equal error is neither
     better nor worse.
     """
     answered = cases.chosen(~cases.failed)

@@ -198,7 +198,7 @@ def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
 def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, ours: str, metric: Metric) -> str:
     """One method of ours beside one row of the paper: a line per column, and all."""
-    digits, ratio, start = _DIGITS[metric], _RATIOS[metric], _start_values(experiment, metric)
+    digits, start = _DIGITS[metric], _start_values(experiment, metric)
     theirs, before = _with_mean(experiment, getattr(row, metric)), _with_mean(experiment, start) if start else None
     header = ["blur rate", "n, paper", *([str(experiment.start)] if before else []), row.name]
     header += [*(["ratio, paper"] if before else []), "n, ours", "our start", f"`{ours}`", "ratio, ours"]

@@ -14,9 +14,10 @@ from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
 from hfb.fit.alternatives import Alternatives
 from hfb.fit.clip_person import ClipPerson, as_person
-from hfb.fit.confidence import joint_features, shipped_confidence
+from hfb.fit.confidence import shipped_radius_mm
 from hfb.fit.descent import Descent, Progress, descend
 from hfb.fit.directions import search_directions
+from hfb.fit.joint_features import joint_features
 from hfb.fit.settle import settle
 from hfb.fit.variables import Variables, start_variables
 from hfb.initialize.first_body import FirstBody
@@ -227,7 +228,7 @@ def _finished(begun: _Begun, descent: Descent, body: Body, config: FitConfig) ->
         return _directed(result, best, first_bodies, coarse, descent.objective, before, config)
     # a window of a clip: its neighbours tell the directions
     told = config.height_m is not None
-    return _with_radius(result, joint_features(result.motion, None, best, first_bodies, before, told))
+    return _with_radius(result, joint_features(result.motion, None, best, first_bodies, before, told), first_bodies)
 
 
 def _objective(
@@ -264,9 +265,12 @@ def _objective(
     )
 
 
-def _with_radius(result: FitResult, features: dict[str, Float[Array, "R 24"]]) -> FitResult:
+def _with_radius(
+    result: FitResult, features: dict[str, Float[Array, "R 24"]], first_bodies: Sequence[FirstBody]
+) -> FitResult:
     """How far off each joint may be."""
-    motion = replace(result.motion, joint_radius_mm=shipped_confidence().radius_mm(features))
+    radius = shipped_radius_mm(features, result.motion.frame_index, [first.source for first in first_bodies])
+    motion = replace(result.motion, joint_radius_mm=radius)
     return replace(result, motion=motion, joint_features=features)
 
 
@@ -289,7 +293,7 @@ def _directed(
     directed, told = replace(best, trajectory=trajectory), config.height_m is not None
     features = joint_features(motion, alternatives, directed, first_bodies, before, told)
     shown = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
-    return _with_radius(shown, features)
+    return _with_radius(shown, features, first_bodies)
 
 
 def _texels(body: Body, config: FitConfig) -> TexelNeighbours:

@@ -19,8 +19,8 @@ _MOST_LOOKS = 360
 """So many pictures of some 25 KB are shown; of a larger benchmark those of cases spread over the whole range."""
 
 _PLOTS = {
-    "ratio_by_blur.png": "MPJPE over the start's, by blur rate, with 95 % intervals from 6 cases on; below 1 is better than the start",
-    "ratio_beside_paper.png": "MPJPE over the start's: ours with 95 % intervals from 6 cases on, the paper's HfB over its own start",
+    "ratio_by_blur.png": "MPJPE over the start's, by blur rate (95 % intervals from 6 cases on); below 1 is better",
+    "ratio_beside_paper.png": "MPJPE over the start's: ours (95 % intervals from 6 cases on), the paper's over its own",
     "error_by_blur.png": "MPJPE by blur rate, with 95 % bands from 6 cases on; a point is a case",
     "iou_by_blur.png": "IoU of silhouettes by blur rate",
     "error_by_joint.png": "Mean error of every joint, with 95 % intervals from 6 cases on",

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.cells import MethodCases, by_method, is_start, start_cases
+from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.table_page import blur_label
 from hfb.media.atomic import write_bytes_atomic
 from hfb.report.plot_style import FAINT_GRAY, GRAY, png, sheet, styles

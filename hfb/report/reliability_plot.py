@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.cells import MethodCases
+from hfb.evaluate.intervals import mean_ci95
 from hfb.evaluate.reliability import LEVELS, WITHIN, direction_groups
 from hfb.report.plot_style import GRAY, png, sheet, styles
 

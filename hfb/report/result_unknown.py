@@ -30,7 +30,7 @@ def unknown_section(motion: SampledMotion, body: Body | None, facts: Mapping[str
     said = []
     if isinstance(facts.get("unknown"), str):
         said.append(str(facts["unknown"]))
-    said += _joints_said(motion)
+    said += _joints_said(motion, facts)
     said += _frames_said(facts)
     said.append(_size_said(motion, body, _told_height(facts)))
     items = (element("li", one) for one in said)
@@ -105,17 +105,20 @@ def reversed_text(reversed_limbs: Array, chosen: Array) -> str:
     return f"{'; '.join(said)} the other way"
 
 
-def _joints_said(motion: SampledMotion) -> list[str]:
-    """Which joints are least sure, and which most."""
+def _joints_said(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
+    """Which joints are least sure, and which most; under which condition that holds."""
     if motion.joint_radius_mm is None or not np.isfinite(motion.joint_radius_mm).any():
         return []
     radius = np.nanmean(motion.joint_radius_mm, 0)
     order = [joint for joint in np.argsort(-radius, kind="stable").tolist() if joint]
     least = ", ".join(_joint_text(joint, radius) for joint in order[:_LEAST_SURE])
     most = ", ".join(_joint_text(joint, radius) for joint in order[: -_MOST_SURE - 1 : -1])
+    confidence = facts.get("confidence")
+    condition = confidence.get("holds_for") if isinstance(confidence, Mapping) else None
     return [
         f"Least sure are {least}; most sure {most}: as likely as not each lies within that distance of its place about "
-        "the pelvis. Most of it is depth."
+        "the pelvis. Most of it is depth.",
+        *([condition] if isinstance(condition, str) else []),
     ]
 
 

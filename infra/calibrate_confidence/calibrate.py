@@ -1,12 +1,15 @@
-"""Make hfb/fit/data/confidence.json and directions.json from benchmarks whose truth is known.
+"""Make hfb/fit/data/confidence.json, and directions.json, from benchmarks whose truth is known.
 
-python calibrate.py --singles BENCHMARK --several BENCHMARK --methods best best@true-height --out ../../hfb/fit/data
+python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fit/data
 """
 
 import argparse
 import json
-from dataclasses import asdict
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
@@ -17,47 +20,89 @@ from hfb.evaluate.calibration import (
     fit_confidence,
     fit_direction_odds,
     held_out_reliability,
+    reliability_of,
 )
 from hfb.evaluate.metrics import errors_mm, mpjpe_mm
 from hfb.export.motion_file import load_motion
 from hfb.fit.alternatives import load_alternatives
+from hfb.fit.confidence import ConfidenceModel, StartKind
 from hfb.fit.direction_odds import EVIDENCE
 from hfb.media.atomic import write_bytes_atomic
 
+_PERSON = re.compile(r"cmu_(\d+)_")
+
 
 def main() -> None:
-    """Fit both sets of coefficients and write them, with what they were fitted to and how well they do."""
+    """Fit the coefficients of every kind of start and write them, with how well they do on people left out."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--singles", type=Path, nargs="+", required=True, help="folders of hfb benchmark, one frame")
-    parser.add_argument("--several", type=Path, nargs="+", default=[], help="folders of hfb benchmark --frames 2 ...")
-    parser.add_argument(
-        "--methods", nargs="+", default=["best"], help="whose answers [best]; the first one's for the directions"
-    )
+    for kind in get_args(StartKind):
+        help_text = f"folders of hfb benchmark whose starts are of the kind {kind}"
+        parser.add_argument(f"--{kind}", type=Path, nargs="+", default=[], help=help_text)
+    parser.add_argument("--methods", nargs="+", default=["best"], help="whose answers [best]")
     parser.add_argument("--features", help="comma-separated, instead of all that the fits left")
+    parser.add_argument("--directions", type=Path, nargs="+", default=[], help="folders for directions.json, one frame")
+    parser.add_argument("--several", type=Path, nargs="+", default=[], help="the same with --frames 2")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    first, *others = options.methods
-    singles, several = (
-        [case for folder in folders for case in read_cases(folder, first)]
-        for folders in (options.singles, options.several)
+    given = {kind: getattr(options, kind) for kind in get_args(StartKind)}
+    if any(given.values()):
+        cases = {kind: by_person(folders, options.methods) for kind, folders in given.items()}
+        write_confidence(cases, options.features, options.out / "confidence.json")
+    if options.directions:
+        write_directions(options.directions, options.several, options.methods[0], options.out / "directions.json")
+
+
+def by_person(folders: Sequence[Path], methods: Sequence[str]) -> list[JointCase]:
+    """The cases of some benchmarks, held together by person."""
+    found = [joint for folder in folders for method in methods for joint, _ in read_cases(folder, method)]
+    return [replace(one, recording=person_of(one.recording)) for one in found]
+
+
+def person_of(recording: str) -> str:
+    """The person who made a recording: CMU's subject, else the recording itself."""
+    found = _PERSON.search(recording)
+    return found[1] if found else recording
+
+
+def write_confidence(cases: dict[StartKind, list[JointCase]], features: str | None, path: Path) -> None:
+    """One exponent for all kinds, then coefficients per kind, pulled to those of the file's ``prior``.
+
+    Raises:
+        SystemExit: a kind has no case.
+    """
+    if empty := [kind for kind, known in cases.items() if not known]:
+        raise SystemExit(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
+    earlier = json.loads(path.read_text())
+    prior = ConfidenceModel(**earlier["prior"])
+    names = features.split(",") if features else list(cases["network"][0].features)
+    everything = [case for known in cases.values() for case in known]
+    exponent = fit_confidence(everything, names, prior=prior).exponent
+    by_start: dict[str, Any] = {}
+    for kind, known in cases.items():
+        people = sorted({case.recording for case in known})
+        model = asdict(fit_confidence(known, names, exponent, prior))
+        del model["exponent"]
+        held_out = held_out_reliability(known, names, len(people), exponent, prior)
+        counts = {"n": len(known), "people": people}
+        by_start[kind] = model | {
+            "people_held_out": held_out | counts,
+            "before": reliability_of(prior, known) | counts,
+        }
+        print(
+            kind, json.dumps({"before": by_start[kind]["before"], "after": by_start[kind]["people_held_out"]}, indent=1)
+        )
+    write(path, {"exponent": exponent, "by_start": by_start, "prior": earlier["prior"]})
+
+
+def write_directions(singles: Sequence[Path], several: Sequence[Path], method: str, path: Path) -> None:
+    """The odds of directions from benchmarks of one frame, and of several frames where there are any."""
+    one, more = (
+        [direction for folder in folders for _, direction in read_cases(folder, method)]
+        for folders in (singles, several)
     )
-    more = [read_cases(folder, method) for folder in (*options.singles, *options.several) for method in others]
-    joints = [joint for joint, _ in (*singles, *several, *(case for cases in more for case in cases))]
-    names = options.features.split(",") if options.features else list(joints[0].features)
-    model = fit_confidence(joints, names)
-    measured = held_out_reliability(joints, names)
-    print(json.dumps(measured, indent=1))
-    made_from = {"methods": options.methods, "cases_of_one_frame": len(singles), "cases_of_several": len(several)}
-    write(
-        options.out / "confidence.json",
-        asdict(model) | {"made_from": made_from, "on_recordings_held_out": measured},
-    )
-    odds = {"single": fit_direction_odds([direction for _, direction in singles])}
-    if several:
-        odds["several"] = fit_direction_odds([direction for _, direction in several])
-    else:
-        odds["several"] = odds["single"]
-    write(options.out / "directions.json", odds | {"made_from": made_from | {"methods": [first]}})
+    odds = {"single": fit_direction_odds(one), "several": fit_direction_odds(more or one)}
+    made_from = {"methods": [method], "cases_of_one_frame": len(one), "cases_of_several": len(more)}
+    write(path, odds | {"made_from": made_from})
 
 
 def read_cases(folder: Path, method: str) -> list[tuple[JointCase, DirectionCase]]:

@@ -1,6 +1,7 @@
 """The radius of a joint: its law, its model and its features."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,11 +12,15 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.config import DirectionsConfig
 from hfb.fit.confidence import (
     ConfidenceModel,
-    joint_features,
+    StartKind,
+    radius_condition,
     radius_factor,
     shipped_confidence,
+    shipped_radius_mm,
+    start_kind,
 )
 from hfb.fit.directions import search_directions
+from hfb.fit.joint_features import joint_features
 from hfb.motion.sampled import SampledMotion, sample_motion
 from tests.fit.scenes import Done, done
 
@@ -77,3 +82,37 @@ def _features(case: Done) -> tuple[SampledMotion, dict[str, np.ndarray]]:
         seen.camera.matrix(),
     )  # fmt: skip
     return motion, joint_features(motion, alternatives, found, case.scene.middle, case.coarse, False)
+
+
+def test_radii_follow_the_kind_of_start_frame_by_frame() -> None:
+    """A fit from an estimated start errs twice as much as one from a simulated start."""
+    features = _features(done())[1]
+    index = np.array([0, 0, 0, 1, 1, 1])
+    both = shipped_radius_mm(features, index, ["simulated", "mediapipe"])
+    alone = {kind: shipped_confidence(kind).radius_mm(features) for kind in get_args(StartKind)}
+    np.testing.assert_array_equal(both[:3], alone["simulated"][:3])
+    np.testing.assert_array_equal(both[3:], alone["network"][3:])
+    for kind in ("network", "matte"):
+        assert alone[kind][:, 1:].mean() > 1.5 * alone["simulated"][:, 1:].mean()
+    assert [start_kind(name) for name in ("matte", "mediapipe", "WHAM", "between", "metro", "simulated", "truth")] == [
+        "matte", "network", "network", "network", "network", "simulated", "simulated",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", get_args(StartKind))
+def test_what_was_said_happened_on_people_left_out(kind: StartKind) -> None:
+    """Of people whom no network had seen; those on whom each figure was counted were not calibrated on."""
+    measured = radius_condition(["mediapipe" if kind == "network" else kind])["people_held_out"][kind]
+    assert len(measured["people"]) >= 3
+    assert measured["n"] >= 30
+    for level in (0.25, 0.5, 0.75, 0.9):
+        assert measured[f"within_p{100 * level:.0f}"] == pytest.approx(level, abs=0.1)
+
+
+def test_a_result_says_under_which_condition_its_radii_hold() -> None:
+    told = radius_condition(["mediapipe", "matte", "mediapipe"])
+    assert told["starts"] == ["matte", "network"]
+    assert "a pose network" in told["holds_for"]
+    assert "Real pictures were not part of it" in told["holds_for"]
+    assert "not calibrated" not in told["holds_for"]
+    assert "Starts by WHAM were not calibrated" in radius_condition(["WHAM"])["holds_for"]

@@ -8,7 +8,8 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import DirectionsConfig, FitConfig, SeveralFrames, Stage, Weights
-from hfb.fit import comparison, confidence, descent, loop
+from hfb.fit import comparison, descent, loop
+from hfb.fit import joint_features as features
 from hfb.fit.clip_person import ClipPerson
 from hfb.fit.loop import FitResult, fit
 from hfb.fit.variables import Variables
@@ -167,7 +168,7 @@ def test_radii_are_told_by_the_mattes_from_before_the_fit(monkeypatch: pytest.Mo
 
     def joint_features(*given: Any) -> dict[str, Float[Array, "R 24"]]:
         told.append(given[4].observation.mattes)
-        return confidence.joint_features(*given)
+        return features.joint_features(*given)
 
     scene = moving_scene(body, size_px=64, frames=2, instants=5)
     stage, search = Stage(size_px=48, iterations=2), DirectionsConfig(size_px=64)

@@ -27,10 +27,10 @@ def slide(number: int, smear_px: float) -> Composite:
     """Pair `number` of a texture and a background: every texture is worn in turn, over another one each round."""
     rng = np.random.default_rng([number, 77])
     round_of, worn = divmod(number, len(TEXTURES))
-    person = texture(TEXTURES[worn], rng)
+    cloth = texture(TEXTURES[worn], rng)
     plate = texture(TEXTURES[(3 * round_of + worn + 2) % len(TEXTURES)], rng)
     mask = _shape(SHAPES[number % len(SHAPES)])
-    layers = np.concatenate([person * mask[..., None], mask[..., None]], -1)
+    layers = np.concatenate([cloth * mask[..., None], mask[..., None]], -1)
     angle_rad = rng.uniform(0, np.pi)
     step = smear_px * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     moved = [
