@@ -3,7 +3,7 @@
     python -m tests.faults.readme_server DIR [--seconds 220]
 
 `prefect server start`, `python infra/deploy.py`, `prefect worker start --pool hfb`, with no setting but where the
-server is. The run is a batch whose one clip is broken: it waits so long before the second attempt. Prints one JSON
+server is. The run is a batch whose one clip cannot be written: it waits before the second attempt. Prints one JSON
 object: every state the run was seen in, and the seconds between its signs of life. Exit code 0: Running until the end.
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -26,9 +27,19 @@ import httpx
 from tests.faults.servers import prefect_server
 from tests.infra.asking import started
 from tests.infra.team import stop
+from tests.small_clips import small_clip
 
 _ROOT = Path(__file__).parents[2]
 _PATIENCE_S = 240
+
+
+def waiting_clip(data: Path) -> None:
+    """A clip whose results' place is taken by a file: it is tried again after the wait of the batch."""
+    made = small_clip(2)
+    shutil.copytree(made.truth.parent, data / "clips" / "one")
+    shutil.copy(made.clip, data / "clips" / "one" / "clip.toml")
+    (data / "out").mkdir()
+    (data / "out" / "one").write_text("in the way")
 
 
 def watch(api: httpx.Client, run: str, seconds: float) -> list[str]:
@@ -57,8 +68,7 @@ def beats(database: Path, run: str) -> list[float]:
 def measure(place: Path, seconds: float) -> dict[str, Any]:
     """See the module."""
     clips = place / "data" / "clips"
-    clips.mkdir(parents=True)
-    (clips / "broken.mp4").write_text("no video")
+    waiting_clip(place / "data")
     ours = ("PREFECT_", "HFB_", "MLFLOW_")
     settings = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
     settings |= {"PREFECT_HOME": str(place / "home"), "PYTHONPATH": str(_ROOT), "HFB_DATA": str(place / "data")}

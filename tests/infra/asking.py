@@ -16,8 +16,9 @@ def api(here: Team, login: str = "prefect_auth") -> Iterator[httpx.Client]:
     """Somebody with a login, from outside."""
     known = httpx.BasicAuth(*here.secret(login).split(":"))
     with httpx.Client(base_url=f"{here.url('prefect')}/api", auth=known, verify=here.tls(), timeout=60) as client:
-        token = client.get("/csrf-token", params={"client": "test"}).json()["token"]
-        client.headers.update({"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": "test"})
+        name = str(uuid.uuid4())  # a second token of one name ends the first
+        token = client.get("/csrf-token", params={"client": name}).json()["token"]
+        client.headers.update({"Prefect-Csrf-Token": token, "Prefect-Csrf-Client": name})
         yield client
 
 

@@ -23,6 +23,7 @@ from tests.orchestration import Problem
 
 pytestmark = pytest.mark.skipif(missing() is not None, reason=missing() or "")
 _ENDED_S = 240
+_NOWHERE = {"frames": ["/nowhere/a.png"], "background": "/nowhere/b.png", "out": "/nowhere/out"}  # our flow says so
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +139,7 @@ def test_variables_of_a_run_change_nothing(here: Team, worker: None, marker: Pat
                 f"/deployments/{fit['id']}/create_flow_run", json={"job_variables": {name: value}, **loose}
             )
             assert made.status_code == 422, name
-        of = {"flow_id": fit["flow_id"], "job_variables": variables, "work_pool_name": "hfb", "parameters": {"x": 1}}
+        of = {"flow_id": fit["flow_id"], "job_variables": variables, "work_pool_name": "hfb", "parameters": _NOWHERE}
         runs = []
         for more in ({"deployment_id": fit["id"]}, {}):
             made = client.post("/flow_runs/", json={**of, **more, "state": {"type": "SCHEDULED"}})
@@ -156,7 +157,7 @@ def test_a_changed_pool_changes_nothing(here: Team, worker: None, marker: Path) 
         template = {"job_configuration": variables, "variables": {"type": "object", "properties": {}}}
         assert client.patch("/work_pools/hfb", json={"base_job_template": template}).status_code == 204
         try:
-            run = _run(client, _flow_of(client, "fit/fit")["id"], enforce_parameter_schema=False, parameters={"x": 1})
+            run = _run(client, _flow_of(client, "fit/fit")["id"], parameters=_NOWHERE)
             assert ended(client, run, _ENDED_S)["type"] == "FAILED"
         finally:
             client.patch("/work_pools/hfb", json={"base_job_template": before})

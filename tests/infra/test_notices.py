@@ -17,6 +17,7 @@ import httpx
 import psutil
 import pytest
 
+from tests.faults.readme_server import waiting_clip
 from tests.infra.asking import api, ended, started
 from tests.infra.team import ROOT, Team, missing, stop
 
@@ -56,8 +57,7 @@ def test_a_run_is_heard_of_and_a_crash_is_told(
     assert _deploy(here, plain | {"HFB_NOTIFY": address}) == 0, here.log("setup")
     assert "of-the-receiver" not in here.log("setup")
     data = here.folder / "data" / "waits"
-    (data / "clips").mkdir(parents=True)
-    (data / "clips" / "broken.mp4").write_text("no video")
+    waiting_clip(data)
     command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "hfb"]
     worker = here.run(command, plain | {"PREFECT_WORKER_QUERY_SECONDS": "1"}, "worker-of-notices")
     try:
