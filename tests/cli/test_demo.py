@@ -10,7 +10,7 @@ from tests.orchestration import TINY_OPTIONS, mlflow_rows
 
 KEYS = [
     "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
-    "out", "strip", "report", "mlflow_run_id", "directions", "unknown",
+    "out", "strip", "report", "mlflow_run_id", "directions", "unknown", "warnings",
 ]  # fmt: skip
 
 # Python runs this at the start of every process of the command, the temporary server's included.
