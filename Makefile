@@ -1,6 +1,6 @@
 # One vocabulary for people, hooks and CI.  make demo | test | check | bench | setup | up | down
 .DEFAULT_GOAL := help
-.PHONY: help setup demo check test bench up down audit sbom clean
+.PHONY: help setup demo check test bench findings up down audit sbom clean
 MAKEFLAGS += --no-print-directory
 
 BIN := .venv/bin
@@ -16,6 +16,7 @@ help:
 	@echo "make test    the tests"
 	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files"
 	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
+	@echo "make findings  what libraries do otherwise than expected, each with pinned packages; needs the package index"
 	@echo "make up      Prefect, MLflow and a worker for a team, with a login; needs Docker (infra/compose/README.md)"
 	@echo "make down    end them; what they hold stays"
 	@echo "make audit   known holes of the pinned packages; asks the package index"
@@ -40,6 +41,10 @@ test: .venv/dev.stamp
 
 bench: .venv/dev.stamp
 	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable
+
+findings:
+	@changed=; for script in findings/*.sh; do echo "== $$script"; bash "$$script" || changed="$$changed $$script"; done; \
+		test -z "$$changed" || { echo "no longer so:$$changed"; exit 1; }
 
 # Of a team: HFB_HOST=name of this machine, HFB_DATA=folder with clips, GPU=1, HA=1.  Whoever runs it owns the files.
 HFB_HOST ?= localhost
