@@ -94,9 +94,8 @@ class _Dask:
         try:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise NotNow(
-                f"no Dask scheduler answers at {without_secrets(address)} ({type(error).__name__}): is it up?"
-            ) from None
+            place = without_secrets(address)
+            raise NotNow(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
@@ -136,9 +135,8 @@ class _Ray:
         try:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:
-            raise NotNow(
-                f"no Ray node answers at {without_secrets(address)} ({type(error).__name__}): is it up?"
-            ) from None
+            place = without_secrets(address)
+            raise NotNow(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
         self._ray: Any = ray
         self._running: set[Any] = set()
 

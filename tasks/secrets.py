@@ -18,7 +18,7 @@ _HIDDEN = "***"
 _NAMES = (
     r"(?:[\w.-]*[._-])?(?:password|passwd|passphrase|pwd|token|secret|signature|sig|api[_-]?key|access[_-]?key(?:[_-]?id)?|"
     r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
-    r"AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
+    r"pgpassword|AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
 )
 """What a value that nobody may see is called: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
 
@@ -35,7 +35,11 @@ _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(?i)\b(basic\s+)(?=\S*[\d=])[\w+/=-]{8,}"), rf"\1{_HIDDEN}"),
     (re.compile(r"(?i)\b((?:set-)?cookie\\?[\"']?\s*:\s*\\?[\"']?)[^\r\n'\"\\]+"), rf"\1{_HIDDEN}"),
     (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{_HIDDEN}"),
-    (re.compile(rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?(?:(?!%26)[^&\s'\"<>\\])+"), rf"\1{_HIDDEN}"),
+    (
+        re.compile(rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?"
+                   r"(?:(?!%26)[^&\s'\"<>\\])+"),
+        rf"\1{_HIDDEN}",
+    ),
     (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{_HIDDEN}"),
 )  # fmt: skip
 _SECRETS = (
@@ -48,7 +52,7 @@ _SHORTEST, _SHORTEST_GUESSED = 4, 8  # a shorter value would be hidden wherever 
 
 
 def without_secrets(text: str) -> str:
-    """The text with every password and token hidden: in addresses, in headers, by name, and what the environment holds."""
+    """The text with every secret hidden: in addresses and headers, by its name, and what the environment holds."""
     for value in _held():
         text = text.replace(value, _HIDDEN)
     for pattern, shown in _RULES:
@@ -84,7 +88,7 @@ def _held() -> Iterator[str]:
         if len(value) >= least and (name in _SECRETS or _SECRET_NAME.match(name)) and value[:1] != "/":
             found |= {value, quote(value, safe=""), b64encode(value.encode()).decode()}
         elif "://" in value and "@" in value:
-            password = urlsplit(value).netloc.rpartition("@")[0].partition(":")[2]
+            password = value.partition("://")[2].rpartition("@")[0].partition(":")[2]
             found |= {one for one in (password, unquote(password)) if len(one) >= _SHORTEST_GUESSED}
     yield from sorted(found, key=len, reverse=True)
 

@@ -6,7 +6,7 @@ python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fi
 import argparse
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -23,6 +23,7 @@ from hfb.evaluate.calibration import (
     reliability_of,
 )
 from hfb.evaluate.metrics import errors_mm, mpjpe_mm
+from hfb.evaluate.reliability import LEVELS
 from hfb.export.motion_file import load_motion
 from hfb.fit.alternatives import load_alternatives
 from hfb.fit.confidence import ConfidenceModel, StartKind
@@ -65,7 +66,9 @@ def person_of(recording: str) -> str:
 
 
 def write_confidence(cases: dict[StartKind, list[JointCase]], features: str | None, path: Path) -> None:
-    """One exponent for all kinds, then coefficients per kind, pulled to those of the file's ``prior``.
+    """Coefficients per kind, pulled to those of the file's ``prior``, whose exponent all kinds share.
+
+    A kind for which the prior itself is nearer to what happened, on people left out of both, keeps it.
 
     Raises:
         SystemExit: a kind has no case.
@@ -75,23 +78,27 @@ def write_confidence(cases: dict[StartKind, list[JointCase]], features: str | No
     earlier = json.loads(path.read_text())
     prior = ConfidenceModel(**earlier["prior"])
     names = features.split(",") if features else list(cases["network"][0].features)
-    everything = [case for known in cases.values() for case in known]
-    exponent = fit_confidence(everything, names, prior=prior).exponent
+    exponent = prior.exponent
     by_start: dict[str, Any] = {}
     for kind, known in cases.items():
         people = sorted({case.recording for case in known})
-        model = asdict(fit_confidence(known, names, exponent, prior))
-        del model["exponent"]
-        held_out = held_out_reliability(known, names, len(people), exponent, prior)
         counts = {"n": len(known), "people": people}
-        by_start[kind] = model | {
-            "people_held_out": held_out | counts,
-            "before": reliability_of(prior, known) | counts,
-        }
+        before, model = reliability_of(prior, known), prior
+        held_out: dict[str, float] = before
+        after = held_out_reliability(known, names, len(people), exponent, prior)
+        if _off(after) < _off(before):
+            held_out, model = after, fit_confidence(known, names, exponent, prior)
+        told = {name: value for name, value in asdict(model).items() if name != "exponent"}
+        by_start[kind] = told | {"people_held_out": held_out | counts, "before": before | counts}
         print(
             kind, json.dumps({"before": by_start[kind]["before"], "after": by_start[kind]["people_held_out"]}, indent=1)
         )
     write(path, {"exponent": exponent, "by_start": by_start, "prior": earlier["prior"]})
+
+
+def _off(measured: Mapping[str, float]) -> float:
+    """Mean distance of what happened from what was said."""
+    return float(np.mean([abs(measured[f"within_p{100 * level:.0f}"] - level) for level in LEVELS]))
 
 
 def write_directions(singles: Sequence[Path], several: Sequence[Path], method: str, path: Path) -> None:

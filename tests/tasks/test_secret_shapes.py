@@ -26,11 +26,14 @@ TOKEN = "Zq7-s3cr3t_v4lue"
         f"s3://bucket/p?secret_key={TOKEN}&endpoint=h", f"s3://bucket?aws_secret_access_key={TOKEN}",
         f"s3://key:{TOKEN}@bucket/p", f"https://{TOKEN}@github.com/a/b.git", f"ray://u:{TOKEN}@h:10001",
         f"tcp://u:{TOKEN}@h:8786 is not there", f"postgresql+psycopg2://u:{TOKEN}@h/db", f"mysql://u:{TOKEN}@h",
-        f"redis://:{TOKEN}@h:6379/0", f"cannot open https%3A%2F%2Fu%3A{TOKEN}%40h%2Fp now", f"next=a%26token%3D{TOKEN}%26b",
+        f"redis://:{TOKEN}@h:6379/0", f"cannot open https%3A%2F%2Fu%3A{TOKEN}%40h%2Fp now",
+        f"next=a%26token%3D{TOKEN}%26b",
         f"Authorization: Bearer {TOKEN}", f"'Authorization': 'Basic {TOKEN}'", f'{{"authorization": "Bearer {TOKEN}"}}',
         f"sent Authorization=Bearer {TOKEN} to h", f"Proxy-Authorization: Basic {TOKEN}", f"a bearer {TOKEN} b",
-        f"X-Api-Key: {TOKEN}", f"x-amz-security-token: {TOKEN}", f"Cookie: session={TOKEN}; a=b", f"PGPASSWORD={TOKEN} psql",
-        f"MLFLOW_TRACKING_TOKEN={TOKEN}", f"host=h password={TOKEN} user=u", f"password='{TOKEN}'", f"--api-key={TOKEN}",
+        f"X-Api-Key: {TOKEN}", f"x-amz-security-token: {TOKEN}", f"Cookie: session={TOKEN}; a=b",
+        f"PGPASSWORD={TOKEN} psql",
+        f"MLFLOW_TRACKING_TOKEN={TOKEN}",
+        f"host=h password={TOKEN} user=u", f"password='{TOKEN}'", f"--api-key={TOKEN}",
         f"DefaultEndpointsProtocol=https;AccountName=a;AccountKey={TOKEN};EndpointSuffix=b",
         f"Endpoint=sb://a/;SharedAccessKeyName=b;SharedAccessKey={TOKEN}",
         json.dumps({"api_key": TOKEN}), json.dumps(json.dumps({"token": TOKEN})), repr({"password": TOKEN}),
@@ -46,7 +49,8 @@ def test_no_token_is_left(text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "the design has a signature: none", "token: expected", "basic information about it", "hfb.key=3", "a@b.c", "12:30 http://h/x",
+        "the design has a signature: none", "token: expected", "basic information about it", "hfb.key=3", "a@b.c",
+        "12:30 http://h/x",
         "--matting.weights=a.onnx", "https://h/p?sv=1&se=2", "config.fit.weights.path=0.1", "C:\\a\\b", "ray://h:10001",
         "sqlite:////a/b.db", "file:///a@b/c", "s3://bucket/a@b",
     ],
@@ -74,6 +78,7 @@ def test_plain_content_and_addresses() -> None:
     assert shown_address(f"https://u:{TOKEN}@h/p?token={TOKEN}") == "https://h/p?token=***"
 
 
+SOURCES = [path for room in ("flows", "tasks", "infra") for path in sorted((ROOT / room).rglob("*.py"))]
 ADDRESSES = {"uri", "url", "address", "api", "api_url", "tracking_uri", "_api", "backend_uri", "endpoint"}
 SAYS = {"print", "exit", "write", "debug", "info", "warning", "error", "exception", "critical"}
 
@@ -98,9 +103,7 @@ def printed_addresses(source: str) -> list[str]:
     return bare
 
 
-@pytest.mark.parametrize(
-    "path", [p for room in ("flows", "tasks", "infra") for p in sorted((ROOT / room).rglob("*.py"))]
-)
+@pytest.mark.parametrize("path", SOURCES)
 def test_no_source_prints_a_bare_address(path: Path) -> None:
     assert not printed_addresses(path.read_text())
 
