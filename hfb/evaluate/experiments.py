@@ -218,7 +218,7 @@ def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, our
 
 def _ratio_text(cell: Mapping[str, Any], metric: Metric) -> str:
     """A cell's ratio to the start with its interval, as far as it has one of this metric."""
-    ratio, count = _RATIOS.get(metric, ""), "n_pa" if metric == "pa_mpjpe" else "n_pose"
+    ratio, count = _RATIOS.get(metric, ""), "n_pa" if metric == "pa_mpjpe_mm" else "n_pose"
     return number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2, cell.get(count, 0))
 
 
