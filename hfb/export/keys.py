@@ -54,6 +54,7 @@ class _Knots:
     slopes: Float[Array, "M c"]
     opening: Int[Array, "E"]
     closing: Int[Array, "E"]
+    frames: Int[Array, "E"]
 
 
 def exact_keys(motion: SampledMotion) -> MotionKeys:
@@ -163,7 +164,7 @@ def _knots(motion: SampledMotion) -> _Knots:
     key = np.cumsum(new) - 1
     return _Knots(
         times[new], _means(values, new), _means(slopes, new),
-        key[[run.start for run in runs]], key[[run.stop - 1 for run in runs]],
+        key[[run.start for run in runs]], key[[run.stop - 1 for run in runs]], frames[[run.start for run in runs]],
     )  # fmt: skip
 
 
@@ -228,7 +229,7 @@ def _absences(knots: _Knots, times_s: Float[Array, "F"]) -> Iterator[tuple[int, 
     """(the exposure before it, the instants in it) of every stretch in which the person is missing."""
     opens, closes = knots.times_s[knots.opening], knots.times_s[knots.closing]
     tolerance = 1e-9 * max(1.0, float(knots.times_s[-1]))
-    interval = float(np.median(np.diff(opens))) if len(opens) > 1 else np.inf
+    interval = float(np.median(np.diff(opens) / np.diff(knots.frames))) if len(opens) > 1 else np.inf
     for left in np.flatnonzero(np.diff(opens) > _ABSENT_INTERVALS * interval).tolist():
         first = int(np.searchsorted(times_s, closes[left] + tolerance, side="right"))
         yield left, slice(first, max(first, int(np.searchsorted(times_s, opens[left + 1] - tolerance))))

@@ -124,7 +124,7 @@ def test_what_is_no_result_is_said(store: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a result of hfb"):
         make_report(str(tmp_path), None)
     (tmp_path / "result.json").write_text("{")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is damaged"):
         make_report(str(tmp_path), None)
     with pytest.raises(InputError, match=r"there is no .*nowhere"):
         make_report("some/nowhere", None)
