@@ -1,6 +1,6 @@
 """Make hfb/fitting/data/confidence.json, and directions.json, from benchmarks whose truth is known.
 
-python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fit/data
+python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fitting/data
 """
 
 import argparse

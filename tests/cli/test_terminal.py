@@ -25,7 +25,7 @@ _ROOT = Path(__file__).parents[2]
 LOGGING = """
 import logging, sys, threading, time
 from flows.runtime.surroundings import keep_log
-from tasks import displays, progress
+from tasks.telemetry import displays, progress
 from tasks.workers.workers import compute, workers
 
 def warn(words):

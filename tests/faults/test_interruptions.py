@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from flows.fit_image import fit_image
 from hfb.config import ExportConfig, FitConfig, RunConfig, Stage
-from tasks import displays, progress
+from tasks.telemetry import displays, progress
 frame, plate, first, out = map(Path, sys.argv[1:])
 config = RunConfig(
     fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)),
@@ -140,7 +140,7 @@ from pathlib import Path
 from flows.benchmark import BenchmarkPlan, run_benchmark
 from hfb.evaluation.baselines.method_spec import method_spec
 from hfb.datasets.set_spec import SetSpec
-from tasks import displays, progress
+from tasks.telemetry import displays, progress
 if __name__ == "__main__":
     out, toml, workers = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     plan = BenchmarkPlan(

@@ -19,7 +19,7 @@ from tests.orchestration import prefect_api
 SERVER = """
 import sys
 from flows.runtime.prefect_home import make_home
-from tasks import displays, progress
+from tasks.telemetry import displays, progress
 with progress.showing(displays.lines_on(sys.stderr, first_s=999)):
     make_home()
     from flows.runtime.surroundings import PrefectServer
