@@ -79,7 +79,7 @@ def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path
 
 STUCK = """
 import argparse, sys, threading
-from flows import cli
+from flows.cli import cli
 
 def stuck(given):
     lock = threading.Lock()
