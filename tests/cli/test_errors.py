@@ -1,6 +1,7 @@
 """What a user gets wrong: one sentence that names the fix, exit code 2, and nothing left behind."""
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -180,6 +181,8 @@ def test_the_unexpected_points_to_the_log(
         raise RuntimeError("a wire came loose")
 
     monkeypatch.setattr(tasks.image.matte, "make_matting", broken)
+    # a command that an earlier test of this process ran logs into that test's folder
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
     out = tmp_path / "out"
     code = main(["fit", str(problem.frame), "--background", str(problem.background), "--out", str(out), "--json"])
     shown = capsys.readouterr()
