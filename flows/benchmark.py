@@ -8,20 +8,19 @@ from typing import Any, Literal
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from flows.reaper import mark_owner
-from flows.workplace import publish, workplace
-from hfb.baselines.method_spec import MethodSpec
+from flows.runtime.reaper import mark_owner
+from flows.runtime.workplace import publish, workplace
 from hfb.config import InitConfig, MattingConfig, Record
 from hfb.datasets.case import case_name
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
-from hfb.evaluate.experiments import Experiment
-from hfb.export.names import REPORT
-from hfb.media.safe_folder import check_tree
-from tasks import progress, tracking
-from tasks.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
-from tasks.benchmark_results import gallery, record_benchmark, tabulate
-from tasks.cases import (
+from hfb.evaluation.baselines.method_spec import MethodSpec
+from hfb.evaluation.experiments import Experiment
+from hfb.interop.writers.names import REPORT
+from hfb.io.safe_folder import check_tree
+from tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
+from tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
+from tasks.benchmark.cases import (
     CaseHandle,
     ReadyHandle,
     SourcesHandle,
@@ -32,13 +31,15 @@ from tasks.cases import (
     see_case,
     set_name,
 )
-from tasks.engine import Engine
-from tasks.inputs import input_file, networks_at_hand
-from tasks.judge_case import judge_case
-from tasks.many import Outcome, run_all
-from tasks.out_place import check_sources_out
-from tasks.result_records import records_in
-from tasks.workers import worker_count, workers
+from tasks.benchmark.judge_case import judge_case
+from tasks.core.result_records import records_in
+from tasks.inputs.inputs import input_file, networks_at_hand
+from tasks.inputs.out_place import check_sources_out
+from tasks.telemetry import progress
+from tasks.tracking import tracking
+from tasks.workers.engine import Engine
+from tasks.workers.many import Outcome, run_all
+from tasks.workers.workers import worker_count, workers
 
 
 class BenchmarkPlan(Record):

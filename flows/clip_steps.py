@@ -9,29 +9,36 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flows.trouble import ServerWatch
+from flows.runtime.trouble import ServerWatch
 from hfb.config import RunConfig
 from hfb.errors import InputError
-from hfb.evaluate.warnings import ResultWarning, check_never_left
-from hfb.fit.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
-from hfb.initialize.clip_bodies import key_frames
-from hfb.media.plate import HOLDS_PERSON
-from tasks import progress
-from tasks.export_files import ExportsHandle
-from tasks.films import films_of
-from tasks.given_networks import tell_networks
-from tasks.given_result import find_given_body, looks_at, pictures_of, read_result
-from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from tasks.many import Outcome, run_all
-from tasks.result_report import ReportParts, page_film, write_report
-from tasks.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
-from tasks.task import Step
-from tasks.video_clip import find_background, find_person, look_at_clip
-from tasks.video_frames import extract_frames, find_body_between, find_key_body, find_matte
-from tasks.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, PlateHandle, TrackHandle, WindowHandle
-from tasks.video_inputs import VideoInputs
-from tasks.video_look import draw_clip, judge_clip, score_frames
-from tasks.video_windows import fill_bodies, fit_clip_window, join_clip, mend_fronts, settle_person
+from hfb.evaluation.warnings import ResultWarning, check_never_left
+from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
+from hfb.io.media.plate import HOLDS_PERSON
+from hfb.tracking.clip_bodies import key_frames
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
+from tasks.core.task import Step
+from tasks.core.video_handles import (
+    ClipBodiesHandle,
+    FootageHandle,
+    JoinedHandle,
+    PlateHandle,
+    TrackHandle,
+    WindowHandle,
+)
+from tasks.inputs.given_networks import tell_networks
+from tasks.inputs.video_inputs import VideoInputs
+from tasks.results.export_files import ExportsHandle
+from tasks.results.films import films_of
+from tasks.results.result_report import ReportParts, page_film, write_report
+from tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
+from tasks.telemetry import progress
+from tasks.video.given_result import find_given_body, looks_at, pictures_of, read_result
+from tasks.video.video_clip import find_background, find_person, look_at_clip
+from tasks.video.video_frames import extract_frames, find_body_between, find_key_body, find_matte
+from tasks.video.video_look import draw_clip, judge_clip, score_frames
+from tasks.video.video_windows import fill_bodies, fit_clip_window, join_clip, mend_fronts, settle_person
+from tasks.workers.many import Outcome, run_all
 
 _CHUNK = 16  # frames per task where a task per frame would cost more than its work
 _SHOWN = 6

@@ -9,24 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flows.repeating import number_text
-from flows.workplace import check_writable
+from flows.runtime.summary import number_text
+from flows.runtime.workplace import check_writable
 from hfb.errors import InputError
-from hfb.evaluate.motion_difference import MotionDifference, motion_difference
-from hfb.export.motion_file import load_motion
-from hfb.media.atomic import write_bytes_atomic
-from hfb.media.pictures import read_picture_srgb, stored_png
-from hfb.media.safe_folder import check_ordinary, read_file
+from hfb.evaluation.motion_difference import MotionDifference, motion_difference
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.pictures import read_picture_srgb, stored_png
+from hfb.io.safe_folder import check_ordinary, read_file
+from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, small_picture
 from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
-from tasks import progress
-from tasks.fitted_body import fitted_body, named_body
-from tasks.out_place import check_no_clip
-from tasks.run_comparison import RunComparison, Words, compare_records
-from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from tasks.inputs.out_place import check_no_clip
+from tasks.results.fitted_body import fitted_body, named_body
+from tasks.results.run_comparison import RunComparison, Words, compare_records
+from tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from tasks.telemetry import progress
 
 _PICTURES = ("strip.png", "sheet.png", "gallery.png")
 _MOTION, _TEXTURE, _RESULT = "motion.npz", "texture.png", "result.json"

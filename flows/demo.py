@@ -9,8 +9,8 @@ from typing import Any
 from flows.fit_image import fit_image
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
-from hfb.media.safe_folder import check_tree
-from tasks import progress
+from hfb.io.safe_folder import check_tree
+from tasks.telemetry import progress
 
 _EXAMPLE = "example"
 

@@ -8,33 +8,34 @@ from typing import Any
 
 from prefect import flow
 
-from flows.reaper import mark_owner
-from flows.workplace import publish, workplace
+from flows.runtime.reaper import mark_owner
+from flows.runtime.workplace import publish, workplace
 from hfb.config import RunConfig
-from hfb.evaluate.warnings import ResultWarning
-from hfb.export.names import CURVES, RECORD, REPORT
-from hfb.fit.alternatives import what_is_unknown
-from hfb.fit.confidence import radius_condition
-from tasks import progress, tracking
-from tasks.evaluate import evaluate
-from tasks.export_files import export_files
-from tasks.films import films_of
-from tasks.first_body import first_body, given_body
-from tasks.fit_motion import fit_motion
-from tasks.given_networks import tell_networks
-from tasks.given_result import Look, body_of_result, needed, read_result
-from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
-from tasks.inputs import Inputs, input_hashes, take_inputs, with_height
-from tasks.matte import matte
-from tasks.prepare import prepare
-from tasks.record import fit_record, record
-from tasks.result_records import records_in
-from tasks.result_report import ReportParts, add_report, fit_curves, page_film, write_report
-from tasks.result_warnings import look_for_warnings, plate_warnings, tell
-from tasks.run_record import keep_for_later
-from tasks.strip import strip
-from tasks.task import code_version
-from tasks.video_windows import mend_fronts
+from hfb.evaluation.warnings import ResultWarning
+from hfb.fitting.alternatives import what_is_unknown
+from hfb.fitting.confidence import radius_condition
+from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
+from tasks.core.result_records import records_in
+from tasks.core.task import code_version
+from tasks.image.evaluate import evaluate
+from tasks.image.first_body import first_body, given_body
+from tasks.image.fit_motion import fit_motion
+from tasks.image.matte import matte
+from tasks.image.prepare import prepare
+from tasks.image.strip import strip
+from tasks.inputs.given_networks import tell_networks
+from tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
+from tasks.results.export_files import export_files
+from tasks.results.films import films_of
+from tasks.results.result_report import ReportParts, add_report, fit_curves, page_film, write_report
+from tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
+from tasks.telemetry import progress
+from tasks.tracking import tracking
+from tasks.tracking.record import fit_record, record
+from tasks.tracking.run_record import keep_for_later
+from tasks.video.given_result import Look, body_of_result, needed, read_result
+from tasks.video.video_windows import mend_fronts
 
 
 @flow(name="fit-image", persist_result=False, on_running=[mark_owner])

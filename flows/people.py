@@ -9,19 +9,19 @@ from typing import Any
 
 from prefect import flow
 
-from flows.clip_place import clip_place
-from flows.reaper import mark_owner
+from flows.runtime.clip_place import clip_place
+from flows.runtime.reaper import mark_owner
+from flows.runtime.workplace import mark_unfinished, publish, workplace
 from flows.video import run_video
-from flows.workplace import mark_unfinished, publish, workplace
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
-from hfb.media.safe_folder import check_ordinary
-from tasks import progress
-from tasks.engine import Engine
-from tasks.task import code_version
-from tasks.video_clip import find_background, find_everyone, look_at_clip
-from tasks.video_handles import PersonSeen
-from tasks.video_inputs import VideoInputs, video_hashes
+from hfb.io.safe_folder import check_ordinary
+from tasks.core.task import code_version
+from tasks.core.video_handles import PersonSeen
+from tasks.inputs.video_inputs import VideoInputs, video_hashes
+from tasks.telemetry import progress
+from tasks.video.video_clip import find_background, find_everyone, look_at_clip
+from tasks.workers.engine import Engine
 
 _log = logging.getLogger(__name__)
 _KEPT = (

@@ -12,26 +12,27 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from flows.fit_image import fit_image_again
+from flows.runtime.workplace import INTERMEDIATE
 from flows.video import run_video
-from flows.workplace import INTERMEDIATE
 from hfb.config import RunConfig
 from hfb.errors import InputError
-from hfb.evaluate.motion_difference import motion_difference
-from hfb.export.motion_file import load_motion
-from hfb.initialize.networks import LandmarkChoice
-from hfb.media.atomic import write_bytes_atomic
-from tasks import progress, tracking
-from tasks.environment import environment
-from tasks.handles import FileHandle, sha256_of
-from tasks.inputs import Inputs, networks_at_hand
-from tasks.out_place import check_clip_out, check_pictures_out
-from tasks.present_files import find_present
-from tasks.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
-from tasks.repetition import Repetition, repeating
-from tasks.result_folder import unfinished_files
-from tasks.stored_runs import StoredRun, fetch_file, find_run, readable_store
-from tasks.task import code_version
-from tasks.video_inputs import VideoInputs
+from hfb.evaluation.motion_difference import motion_difference
+from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.motion_file import load_motion
+from hfb.networks.mediapipe_files import LandmarkChoice
+from tasks.core.handles import FileHandle, sha256_of
+from tasks.core.repetition import Repetition, repeating
+from tasks.core.result_folder import unfinished_files
+from tasks.core.task import code_version
+from tasks.inputs.inputs import Inputs, networks_at_hand
+from tasks.inputs.out_place import check_clip_out, check_pictures_out
+from tasks.inputs.video_inputs import VideoInputs
+from tasks.results.present_files import find_present
+from tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from tasks.telemetry import progress
+from tasks.tracking import tracking
+from tasks.tracking.environment import environment
+from tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
 VERDICT = "rerun.json"

@@ -9,18 +9,19 @@ from typing import Any, Literal
 from prefect import flow
 from pydantic import Field
 
-from flows.reaper import mark_owner
-from flows.workplace import workplace
+from flows.runtime.reaper import mark_owner
+from flows.runtime.workplace import workplace
 from hfb.config import Record
 from hfb.errors import InputError
-from hfb.media.atomic import write_bytes_atomic
+from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
-from tasks import progress, tracking
-from tasks.cases import listing_of
-from tasks.handles import FileHandle
-from tasks.out_place import check_sources_out
-from tasks.result_records import records_in
-from tasks.task import code_version
+from tasks.benchmark.cases import listing_of
+from tasks.core.handles import FileHandle
+from tasks.core.result_records import records_in
+from tasks.core.task import code_version
+from tasks.inputs.out_place import check_sources_out
+from tasks.telemetry import progress
+from tasks.tracking import tracking
 from tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
 
 

@@ -9,7 +9,7 @@ from typing import Literal, overload
 import numpy as np
 import torch
 
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 Transfer = Literal["srgb", "linear", "bt709", "gamma22"]
 """How files store light."""

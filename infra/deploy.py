@@ -7,7 +7,7 @@ Done again it changes what is there to what is written here, and adds nothing. W
     HFB_IMAGE, HFB_VOLUMES, HFB_NETWORK          of docker: what a run is started in; HFB_VOLUMES is A:B,C:D
     HFB_NAMESPACE [hfb]                          of kubernetes: where jobs are made
     HFB_DATA [/data]                             where workers see clips and results
-    HFB_ALLOWED                                  of docker and kubernetes: what runs may use besides (flows/places.py)
+    HFB_ALLOWED                                  of docker, kubernetes: what else runs may use (flows/runtime/places.py)
     PREFECT_FLOWS_HEARTBEAT_FREQUENCY [30]       seconds between two signs of life of a run; after three it is Crashed
     HFB_NOTIFY                                   who is told of crashed runs: webhooks, Slack's, mailtos:// and others
     HFB_GPUS [1]                                 GPUs of all workers together: so many runs of the queue `gpu` at once
@@ -36,7 +36,7 @@ from prefect.exceptions import ObjectNotFound
 from prefect.utilities.templating import apply_values
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
-from tasks.secrets import without_secrets
+from tasks.telemetry.secrets import without_secrets
 
 _HERE = Path(__file__).parent
 _BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
@@ -44,7 +44,7 @@ _PATIENCE_S = 180
 _BUCKET = "mlflow"
 _PASSED_ON = ("MLFLOW_TRACKING_URI", "MLFLOW_TRACKING_USERNAME", "MLFLOW_TRACKING_PASSWORD_FILE")
 _PASSED_ON += (_BEAT, "HFB_DATA", "HFB_ALLOWED", "HFB_MLFLOW_PAGES")
-_TYPES = {"process": "hfb", "docker": "hfb-docker", "kubernetes": "hfb-kubernetes"}  # of flows/worker.py
+_TYPES = {"process": "hfb", "docker": "hfb-docker", "kubernetes": "hfb-kubernetes"}  # of flows/runtime/worker.py
 _NO_VARIABLES = {"type": "object", "properties": {}, "additionalProperties": False}
 
 
@@ -108,7 +108,7 @@ def _container(kind: str) -> dict[str, Any]:
         "image": os.environ["HFB_IMAGE"],
         "image_pull_policy": "IfNotPresent",
         "env": {name: os.environ[name] for name in _PASSED_ON if name in os.environ},
-        "command": "python -P -m flows.deployment_run",
+        "command": "python -P -m flows.runtime.deployment_run",
     }
     if kind == "docker":
         given["volumes"] = [one for one in os.environ.get("HFB_VOLUMES", "").split(",") if one]

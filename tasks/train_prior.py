@@ -10,12 +10,13 @@ from typing import Any, Literal
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.media.atomic import write_bytes_atomic
+from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
-from tasks import progress, tracking
-from tasks.handles import FileHandle, digest
-from tasks.run_record import RunHandle
-from tasks.task import code_version, task
+from tasks.core.handles import FileHandle, digest
+from tasks.core.task import code_version, task
+from tasks.telemetry import progress
+from tasks.tracking import tracking
+from tasks.tracking.run_record import RunHandle
 
 PARTS = ("trained", "held_out", "tested")
 Training = MotionTraining | PoseTraining
@@ -72,7 +73,7 @@ def gather(
     """
     from hfb.datasets.motion_windows import draw_columns, split_motions, take_poses
     from hfb.datasets.motions.sources import open_motions
-    from hfb.export.motion_file import write_arrays
+    from hfb.motion.motion_file import write_arrays
 
     source = open_motions(motions, seed)
     names = source.names()

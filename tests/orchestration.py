@@ -40,7 +40,7 @@ def prefect_api() -> str:
     from prefect.context import refresh_global_settings_context
     from prefect.logging.configuration import setup_logging
 
-    from flows.surroundings import PrefectServer
+    from flows.runtime.surroundings import PrefectServer
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
@@ -52,7 +52,7 @@ def prefect_api() -> str:
 def _migrated_store() -> Path:
     """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
     path = _session_folder() / "migrated.db"
-    from tasks import tracking
+    from tasks.tracking import tracking
 
     tracking.client_of(f"sqlite:///{path}").get_experiment_by_name("none")
     return path
@@ -99,7 +99,7 @@ def true_first_body(path: Path) -> Path:
     import torch
 
     from hfb.datasets.truth import load_truth
-    from hfb.initialize.first_body import FirstBody, save_first_body
+    from hfb.motion.static_pose import FirstBody, save_first_body
 
     true = load_truth(example() / "truth.npz").motion
     middle = len(true.poses) // 2

@@ -6,14 +6,14 @@ import torch
 
 from hfb.body.model import Body
 from hfb.datasets.truth import Truth
-from hfb.formation import compose
-from hfb.initialize.first_body import FirstBody
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.sampled import SampledMotion
-from hfb.observation import Observation
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
+from hfb.motion.static_pose import FirstBody
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
+from hfb.rendering.observation import Observation
 
 
 @dataclass(frozen=True)

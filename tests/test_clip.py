@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from hfb.clip import Clip, read_clip
 from hfb.errors import InputError
+from hfb.io.clip import Clip, read_clip
 
 
 def write(folder: Path, text: str) -> Path:

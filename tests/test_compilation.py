@@ -17,7 +17,7 @@ import torch
 from numba.core.dispatcher import Dispatcher
 from hfb.body.assets import load_default_body
 from hfb.config import Stage, preset
-from hfb.fit.loop import fit
+from hfb.fitting.loop import fit
 from hfb.matting.network import NetworkMatting
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.bench.jobs import with_pose_blend_shapes
@@ -36,7 +36,7 @@ bodies = body, with_pose_blend_shapes(body)
 fits = [fit(matted, scene.middle, each, config, 0, AnatomicalPrior()) for each in bodies]
 kernels = [
     value
-    for name, module in sorted(sys.modules.items()) if name.startswith("hfb.") and "kernels" in name
+    for name, module in sorted(sys.modules.items()) if name.startswith("hfb.kernels.")
     for value in vars(module).values() if isinstance(value, Dispatcher)
 ]
 stats = [kernel.stats for kernel in kernels]
@@ -48,7 +48,7 @@ print(hashlib.sha256(b"".join(np.ascontiguousarray(values).tobytes() for values 
 
 
 KERNEL = """
-from hfb.compilation import entry
+from hfb.kernels.compile import entry
 
 @entry
 def twice(number):

@@ -2,7 +2,7 @@
 
 import torch
 
-from hfb.formation import compose
+from hfb.rendering.formation import compose
 
 
 def test_nobody_leaves_the_plate_and_a_full_cover_hides_it() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hfb.errors import InputError
-from hfb.json_file import JSON_LIMIT_BYTES, read_json
+from hfb.io.json_file import JSON_LIMIT_BYTES, read_json
 
 
 def test_plain_content_is_read(tmp_path: Path) -> None:

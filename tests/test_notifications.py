@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from flows.batch import batch
-from flows.cli import main
+from flows.cli.cli import main
 from flows.deployed import batch as deployed_batch
 from hfb.errors import InputError
-from tasks import notifications
-from tasks.notifications import ClipTrouble, addresses_of, notify, notifying
+from tasks.batch import notifications
+from tasks.batch.notifications import ClipTrouble, addresses_of, notify, notifying
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_config
 

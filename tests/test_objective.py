@@ -9,19 +9,19 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import PARENT_TABLE
 from hfb.config import Weights
-from hfb.fit.operators import as_large
-from hfb.fit.variables import Variables
-from hfb.formulas import readable_formulas
-from hfb.initialize import operators as evidence
-from hfb.initialize.joint_evidence import JointEvidence
-from hfb.initialize.joint_network import Window
-from hfb.losses.operators import motion_size, start_distance
-from hfb.motion.operators import boundary
+from hfb.evidence.joint_evidence import JointEvidence
+from hfb.evidence.joint_network import Window
+from hfb.fitting.variables import Variables
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.kernels import initialize_operators as evidence
+from hfb.kernels.dispatch import readable_formulas
+from hfb.kernels.fit_operators import as_large
+from hfb.kernels.losses_operators import motion_size, start_distance
+from hfb.kernels.motion_operators import boundary
 from hfb.motion.trajectory import trajectory_at_rest
-from hfb.objective import Objective
+from hfb.objective.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
 from tests.scenes import moving_scene
 
 BODY = load_default_body(torch.float64)

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from hfb.errors import InputError
-from hfb.observation import Observation
-from hfb.render.camera import PinholeCamera
+from hfb.geometry.camera import PinholeCamera
+from hfb.rendering.observation import Observation
 
 
 def observation(height: int = 40, width: int = 60) -> Observation:

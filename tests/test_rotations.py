@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from hfb.rotations import (
+from hfb.geometry.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,
     geodesic_angle,

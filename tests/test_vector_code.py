@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from hfb.vector_code import (
+from hfb.kernels.simd import (
     LANES,
     four,
     if_equal,

@@ -12,7 +12,7 @@ from hfb.body.mesh import make_mesh
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.body.smpl_file import read_smpl
-from hfb.media.array_files import read_arrays
+from hfb.io.array_files import read_arrays
 
 
 @lru_cache(maxsize=1)

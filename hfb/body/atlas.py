@@ -8,7 +8,7 @@ all are packed at one scale into the unit square. Deterministic; not SMPL's own 
 import numpy as np
 
 from hfb.body.mesh import edges_of
-from hfb.shapes import Array, Float, Int
+from hfb.typing import Array, Float, Int
 
 # SMPL's joints by limb: trunk and head, left and right leg, left and right arm.
 _LIMB = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 0, 0, 0, 3, 4, 3, 4, 3, 4, 3, 4])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hfb.body.mesh import edges_of
-from hfb.shapes import Array, Int
+from hfb.typing import Array, Int
 
 
 def boundary_loops(faces: Int[Array, "F 3"]) -> list[list[int]]:

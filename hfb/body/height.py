@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 from hfb.body.model import Body
-from hfb.shapes import Float, Tensor
+from hfb.typing import Float, Tensor
 
 
 def height_m(body: Body, betas: Float[Tensor, "*n K"]) -> Float[Tensor, "*n"]:

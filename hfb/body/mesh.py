@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.typing import Array, Float, Int, Tensor
 
 
 @dataclass(frozen=True, eq=False)

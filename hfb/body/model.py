@@ -11,11 +11,12 @@ from typing import Any, Literal
 
 import torch
 
-from hfb.body import operators, skinning
+from hfb.body import skinning
 from hfb.body.mesh import Mesh
 from hfb.body.skeleton import BONES, PARENTS
-from hfb.formulas import compiled, constant
-from hfb.shapes import Float, Int, Shaped, Tensor
+from hfb.kernels import body_operators as operators
+from hfb.kernels.dispatch import compiled, constant
+from hfb.typing import Float, Int, Shaped, Tensor
 
 BetasSpace = Literal["smpl", "hfb"]
 

@@ -5,10 +5,10 @@ from functools import lru_cache
 
 import torch
 
-from hfb.body.kernels_vector import FEATURES
 from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENT_OR_SELF
-from hfb.formulas import constant
-from hfb.shapes import Float, Int, Shaped, Tensor
+from hfb.kernels.body_vector import FEATURES
+from hfb.kernels.dispatch import constant
+from hfb.typing import Float, Int, Shaped, Tensor
 
 
 @lru_cache

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from hfb.body.archives import read_arrays
 from hfb.body.atlas import make_atlas
 from hfb.body.closing import boundary_loops, fan_corners, fans
 from hfb.body.mesh import make_mesh
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, PARENTS
 from hfb.errors import InputError
-from hfb.shapes import Array, Float, Int, Shaped
+from hfb.io.safe.archives import read_arrays
+from hfb.typing import Array, Float, Int, Shaped
 
 SHAPE_COUNT = 10
 POSE_COUNT = 9 * (JOINT_COUNT - 1)

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from hfb.body.mesh import Mesh, make_mesh
 from hfb.body.model import Body
-from hfb.shapes import Array, Int, Tensor
+from hfb.typing import Array, Int, Tensor
 
 _WING = 1 / 16
 """The butterfly scheme's weight: of its limit surface, smooth where six triangles meet."""

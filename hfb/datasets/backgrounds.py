@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 
 def room_background(height: int, width: int, rng: np.random.Generator) -> Float[Array, "H W 3"]:

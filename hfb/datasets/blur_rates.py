@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hfb.shapes import Array, Float, Shaped
+from hfb.typing import Array, Float, Shaped
 
 
 def blur_rates(silhouettes: Shaped[Array, "T S H W"]) -> Float[Array, "T"]:

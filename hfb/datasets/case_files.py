@@ -16,10 +16,10 @@ from hfb.datasets.set_spec import SetSpec
 from hfb.datasets.sharp import save_sharp
 from hfb.datasets.shooting import Sensor, Shot, develop
 from hfb.datasets.truth import Truth, save_truth
-from hfb.initialize.first_body import FirstBody, save_first_body
-from hfb.media.atomic import write_bytes_atomic
-from hfb.media.pictures import write_matte, write_png
-from hfb.shapes import Float, Tensor
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.pictures import write_matte, write_png
+from hfb.motion.static_pose import FirstBody, save_first_body
+from hfb.typing import Float, Tensor
 
 FORMAT = 1
 """Of case.json; raised when a reader of older cases would go wrong."""

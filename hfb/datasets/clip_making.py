@@ -20,21 +20,21 @@ from hfb.datasets.motions.resampling import resample
 from hfb.datasets.scenery import draw_scenery
 from hfb.datasets.shooting import NO_NOISE, Sensor
 from hfb.datasets.viewpoints import PlacedCamera, View, front_of, in_camera, place
-from hfb.determinism import one_torch_thread
 from hfb.errors import NotNow
-from hfb.export.motion_file import save_motion
-from hfb.formation import compose
-from hfb.media.atomic import write_bytes_atomic
-from hfb.media.footage_names import pictures_in
-from hfb.media.pictures import write_png
-from hfb.media.safe_folder import check_ordinary, check_tree
-from hfb.media.video_writing import VideoWriter
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.footage_names import pictures_in
+from hfb.io.media.pictures import write_png
+from hfb.io.media.video_writing import VideoWriter
+from hfb.io.safe_folder import check_ordinary, check_tree
+from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.clock import subframe_times_s
+from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float, Tensor
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
+from hfb.typing import Array, Float, Tensor
 
 _EVERY = 13
 """Of the vertices, and of the instants, taken to aim the camera."""

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 _THINNEST_M, _THICKEST_M = 0.005, 0.04
 _ROUNDS = 80

@@ -13,14 +13,8 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.backgrounds import room_background
 from hfb.datasets.textures import clothes_texture
 from hfb.datasets.truth import Truth, save_truth
-from hfb.formation import compose
-from hfb.media.pictures import write_png
-from hfb.motion.clock import subframe_times_s
-from hfb.motion.sampled import SampledMotion
-from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import (
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import (
     axis_angle_to_quaternion,
     in_hemisphere_of,
     multiply_quaternions,
@@ -28,7 +22,13 @@ from hfb.rotations import (
     quaternion_to_axis_angle,
     quaternion_to_matrix,
 )
-from hfb.shapes import Float, Tensor
+from hfb.io.media.pictures import write_png
+from hfb.motion.clock import subframe_times_s
+from hfb.motion.sampled import SampledMotion
+from hfb.photometry import linear_to_srgb, srgb_to_linear
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
+from hfb.typing import Float, Tensor
 
 _SIZE_PX = 384
 _EXPOSURE_S = 1 / 30

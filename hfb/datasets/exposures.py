@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hfb.motion.clock import subframe_times_s
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _AMASS_HZ, _AMASS_FRAMES = 120, range(5, 61)
 _CAPE_HZ = 600

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from hfb.datasets.exposures import Clock, Shutter, draw_gap
 from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.datasets.viewpoints import PlacedCamera, View, draw_view, front_of, place
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
+from hfb.typing import Array, Float
 
 _DRAWS, _DRAWS_PER_CLIP = 240, 4
 _CORRECTIONS = 5

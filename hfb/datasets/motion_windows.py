@@ -11,9 +11,9 @@ import torch
 from hfb.datasets.motion_clip import MotionClip, MotionSource
 from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.errors import InputError
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.priors.motion_columns import CLOCK, columns_of
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 SHORTEST_S, LONGEST_S = 0.03, 0.5
 """Exposure times that are drawn from: a thirtieth of a second to half of one."""

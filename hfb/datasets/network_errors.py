@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENT_OR_SELF, PARENTS
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 _ACROSS_VIEW = 0.2
 """Turns that move a bone across the view, which a picture shows, relative to those into depth, which it hides."""

@@ -13,10 +13,10 @@ from hfb.datasets.backgrounds import room_background
 from hfb.datasets.clothed import vertex_normals
 from hfb.datasets.textures import clothes_texture
 from hfb.errors import InputError
-from hfb.media.pictures import read_picture_srgb
+from hfb.io.media.pictures import read_picture_srgb
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.render.texture import fill_texture_gutter, texel_faces
-from hfb.shapes import Array, Float, Tensor
+from hfb.rendering.texture import fill_texture_gutter, texel_faces
+from hfb.typing import Array, Float, Tensor
 
 TEXTURE_PX = 512
 _ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp"})

@@ -7,10 +7,10 @@ import numpy as np
 
 from hfb.datasets.case import Case
 from hfb.errors import InputError
-from hfb.media.atomic import write_bytes_atomic
-from hfb.media.pictures import picture_size
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.pictures import picture_size
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 SHARP_SUBFRAMES = 8
 """At u = i / 7: the instants of a fit with eight sub-frames."""

@@ -7,13 +7,13 @@ import torch
 
 from hfb.body.model import Body
 from hfb.datasets.sharp import SHARP_SUBFRAMES
-from hfb.formation import compose
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Bool, Float, Tensor
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
+from hfb.typing import Array, Bool, Float, Tensor
 
 _AT_ONCE = 12
 """Sub-frames drawn together: more would only need more memory."""

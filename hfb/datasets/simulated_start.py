@@ -16,11 +16,11 @@ from hfb.body.model import Body, ShapedBody
 from hfb.datasets.blur_bins import BLUR_BINS
 from hfb.datasets.network_errors import draw_pose_errors
 from hfb.datasets.truth import Truth
-from hfb.initialize.first_body import FirstBody
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.motion.static_pose import FirstBody
+from hfb.rendering.backends import make_rasterizer
+from hfb.typing import Array, Float, Int, Tensor
 
 # METRO's rows of the paper's tables 1 (one picture) and 2 (two frames), per interval of `BLUR_BINS`.
 _SINGLE_MPJPE_MM = (70.0, 71.9, 84.1, 101.2, 121.3, 121.4, 132.8, 143.4, 147.1, 146.4)
@@ -136,7 +136,7 @@ def _joints(poses: Float[Tensor, "A T 24 3"], person: ShapedBody) -> Float[Array
 
 
 def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"]:
-    """`hfb.evaluate.metrics.mpjpe_mm` of several still estimates at once."""
+    """`hfb.evaluation.metrics.mpjpe_mm` of several still estimates at once."""
     frame_index = truth.motion.frame_index
     source = (still - still[:, :, :1]).astype(np.float64)[:, frame_index]
     target = truth.motion.joints - truth.motion.joints[:, :1]

@@ -32,12 +32,12 @@ from hfb.datasets.shooting import NO_NOISE, Shot, draw_sensor, shoot, touches_bo
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.truth import Truth
 from hfb.datasets.viewpoints import in_camera
-from hfb.determinism import one_torch_thread
 from hfb.errors import InputError
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.sampled import SampledMotion
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _SET_NUMBERS = {"bt-amass": 1, "bc-cape": 2}
 _LARGEST_BETA = 2.0

@@ -6,8 +6,8 @@ import torch
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.photometry import srgb_to_linear
-from hfb.render.texture import fill_texture_gutter, texel_faces
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.rendering.texture import fill_texture_gutter, texel_faces
+from hfb.typing import Array, Float, Int, Tensor
 
 _SKINS = ((0.93, 0.76, 0.66), (0.82, 0.62, 0.48), (0.55, 0.38, 0.28), (0.36, 0.24, 0.18))
 _HAIRS = ((0.12, 0.09, 0.07), (0.35, 0.22, 0.12), (0.75, 0.6, 0.35))

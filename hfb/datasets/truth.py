@@ -11,10 +11,10 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_COUNT
 from hfb.errors import InputError
-from hfb.export.motion_file import load_motion, motion_arrays, write_arrays
-from hfb.media.array_files import names_in, read_arrays
+from hfb.io.array_files import names_in, read_arrays
+from hfb.motion.motion_file import load_motion, motion_arrays, write_arrays
 from hfb.motion.sampled import SampledMotion
-from hfb.shapes import Array, Bool, Float, Int
+from hfb.typing import Array, Bool, Float, Int
 
 
 @dataclass(frozen=True)

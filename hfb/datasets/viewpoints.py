@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hfb.render.camera import PinholeCamera
-from hfb.shapes import Array, Float
+from hfb.geometry.camera import PinholeCamera
+from hfb.typing import Array, Float
 
 _AZIMUTH_DEG, _ELEVATION_DEG, _ROLL_DEG = 70.0, (-5.0, 20.0), 3.0
 _DIAGONAL_FIELD_DEG = (35.0, 65.0)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _LEVELS_PX = (160, 320, 640)
 _ROUNDS = 8

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Bool, Float
+from hfb.typing import Array, Bool, Float
 
 _LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit pictures, plus compression that leaves flat areas untouched
 _MOST_NOISE = 12 / 255

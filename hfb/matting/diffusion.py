@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32)
 

@@ -20,7 +20,7 @@ import numpy as np
 from hfb.matting.camera_noise import noise_linear, noise_srgb
 from hfb.matting.diffusion import smooth_where_unsure, spread_colours
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Bool, Float, Shaped
+from hfb.typing import Array, Bool, Float, Shaped
 
 _ROUNDS = 4
 _STIFFNESS = 40.0

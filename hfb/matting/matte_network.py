@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from hfb.matting.known_background import texture_evidence
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 CHANNELS = 14
 WIDTHS = (16, 24, 40, 64, 96)

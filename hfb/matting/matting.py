@@ -5,12 +5,11 @@ from typing import Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import Evidence, gather_evidence, main_change, solve_matte
-from hfb.shapes import Array, Bool, Float, Tensor
+from hfb.typing import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
 Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, told in one sentence
@@ -31,19 +30,6 @@ class Matting(Protocol):
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
         ...
-
-
-def make_matting(config: MattingConfig) -> Matting:
-    """The matting method that the configuration names."""
-    if config.method == "known-background":
-        return KnownBackground()
-    if config.method == "network":
-        from hfb.matting.network import NetworkMatting  # it needs this module
-
-        return NetworkMatting()
-    from hfb.matting.external import external_matting  # it needs this module
-
-    return external_matting(config)
 
 
 class KnownBackground:

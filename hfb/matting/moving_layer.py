@@ -13,11 +13,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from hfb.matting import kernels_layer
+from hfb.kernels import matting_layer as kernels_layer
 from hfb.matting.matte_network import quiet_noise
 from hfb.matting.second_look import unmixed_colours
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _LENGTHS = (0.03, 0.06, 0.11, 0.2, 0.3)
 """Of the straight ways to begin with, as shares of the picture's longer side."""

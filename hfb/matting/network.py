@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
-from hfb.determinism import one_torch_thread
+from hfb.kernels.determinism import one_torch_thread
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
@@ -29,7 +29,7 @@ from hfb.matting.moving_layer import explained_matte
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _WHOLE_PX = 256
 _CROP_PX = 288

@@ -11,7 +11,7 @@ from hfb.matting.alignment import MOST_PX, find_movement, moved_plate
 from hfb.matting.camera_noise import GAINS, exposure_gain
 from hfb.matting.matting import clean, shrink
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Bool, Float
+from hfb.typing import Array, Bool, Float
 
 _ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
 _FOUND_PX = 3 * MOST_PX

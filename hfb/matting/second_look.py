@@ -11,7 +11,7 @@ from hfb.matting.diffusion import spread_colours
 from hfb.matting.known_background import dot
 from hfb.matting.matte_network import quiet_noise
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 EVIDENCE_CHANNELS = 17
 COLOUR_STARTS = (0, 3)

@@ -12,7 +12,7 @@ from hfb.matting.diffusion import spread_colours
 from hfb.matting.matte_network import CHANNELS, quiet_noise
 from hfb.matting.second_look import EVIDENCE_CHANNELS, explained_by
 from hfb.photometry import linear_to_srgb
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 SHARED_CHANNELS = CHANNELS + EVIDENCE_CHANNELS - 1
 """Of what the second network saw: all but its doubt of a first matte."""

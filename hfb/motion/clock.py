@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.typing import Array, Float, Int, Tensor
 
 
 def subframe_clock(subframes: int, dtype: torch.dtype = torch.float32) -> Float[Tensor, "S"]:

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 
 from hfb.body.model import Body, ShapedBody
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.motion.clock import subframe_clock, subframe_times_s
 from hfb.motion.trajectory import Trajectory
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from hfb.shapes import Array, Float, Int, Tensor
+from hfb.typing import Array, Float, Int, Tensor
 
 
 @dataclass(frozen=True)

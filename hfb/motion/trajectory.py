@@ -5,16 +5,16 @@ from typing import Literal
 
 import torch
 
-from hfb.formulas import compiled
-from hfb.motion.operators import move
-from hfb.rotations import (
+from hfb.geometry.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,
     in_hemisphere_of,
     normalize_quaternion,
     quaternion_to_matrix,
 )
-from hfb.shapes import Float, Tensor
+from hfb.kernels.dispatch import compiled
+from hfb.kernels.motion_operators import move
+from hfb.typing import Float, Tensor
 
 RotationKind = Literal["quaternion", "axis-angle"]
 

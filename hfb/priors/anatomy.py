@@ -20,10 +20,10 @@ from typing import NamedTuple
 import torch
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.formulas import compiled
-from hfb.priors.operators import anatomy
-from hfb.rotations import axis_angle_to_quaternion
-from hfb.shapes import Float, Int, Tensor
+from hfb.geometry.rotations import axis_angle_to_quaternion
+from hfb.kernels.dispatch import compiled
+from hfb.kernels.priors_operators import anatomy
+from hfb.typing import Float, Int, Tensor
 
 _LIMIT_SCALE_DEG = 4.0
 """Ten degrees beyond a limit cost 3, thirty cost 28: as much as a whole ordinary pose."""

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from hfb.errors import InputError
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 _POSE_SIZE = 69
 

@@ -11,16 +11,16 @@ import torch
 from safetensors.torch import load_file
 from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 
-from hfb.body.pickled_arrays import to_array
-from hfb.body.pickles import load_pickle
 from hfb.errors import InputError
-from hfb.media.array_files import UNPACKED_LIMIT, read_arrays, weights_file
+from hfb.io.array_files import UNPACKED_LIMIT, read_arrays, weights_file
+from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickled_arrays import to_array
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
 from hfb.priors.mixture import LIMITS_KEY, MixturePrior, shipped_mixture
 from hfb.priors.pose import PosePrior
 from hfb.priors.vposer import VPoserPrior
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _ACCEPTED = (
     "give SMPLify's gmm_08.pkl, a VPoser v1 or v2 snapshot (.pt, .ckpt, .safetensors or .npz) or a pose mixture of "

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from safetensors.numpy import load_file, save
 
-from hfb.media.atomic import write_bytes_atomic
+from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 LIMITS_KEY = "joint_limits"
 """An array of a mixture's file that stands for "keep the joint limits"; SMPLify's files have none."""

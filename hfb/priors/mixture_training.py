@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 
 from hfb.body.skeleton import MIRROR
 from hfb.priors.training_spec import PoseTraining
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 POSE_SIZE = 69
 _LEAST_GAIN = 1e-4

@@ -14,10 +14,10 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_COUNT, PARENTS
-from hfb.formulas import constant
+from hfb.geometry.rotations import in_hemisphere_of, matrix_to_quaternion, normalize_quaternion, quaternion_to_matrix
+from hfb.kernels.dispatch import constant
 from hfb.motion.trajectory import Trajectory
-from hfb.rotations import in_hemisphere_of, matrix_to_quaternion, normalize_quaternion, quaternion_to_matrix
-from hfb.shapes import Bool, Float, Tensor
+from hfb.typing import Bool, Float, Tensor
 
 DEGREE = 2
 COLUMN_COUNT = JOINT_COUNT + 1

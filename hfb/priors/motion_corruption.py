@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import torch
 
 from hfb.body.skeleton import JOINT_COUNT, MIRROR
+from hfb.geometry.rotations import axis_angle_to_quaternion, multiply_quaternions
 from hfb.priors.motion_columns import COLUMN_COUNT, LIMBS, reversed_columns
-from hfb.rotations import axis_angle_to_quaternion, multiply_quaternions
-from hfb.shapes import Bool, Float, Tensor
+from hfb.typing import Bool, Float, Tensor
 
 _LIMBS_SHARE, _JOINTS_SHARE = 0.55, 0.2
 """Shares of motions whose limbs, or whose single joints, are reversed; the rest is whole or reversed as a whole."""

@@ -9,7 +9,7 @@ import torch
 from hfb.priors.motion_columns import COLUMN_COUNT, LIMBS, at_instants, joint_places, mean_rest_joints, reversed_columns
 from hfb.priors.motion_corruption import corrupt, with_errors_of_a_fit
 from hfb.priors.motion_networks import Corrector, Discriminator
-from hfb.shapes import Array, Bool, Float, Tensor
+from hfb.typing import Array, Bool, Float, Tensor
 
 EXPOSURES_S: tuple[float, ...] = (0.03, 0.06, 0.12, 0.25, 0.5)
 """Edges of the intervals of exposure time."""

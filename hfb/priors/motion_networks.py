@@ -4,9 +4,9 @@ import torch
 from torch import nn
 
 from hfb.body.skeleton import JOINT_COUNT
-from hfb.formulas import constant
+from hfb.kernels.dispatch import constant
 from hfb.priors.motion_columns import COLUMN_COUNT, at_instants, joint_places
-from hfb.shapes import Float, Tensor
+from hfb.typing import Float, Tensor
 
 FEATURES_PER_JOINT = 19
 FEATURE_COUNT = JOINT_COUNT * FEATURES_PER_JOINT + 2

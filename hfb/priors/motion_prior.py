@@ -14,7 +14,7 @@ from hfb.motion.trajectory import Trajectory
 from hfb.priors.motion_columns import mean_rest_joints, motion_columns
 from hfb.priors.motion_networks import Corrector, Discriminator
 from hfb.priors.motion_weights import read_networks
-from hfb.shapes import Float, Tensor
+from hfb.typing import Float, Tensor
 
 NetworkT = TypeVar("NetworkT", bound=nn.Module)
 _SHIPPED = torch.float32, torch.device("cpu")

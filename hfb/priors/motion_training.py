@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional
 
-from hfb.determinism import one_torch_thread
+from hfb.kernels.determinism import one_torch_thread
 from hfb.priors.motion_columns import at_instants, joint_places, mean_rest_joints
 from hfb.priors.motion_corruption import Corrupted, corrupt, mirrored_columns
 from hfb.priors.motion_networks import Corrector, Discriminator, motion_features
 from hfb.priors.motion_weights import make_networks
 from hfb.priors.training_spec import MotionTraining
-from hfb.shapes import Float, Tensor
+from hfb.typing import Float, Tensor
 
 LOSSES = ("indicator", "coefficients", "poses", "joints")
 """The paper's: cross entropy of the indicator, L1 of C, L2 of the poses, MPJPE [m]."""

@@ -11,7 +11,7 @@ from safetensors import safe_open
 from safetensors.torch import save
 
 from hfb.errors import InputError
-from hfb.media.atomic import write_bytes_atomic
+from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.motion_networks import Corrector, Discriminator
 from hfb.priors.training_spec import NetworkSizes
 

@@ -2,7 +2,7 @@
 
 from typing import Protocol, runtime_checkable
 
-from hfb.shapes import Float, Tensor
+from hfb.typing import Float, Tensor
 
 
 @runtime_checkable

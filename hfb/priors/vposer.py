@@ -12,8 +12,8 @@ from itertools import pairwise
 import torch
 
 from hfb.errors import InputError
-from hfb.rotations import axis_angle_to_matrix, six_d_to_matrix
-from hfb.shapes import Float, Tensor
+from hfb.geometry.rotations import axis_angle_to_matrix, six_d_to_matrix
+from hfb.typing import Float, Tensor
 
 BODY_JOINTS = 21
 """VPoser knows SMPL's joints 1 to 21; the two hands are not part of it."""

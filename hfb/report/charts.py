@@ -8,7 +8,7 @@ import numpy as np
 from hfb.motion.sampled import SampledMotion
 from hfb.report.limb_speed import LIMB_ENDS, instant_speeds
 from hfb.report.plot_style import GRAY, png, sheet
-from hfb.shapes import Array
+from hfb.typing import Array
 
 _INCHES = (7.0, 3.6)
 _SMALLEST = 1e-30  # what a logarithmic axis shows

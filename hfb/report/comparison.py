@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import torch
 
-from hfb.formation import compose
-from hfb.observation import Observation
-from hfb.prediction import Prediction
+from hfb.evaluation.prediction import Prediction
+from hfb.rendering.formation import compose
+from hfb.rendering.observation import Observation
 from hfb.report.strip import captioned
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _CELL_PX = 144
 _SHOWN = 3

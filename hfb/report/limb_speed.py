@@ -13,7 +13,7 @@ import numpy as np
 
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page_file
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 LIMB_ENDS: Mapping[str, int] = {
     "left wrist": 20, "right wrist": 21, "left ankle": 7, "right ankle": 8, "head": 15, "whole body": 0,

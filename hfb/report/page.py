@@ -18,8 +18,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hfb.media.pictures import read_picture_srgb
-from hfb.shapes import Array, Float
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.typing import Array, Float
 
 _VOID = frozenset({"img", "input", "br", "meta", "col"})
 _KINDS = (

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hfb.geometry.camera import PinholeCamera
 from hfb.motion.sampled import SampledMotion
-from hfb.render.camera import PinholeCamera
 from hfb.report.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _PANEL_PX = (340, 316)  # height and width that a panel of two may have, captions and margins left out
 _MARGIN = 0.35  # of the person's height: hands and feet beyond their joints, and some ground

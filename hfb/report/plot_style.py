@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hfb.evaluate.cells import is_start
+from hfb.evaluation.cells import is_start
 
 _SIZE_INCHES, _DPI = (9.0, 5.0), 160
 _FONT_POINTS = 10.5

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.evaluate.cells import MethodCases, by_method, is_start, start_cases
-from hfb.evaluate.intervals import mean_ci95
-from hfb.evaluate.table_page import blur_label
-from hfb.media.atomic import write_bytes_atomic
+from hfb.evaluation.cells import MethodCases, by_method, is_start, start_cases
+from hfb.evaluation.intervals import mean_ci95
+from hfb.evaluation.table_page import blur_label
+from hfb.io.atomic import write_bytes_atomic
 from hfb.report.plot_style import FAINT_GRAY, GRAY, png, sheet, styles
 from hfb.report.reliability_plot import reliability
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _POINTS_SHOWN = 0.98
 """Share of the cases that the vertical axis of the error plot must hold; the others are counted in a corner."""

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from hfb.evaluate.cells import MethodCases
-from hfb.evaluate.intervals import mean_ci95
-from hfb.evaluate.reliability import LEVELS, WITHIN, direction_groups
+from hfb.evaluation.cells import MethodCases
+from hfb.evaluation.intervals import mean_ci95
+from hfb.evaluation.reliability import LEVELS, WITHIN, direction_groups
 from hfb.report.plot_style import GRAY, png, sheet, styles
 
 _SMALLEST_MARK, _MARK_PER_CASE = 12.0, 5.0

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hfb.errors import InputError
-from hfb.json_file import read_json
+from hfb.io.json_file import read_json
 from hfb.report.charts import frames_chart, loss_chart, window_chart
 from hfb.report.page import Html, element, picture, section
 

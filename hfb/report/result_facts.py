@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hfb.errors import InputError
-from hfb.json_file import read_json
+from hfb.io.json_file import read_json
 
 _Figure = Annotated[float, Field(ge=-1e12, le=1e12)] | None
 _Frame = Annotated[int, Field(ge=0, le=10**9)]

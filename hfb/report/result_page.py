@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.body.model import Body
-from hfb.fit.alternatives import Alternatives
+from hfb.fitting.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, checked_picture, element, film, folded, joined, page, picture, section, table
 from hfb.report.result_curves import curves_section

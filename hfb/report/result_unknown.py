@@ -10,11 +10,11 @@ import torch
 from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.fit.alternatives import LIMB_NAMES, Alternatives
+from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, element, section, table
 from hfb.report.viewer import ViewedMotion
-from hfb.shapes import Array
+from hfb.typing import Array
 
 _SHOWN = 12
 _LEAST_SURE, _MOST_SURE = 4, 3

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 
 from hfb.body.skeleton import BONES
-from hfb.evaluate.motion_difference import MotionDifference
+from hfb.evaluation.motion_difference import MotionDifference
 from hfb.motion.sampled import SampledMotion
 from hfb.report.plot_style import FAINT_GRAY, GRAY
 from hfb.report.strip import captioned
-from hfb.shapes import Array, Float, Int
+from hfb.typing import Array, Float, Int
 
 RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """The first run's, the second's ...; the page's style calls them one, two, three, four."""

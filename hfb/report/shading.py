@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 
 from hfb.body.mesh import Mesh, vertex_normals
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import Rasterizer
-from hfb.shapes import Float, Tensor
+from hfb.geometry.camera import PinholeCamera
+from hfb.rendering.rasterizer import Rasterizer
+from hfb.typing import Float, Tensor
 
 _TIME_COLOURS = ((0.35, 0.58, 0.98), (0.80, 0.50, 0.85), (0.99, 0.62, 0.27))  # first, middle, last instant
 _LIGHT_DIRECTION = (-0.35, -0.55, -0.76)  # towards the light, camera coordinates: above the viewer's left shoulder

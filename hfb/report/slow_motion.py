@@ -15,18 +15,18 @@ import torch
 from hfb.body.model import Body, PosedBody
 from hfb.config import Film
 from hfb.errors import InputError
-from hfb.evaluate.protocol import pose_rows
-from hfb.export.keys import MotionKeys, exact_keys, keys_at, present_at, subframe_rate_hz
-from hfb.formation import compose
+from hfb.evaluation.protocol import pose_rows
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import quaternion_to_matrix
+from hfb.interop.writers.keys import MotionKeys, exact_keys, keys_at, present_at, subframe_rate_hz
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import Rasterizer
+from hfb.rendering.formation import compose
+from hfb.rendering.rasterizer import Rasterizer
 from hfb.report.shading import shade_bodies, time_colours
 from hfb.report.strip import captioned
 from hfb.report.time_line import draw_time_line
-from hfb.rotations import quaternion_to_matrix
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 FILM_FPS = 30
 _PANEL_HEIGHT_PX, _PANEL_WIDTH_PX = (360, 480), 636  # three panels and their margins: 1920

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from hfb.body.model import Body
-from hfb.evaluate.protocol import pose_rows
-from hfb.formation import compose
+from hfb.evaluation.protocol import pose_rows
 from hfb.motion.sampled import SampledMotion
-from hfb.observation import Observation
-from hfb.render.rasterizer import Rasterizer
+from hfb.rendering.formation import compose
+from hfb.rendering.observation import Observation
+from hfb.rendering.rasterizer import Rasterizer
 from hfb.report.shading import shade_bodies, side_view, time_colours
-from hfb.shapes import Array, Float, Tensor
+from hfb.typing import Array, Float, Tensor
 
 _CELL_HEIGHT_PX, _LARGEST_WIDTH_PX = 256, 384
 _SHOWN_SUBFRAMES = 5

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _HEIGHT_PX, _MARGIN_PX, _TEXT_PX = 30, 6, 250
 _INK, _OPEN, _MARK = (40, 40, 40), (150, 150, 150), (217, 95, 2)

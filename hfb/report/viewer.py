@@ -15,12 +15,12 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
-from hfb.export.keys import rest_joints
-from hfb.export.skin import Skin, skin_of
+from hfb.geometry.rotations import axis_angle_to_quaternion
+from hfb.interop.writers.keys import rest_joints
+from hfb.interop.writers.skin import Skin, skin_of
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import Html, data_block, data_uri, element, page_file
-from hfb.rotations import axis_angle_to_quaternion
-from hfb.shapes import Array, Shaped
+from hfb.typing import Array, Shaped
 
 _SCRIPTS = ("viewer_motion.js", "viewer_surface.js", "viewer_skeleton.js", "viewer.js")
 _SETS = 2  # of four weights per vertex: what the embedded body needs

@@ -1,6 +1,6 @@
-"""Make hfb/fit/data/confidence.json, and directions.json, from benchmarks whose truth is known.
+"""Make hfb/fitting/data/confidence.json, and directions.json, from benchmarks whose truth is known.
 
-python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fit/data
+python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fitting/data
 """
 
 import argparse
@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hfb.datasets.truth import load_truth
-from hfb.evaluate.calibration import (
+from hfb.evaluation.calibration import (
     DirectionCase,
     JointCase,
     fit_confidence,
@@ -22,13 +22,13 @@ from hfb.evaluate.calibration import (
     held_out_reliability,
     reliability_of,
 )
-from hfb.evaluate.metrics import errors_mm, mpjpe_mm
-from hfb.evaluate.reliability import LEVELS
-from hfb.export.motion_file import load_motion
-from hfb.fit.alternatives import load_alternatives
-from hfb.fit.confidence import ConfidenceModel, StartKind
-from hfb.fit.direction_odds import EVIDENCE
-from hfb.media.atomic import write_bytes_atomic
+from hfb.evaluation.metrics import errors_mm, mpjpe_mm
+from hfb.evaluation.reliability import LEVELS
+from hfb.fitting.alternatives import load_alternatives
+from hfb.fitting.confidence import ConfidenceModel, StartKind
+from hfb.fitting.direction_odds import EVIDENCE
+from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.motion_file import load_motion
 
 _PERSON = re.compile(r"cmu_(\d+)_")
 

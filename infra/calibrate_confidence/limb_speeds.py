@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from hfb.datasets.truth import load_truth
-from hfb.export.motion_file import load_motion
-from hfb.media.atomic import write_bytes_atomic
+from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.motion_file import load_motion
 from hfb.report.limb_speed import LIMB_ENDS, sureness_m_s
 
 _SHARE = 0.8

@@ -20,15 +20,16 @@ from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from hfb.initialize.first_body import FirstBody
-from hfb.initialize.initializer import Initializer, make_initializer
-from hfb.initialize.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept, silhouette
-from hfb.matting.matting import Matting, make_matting, shrink
-from hfb.media.pictures import read_picture_srgb
-from hfb.media.video import read_frames
+from hfb.geometry.camera import PinholeCamera
+from hfb.initialization.initializer import Initializer, make_initializer
+from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept, silhouette
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.video import read_frames
+from hfb.matting.matting import Matting, shrink
+from hfb.matting.methods import make_matting
+from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
+from hfb.rendering.backends import make_rasterizer
 
 _LONGER_PX = 960
 

@@ -9,7 +9,7 @@ import torch
 from people import STARTS
 from pictures import Sample, Studio
 
-from hfb.initialize.joint_network import CHANNELS, PICTURE_PX
+from hfb.evidence.joint_network import CHANNELS, PICTURE_PX
 
 TRAINING_SUBJECTS = (1, 2, 3, 5, 6, 7, 8, 11, 12, 14)
 """Subjects 9, 10 and 13 are for reports alone."""

@@ -15,15 +15,15 @@ from pictures import Sample, Seen, Shot, Studio
 
 from hfb.body.height import height_m
 from hfb.datasets.network_errors import draw_turns
-from hfb.formation import compose
-from hfb.rotations import axis_angle_to_matrix
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.rendering.formation import compose
 
 _AMPLITUDES, _MOTION, _BLUR_PX = (0.03, 0.4), (0.3, 1.05), (0.3, 3.0)
 """Ranges: of a network's errors; how much of the motion is left; how blurred the texture of 128 px is."""
 _SUBFRAMES = 7
 _KEPT, _SHAPE = 0.8, 0.45
 """Of the betas' truth, and how large their errors are."""
-_NOBODY = 0.01  # of a pixel, as in hfb.fit.comparison
+_NOBODY = 0.01  # of a pixel, as in hfb.fitting.comparison
 
 
 class DoublesStudio(Studio):
@@ -85,7 +85,7 @@ class DoublesStudio(Studio):
         )
 
     def _beside(self, seen: Seen, double: Shot) -> Seen:
-        """The double over the plate, as `hfb.fit.comparison.drawn` shows a fit."""
+        """The double over the plate, as `hfb.fitting.comparison.drawn` shows a fit."""
         mean = self.rasterizer.render_mean(double.vertices, double.texture, double.lens, double.mesh)[seen.inner]
         alpha = mean[..., 3].numpy()
         composed = compose(mean, torch.from_numpy(seen.plate)).numpy()

@@ -1,4 +1,4 @@
-"""Ship what was trained: `python export.py --run FOLDER --held-out BANK --out hfb/initialize/data`."""
+"""Ship what was trained: `python export.py --run FOLDER --held-out BANK --out hfb/evidence/data`."""
 
 import argparse
 import hashlib
@@ -11,7 +11,7 @@ from measure import measure
 from safetensors.torch import load_file, save
 from train import Bank
 
-from hfb.initialize.joint_network import JointNetwork
+from hfb.evidence.joint_network import JointNetwork
 
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",

@@ -15,14 +15,14 @@ from pictures import LEAST_PX, Sample, Shot, Studio, as_file, matte_of, until_fo
 from hfb.body.height import height_m
 from hfb.config import FitConfig, Stage, preset
 from hfb.datasets.network_errors import draw_turns
-from hfb.fit.comparison import drawn, shown
-from hfb.fit.loop import fit
-from hfb.fit.variables import Variables
-from hfb.initialize.first_body import FirstBody
-from hfb.initialize.joint_network import Window, picture_channels
-from hfb.observation import Observation
+from hfb.evidence.joint_network import Window, picture_channels
+from hfb.fitting.comparison import drawn, shown
+from hfb.fitting.loop import fit
+from hfb.fitting.variables import Variables
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.motion.static_pose import FirstBody
 from hfb.priors.load import load_pose_prior
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rendering.observation import Observation
 
 _INSTANTS = 23
 _ONE, _TWO = ((0, 22),), ((0, 10), (12, 22))

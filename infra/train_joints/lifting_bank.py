@@ -12,9 +12,9 @@ from people import INSTANTS, People, draw_amplitude
 
 from hfb.datasets.network_errors import draw_turns
 from hfb.datasets.viewpoints import PlacedCamera, front_of, in_camera, place
-from hfb.initialize.joint_network import Window
-from hfb.initialize.lifting_network import bone_lengths
-from hfb.rotations import axis_angle_to_matrix
+from hfb.evidence.joint_network import Window
+from hfb.evidence.lifting_network import bone_lengths
+from hfb.geometry.rotations import axis_angle_to_matrix
 
 _MATTE_MARGIN = 1.12
 """How much larger than its joints' box a person's matte is."""

@@ -12,9 +12,9 @@ from bank import parser_of, split
 from fits import Gym, hasty_whole
 from pictures import until_found
 
-from hfb.fit.comparison import shown
-from hfb.initialize.joint_evidence import look_for_joints
-from hfb.initialize.lifting_network import bone_lengths, lengths_in_window
+from hfb.evidence.joint_evidence import look_for_joints
+from hfb.evidence.lifting_network import bone_lengths, lengths_in_window
+from hfb.fitting.comparison import shown
 
 _SAVED_EVERY = 100
 

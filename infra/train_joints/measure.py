@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from hfb.initialize.joint_network import JointNetwork
+from hfb.evidence.joint_network import JointNetwork
 
 
 class Pictures(Protocol):

@@ -13,9 +13,9 @@ from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.network_errors import pose_errors
 from hfb.datasets.viewpoints import View, draw_view
-from hfb.initialize.joint_network import Window
+from hfb.evidence.joint_network import Window
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 STARTS = 2
 INSTANTS = 11

@@ -16,15 +16,15 @@ from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.network_errors import draw_turns
 from hfb.datasets.scenery import draw_scenery
 from hfb.datasets.viewpoints import front_of, in_camera, place
-from hfb.formation import compose
-from hfb.initialize.joint_network import Window, picture_channels
+from hfb.evidence.joint_network import Window, picture_channels
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.matting.matte_network import features
 from hfb.matting.matting import clean, matte_region
 from hfb.matting.network import shipped_network
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
 
 Found = TypeVar("Found")
 

@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.body.skeleton import MIRROR
-from hfb.initialize.joint_network import PICTURE_PX, SMALL, WIDE, JointClaim, JointNetwork
+from hfb.evidence.joint_network import PICTURE_PX, SMALL, WIDE, JointClaim, JointNetwork
 
 _ROUND_SHARES = (0.25, 0.5, 1.0)
 _AXES = (1.2, 1.2, 0.6)

@@ -17,8 +17,8 @@ import torch
 from safetensors.torch import save
 
 from hfb.body.skeleton import MIRROR
-from hfb.initialize.depth_fusion import DepthCues, DepthFusion, facts_both_ways
-from hfb.media.array_files import read_arrays
+from hfb.evidence.depth_fusion import DepthCues, DepthFusion, facts_both_ways
+from hfb.io.array_files import read_arrays
 
 _BATCH = 128
 _RATE, _DECAY = 2e-3, 0.1

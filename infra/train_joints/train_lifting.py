@@ -19,9 +19,9 @@ from bank import FURTHER_SUBJECTS, TRAINING_SUBJECTS
 from safetensors.torch import load_file, save
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR, PARENTS
-from hfb.initialize.lifting_network import LiftingNetwork, as_large
-from hfb.media.array_files import read_arrays
-from hfb.rotations import axis_angle_to_matrix
+from hfb.evidence.lifting_network import LiftingNetwork, as_large
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.io.array_files import read_arrays
 
 _STEPS_MM = {
     "hip": 6, "knee": 11, "ankle": 8, "foot": 8, "collar": 7, "shoulder": 7, "elbow": 10, "wrist": 16, "hand": 15,

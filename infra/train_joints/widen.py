@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from hfb.initialize.joint_network import SMALL, WIDE, JointNetwork
+from hfb.evidence.joint_network import SMALL, WIDE, JointNetwork
 
 
 def widened(small: JointNetwork, seed: int) -> JointNetwork:

@@ -19,10 +19,10 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.network_errors import draw_turns, pose_errors
 from hfb.datasets.textures import clothes_texture
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.render.texture import texel_faces
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.texture import texel_faces
 
 SIZE_PX = 224
 TEXTURE_PX = 256

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 # Our name -> the joint's name in the two families of files.
 _NAMES = {

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from hfb.datasets.backgrounds import room_background
-from hfb.media.pictures import read_picture_srgb
+from hfb.io.media.pictures import read_picture_srgb
 
 ROOMS, PATTERNS = 160, 200
 _LONGER_PX = 640

@@ -21,9 +21,9 @@ _UNPACKS = {"extractall", "extract", "unpack_archive"}
 _NEVER_IMPORTED = {"xml", "lxml", "tarfile", "marshal", "shelve", "dill", "cloudpickle", "telnetlib", "ftplib"}
 _MAY = {
     # the machine that reads pickles without running them is built on Python's own
-    ("hfb/body/pickles.py", "pickle._Unpickler"),
-    # a network is a program: the user names it, and hfb/networks.py refuses what is more than one
-    ("hfb/networks.py", "torch.jit.load"),
+    ("hfb/io/safe/pickles.py", "pickle._Unpickler"),
+    # a network is a program: the user names it, and hfb/networks/runtimes.py refuses what is more than one
+    ("hfb/networks/runtimes.py", "torch.jit.load"),
     # our own arrays of numbers, mapped and not read, on the machine of whoever trains
     ("infra/train_joints/train.py", "np.load"), ("infra/train_matting/measure.py", "np.load"),
     ("infra/train_matting/pairs.py", "np.load"), ("infra/train_matting/train.py", "np.load"),

@@ -19,7 +19,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.config import FitConfig, preset
-from hfb.fit.loop import FitResult, fit
+from hfb.fitting.loop import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import Scene, moving_scene
 
@@ -89,12 +89,12 @@ def peak_mb() -> float:
 def draw() -> None:
     """Eight bodies there and back in a fresh process: {"imports", "seconds", "compiled"}."""
     began = time.perf_counter()
-    from hfb.render.rasterizer import make_rasterizer
+    from hfb.rendering.backends import make_rasterizer
     from tests.bench.test_bench_raster import ours, there_and_back
 
     imported = time.perf_counter()
     there_and_back(ours(SIZE_PX, make_rasterizer()), SIZE_PX)()
-    modules = [module for name, module in sys.modules.items() if name.startswith("hfb.") and "kernels" in name]
+    modules = [module for name, module in sys.modules.items() if name.startswith("hfb.kernels.")]
     entries = {id(one): one for module in modules for one in vars(module).values() if hasattr(one, "stats")}
     compiled = sum(sum(one.stats.cache_misses.values()) for one in entries.values())
     seconds = {"imports": imported - began, "seconds": time.perf_counter() - imported}

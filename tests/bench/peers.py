@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import torch
 
 from hfb.body.mesh import Mesh
-from hfb.render.camera import PinholeCamera
+from hfb.geometry.camera import PinholeCamera
 
 MeanPicture = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 """Vertices (S, V, 3) and texture (A, A, 3) to the mean of the sub-frames' pictures (H, W, 4)."""

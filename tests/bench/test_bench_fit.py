@@ -13,9 +13,9 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.config import preset
-from hfb.fit.loop import Problem, fit_all
+from hfb.fitting.loop import Problem, fit_all
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.rotations import axis_angle_to_matrix
 from tests.bench import jobs
 from tests.bench.conftest import Scale
 from tests.bench.figures import Figures

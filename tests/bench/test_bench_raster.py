@@ -5,13 +5,14 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import Rasterizer, make_rasterizer
+from hfb.geometry.camera import PinholeCamera
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.rasterizer import Rasterizer
 from tests.bench import peers
 from tests.bench.conftest import Scale
 from tests.bench.figures import Figures
 from tests.bench.rounds import interleaved
-from tests.render.bodies import people, person_mesh, smooth_texture
+from tests.rendering.bodies import people, person_mesh, smooth_texture
 
 SUBFRAMES = 8
 MESH = person_mesh(torch.float32)
@@ -132,7 +133,7 @@ def test_eight_silhouettes(benchmark) -> None:
 def test_eight_bodies_by_warp(scale: Scale, figures: Figures) -> None:
     """On a GPU where there is one: with 16 frames at once, which is what keeps it busy."""
     pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
-    from hfb.render.cuda import WarpRasterizer
+    from hfb.rendering.warp import WarpRasterizer
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     rasterizer, camera, frames = WarpRasterizer(device), view(256), 16 if device == "cuda" else 1

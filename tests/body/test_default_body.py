@@ -7,7 +7,7 @@ import torch
 from hfb.body.assets import load_body, load_default_body
 from hfb.body.model import Body, PosedBody
 from hfb.body.skeleton import BONES, JOINT_NAMES, MIRROR
-from hfb.rotations import axis_angle_to_matrix
+from hfb.geometry.rotations import axis_angle_to_matrix
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from hfb.body import pickle_stream
-from hfb.body.pickle_stream import Steps
-from hfb.body.pickled_arrays import to_array
-from hfb.body.pickles import load_pickle
-from hfb.body.torch_files import load_torch
 from hfb.errors import InputError
+from hfb.io.safe import pickle_stream
+from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickle_stream import Steps
+from hfb.io.safe.pickled_arrays import to_array
+from hfb.io.safe.torch_files import load_torch
 
 COLLIDING = 2**61 - 1  # integers of this distance have the same hash
 

@@ -9,8 +9,8 @@ import torch
 from hfb.body.assets import load_body, load_default_body
 from hfb.body.model import Body
 from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, PARENTS
-from hfb.formulas import readable_formulas
-from hfb.rotations import axis_angle_to_matrix
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.kernels.dispatch import readable_formulas
 from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from hfb.body import operators, skinning
+from hfb.body import skinning
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import PARENTS
-from hfb.formulas import readable_formulas
-from hfb.rotations import axis_angle_to_matrix
-from hfb.vector_code import LANES
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.kernels import body_operators as operators
+from hfb.kernels.dispatch import readable_formulas
+from hfb.kernels.simd import LANES
 
 CHAIN = torch.tensor(PARENTS, dtype=torch.int32)
 CHECKS = ("test_schema", "test_autograd_registration", "test_faketensor")

@@ -9,7 +9,7 @@ import torch
 from hfb.body.assets import load_body, load_default_body
 from hfb.body.model import Body
 from hfb.body.subdivision import subdivide
-from hfb.rotations import axis_angle_to_matrix
+from hfb.geometry.rotations import axis_angle_to_matrix
 from tests.body.smpl_files import ellipsoid, save_npz, smpl_arrays
 
 

@@ -1,6 +1,7 @@
 """What a user gets wrong: one sentence that names the fix, exit code 2, and nothing left behind."""
 
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -9,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.cli import main
-from hfb.media.pictures import read_picture_srgb, write_png
+from flows.cli.cli import main
+from hfb.io.media.pictures import read_picture_srgb, write_png
 from tests.orchestration import TINY_OPTIONS, Problem
 
 
@@ -94,7 +95,7 @@ def test_a_place_that_cannot_be_written(
 
 
 def test_two_at_once(problem: Problem, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from flows.workplace import workplace
+    from flows.runtime.workplace import workplace
 
     with workplace(tmp_path / "out"):
         code = main(
@@ -157,8 +158,8 @@ def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str, t
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), variable: "abc"}
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli", "report", str(tmp_path), "--quiet"], env=environment, capture_output=True,
-        text=True, timeout=240, check=False,
+        [sys.executable, "-m", "flows.cli.cli", "report", str(tmp_path), "--quiet"], env=environment,
+        capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     (told,) = done.stderr.strip().splitlines()
     assert done.returncode == 2, done.stderr
@@ -174,12 +175,14 @@ def test_the_unexpected_points_to_the_log(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    import tasks.matte
+    import tasks.image.matte
 
     def broken(config: object) -> None:
         raise RuntimeError("a wire came loose")
 
-    monkeypatch.setattr(tasks.matte, "make_matting", broken)
+    monkeypatch.setattr(tasks.image.matte, "make_matting", broken)
+    # a command that an earlier test of this process ran logs into that test's folder
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
     out = tmp_path / "out"
     code = main(["fit", str(problem.frame), "--background", str(problem.background), "--out", str(out), "--json"])
     shown = capsys.readouterr()

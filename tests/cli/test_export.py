@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from flows.cli import main
+from flows.cli.cli import main
 from hfb.body.assets import load_default_body
-from hfb.export.motion_file import load_motion, save_motion
-from hfb.media.pictures import write_png
-from tests.export.motions import motion_of
+from hfb.io.media.pictures import write_png
+from hfb.motion.motion_file import load_motion, save_motion
+from tests.interop.writers.motions import motion_of
 
 MOTION = motion_of(load_default_body(torch.float64), frames=2)
 

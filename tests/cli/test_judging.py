@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from flows import judging
-from flows.cli import main
+from flows.cli import judging
+from flows.cli.cli import main
 from hfb.datasets.case import load_case
 
 TOML = """

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.options import add_config_flags, run_config
+from flows.cli.options import add_config_flags, run_config
 from hfb.config import RunConfig, preset
 from hfb.errors import InputError
 

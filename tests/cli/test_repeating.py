@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import flows.rerun
-from flows.cli import main
+from flows.cli.cli import main
 from flows.fit_image import fit_image
 from tests.flows.test_fit_image import TINY
 from tests.orchestration import Problem

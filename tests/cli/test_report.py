@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli import main
+from flows.cli.cli import main
 from hfb.body.assets import load_default_body
-from hfb.export.motion_file import save_motion
-from tests.export.motions import motion_of
+from hfb.motion.motion_file import save_motion
+from tests.interop.writers.motions import motion_of
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from hfb.datasets.blur_bins import (
     wanted_interval,
 )
 from hfb.datasets.blur_rates import blur_rates
-from hfb.evaluate.metrics import blur_rate
+from hfb.evaluation.metrics import blur_rate
 
 
 def test_the_papers_tables() -> None:

@@ -11,12 +11,12 @@ from hfb.body.assets import load_default_body
 from hfb.datasets.example import ExamplePaths, write_example
 from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
-from hfb.evaluate.metrics import blur_rate
-from hfb.evaluate.protocol import pose_rows, truth_scores
-from hfb.export.motion_file import save_motion
-from hfb.media.pictures import read_picture_srgb
+from hfb.evaluation.metrics import blur_rate
+from hfb.evaluation.protocol import pose_rows, truth_scores
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.render.rasterizer import make_rasterizer
+from hfb.rendering.backends import make_rasterizer
 
 
 @pytest.fixture(scope="module")

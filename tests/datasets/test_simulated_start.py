@@ -15,13 +15,13 @@ from hfb.datasets.blur_bins import BLUR_BINS
 from hfb.datasets.network_errors import draw_pose_errors
 from hfb.datasets.simulated_start import simulated_starts
 from hfb.datasets.truth import Truth
-from hfb.evaluate.metrics import in_plane_depth_mm, mpjpe_mm, silhouette_iou
-from hfb.evaluate.protocol import at_rest
-from hfb.initialize.first_body import FirstBody
+from hfb.evaluation.metrics import in_plane_depth_mm, mpjpe_mm, silhouette_iou
+from hfb.evaluation.protocol import at_rest
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.sampled import SampledMotion
+from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
 from tests.scenes import Scene, moving_scene, standing_pose
 
 _BLUR = 0.15

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.clip import read_clip
 from hfb.datasets import motion_search, synthesis
 from hfb.datasets.blur_bins import wanted_interval
 from hfb.datasets.case import Case, load_case
@@ -21,14 +20,15 @@ from hfb.datasets.sharp import load_sharp
 from hfb.datasets.synthesis import make_case
 from hfb.datasets.truth import Truth, load_truth
 from hfb.errors import InputError
-from hfb.evaluate.metrics import blur_rate, soft_iou
-from hfb.evaluate.protocol import pose_rows
-from hfb.initialize.first_body import load_first_body
-from hfb.media.pictures import read_matte, read_picture_srgb
+from hfb.evaluation.metrics import blur_rate, soft_iou
+from hfb.evaluation.protocol import pose_rows
+from hfb.geometry.camera import PinholeCamera
+from hfb.io.clip import read_clip
+from hfb.io.media.pictures import read_matte, read_picture_srgb
 from hfb.motion.clock import subframe_times_s
+from hfb.motion.static_pose import load_first_body
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
+from hfb.rendering.backends import make_rasterizer
 
 _DATA = Path(__file__).parents[2].parent / "shared" / "data"
 REAL_MOTIONS, REAL_BACKGROUNDS = _DATA / "cmu_bvh", _DATA / "backgrounds" / "polyhaven"

@@ -17,7 +17,7 @@ from hfb.datasets.truth import (
     save_truth,
 )
 from hfb.errors import InputError
-from hfb.export.motion_file import save_motion, write_arrays
+from hfb.motion.motion_file import save_motion, write_arrays
 from tests.scenes import moving_scene
 
 

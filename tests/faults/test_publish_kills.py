@@ -11,10 +11,10 @@ import pytest
 from flows.export import export_result
 from flows.report import make_report
 from hfb.errors import InputError
-from tasks.found_result import found_result
-from tasks.handles import sha256_of
-from tasks.result_folder import is_finished
-from tasks.stored_runs import find_run
+from tasks.core.handles import sha256_of
+from tasks.core.result_folder import is_finished
+from tasks.results.found_result import found_result
+from tasks.results.stored_runs import find_run
 from tests.faults.killed_publish import run
 from tests.orchestration import Problem
 

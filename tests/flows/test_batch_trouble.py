@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from flows.batch import batch
-from flows.cli import main
+from flows.cli.cli import main
 from hfb.errors import InputError
-from hfb.media.names import shown_name
-from tasks.batch_summary import BatchSummary
-from tasks.clip_places import find_clips
-from tasks.inputs import input_file
+from hfb.io.names import shown_name
+from tasks.batch.batch_summary import BatchSummary
+from tasks.inputs.clip_places import find_clips
+from tasks.inputs.inputs import input_file
 from tests.fuzz.hostile import _large_png
 from tests.fuzz.results import FACTS, write_result
 from tests.small_clips import small_config

@@ -8,13 +8,13 @@ import pandas
 import pytest
 
 from flows.benchmark import BenchmarkPlan, run_benchmark, run_synthesis
-from hfb.baselines.method_spec import method_spec
 from hfb.datasets.case import load_case
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
-from hfb.export.motion_file import load_motion, save_motion
-from hfb.media.pictures import read_picture_srgb
+from hfb.evaluation.baselines.method_spec import method_spec
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
 from tests.orchestration import mlflow_rows
 

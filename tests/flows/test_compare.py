@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
+from flows.cli.repeating import compare_text
 from flows.compare import compare_runs
 from flows.fit_image import fit_image
-from flows.repeating import compare_text
 from hfb.errors import InputError
-from hfb.media.pictures import read_picture_srgb
-from tasks import tracking
-from tasks.store_place import tracking_uri
+from hfb.io.media.pictures import read_picture_srgb
+from tasks.tracking import tracking
+from tasks.tracking.store_place import tracking_uri
 from tests.flows.test_fit_image import TINY, run
 from tests.orchestration import Problem, orchestrated
 

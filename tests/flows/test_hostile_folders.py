@@ -11,18 +11,18 @@ import pytest
 from flows.compare import _check_room
 from flows.export import export_result
 from flows.report import make_report
-from flows.workplace import beside_result, mark_unfinished, publish, workplace
+from flows.runtime.workplace import beside_result, mark_unfinished, publish, workplace
 from hfb.body.assets import load_default_body
 from hfb.config import RunConfig
 from hfb.datasets.clip_making import _make_room
 from hfb.errors import InputError, NotNow
-from hfb.export.motion_file import save_motion
-from hfb.media.safe_folder import NotOrdinary
-from tasks.result_folder import check_result, is_finished
-from tasks.result_records import drop_foreign
-from tasks.stored_runs import find_run
-from tests.export.motions import motion_of
+from hfb.io.safe_folder import NotOrdinary
+from hfb.motion.motion_file import save_motion
+from tasks.core.result_folder import check_result, is_finished
+from tasks.core.result_records import drop_foreign
+from tasks.results.stored_runs import find_run
 from tests.flows.test_workplace import published
+from tests.interop.writers.motions import motion_of
 
 
 @pytest.fixture

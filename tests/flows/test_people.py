@@ -9,8 +9,8 @@ import pytest
 
 from flows.people import everyone_in, run_clip
 from hfb.errors import InputError
-from hfb.export.motion_file import load_motion
-from tasks.video_inputs import take_video_inputs
+from hfb.motion.motion_file import load_motion
+from tasks.inputs.video_inputs import take_video_inputs
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_clip, small_config
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from flows import places
+from flows.runtime import places
 from hfb.config import RunConfig
 from hfb.errors import InputError
 

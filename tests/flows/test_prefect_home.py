@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.prefect_home import check_home, make_home, use_own_home
+from flows.runtime.prefect_home import check_home, make_home, use_own_home
 from hfb.errors import InputError
 from tests.orchestration import TINY_OPTIONS, Problem
 
@@ -99,7 +99,7 @@ def command(problem: Problem, folder: Path, **settings: str) -> subprocess.Compl
     }
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(folder / "out")]
     return subprocess.run(
-        [sys.executable, "-m", "flows.cli", *words, "--json", *TINY_OPTIONS], env=environment, capture_output=True,
+        [sys.executable, "-m", "flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment, capture_output=True,
         text=True, cwd=ROOT, check=False, timeout=500,
     )  # fmt: skip
 

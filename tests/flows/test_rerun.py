@@ -11,20 +11,20 @@ import pytest
 import torch
 
 import flows.rerun
-import tasks.fit_motion
+import tasks.image.fit_motion
 from flows.fit_image import fit_image
 from flows.rerun import plan_rerun, run_again, with_networks
 from flows.video import run_video
 from hfb.config import ExportConfig, FitConfig, InitConfig, PriorConfig, RunConfig, Stage
 from hfb.errors import InputError
-from hfb.initialize.first_body import load_first_body, save_first_body
-from hfb.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
-from tasks import tracking
-from tasks.handles import FileHandle
-from tasks.inputs import Inputs, input_file
-from tasks.recipe import RECIPE
-from tasks.video_inputs import take_video_inputs
+from tasks.core.handles import FileHandle
+from tasks.inputs.inputs import Inputs, input_file
+from tasks.inputs.video_inputs import take_video_inputs
+from tasks.tracking import tracking
+from tasks.tracking.recipe import RECIPE
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import small_clip, small_config
 
@@ -120,7 +120,7 @@ def test_a_difference_is_measured(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that computes otherwise: its fits take steps of another length, and its processor has another name."""
-    original = tasks.fit_motion.fit
+    original = tasks.image.fit_motion.fit
 
     def another_machine(observation: Any, first_bodies: Any, body: Any, config: Any, *rest: Any, **more: Any) -> Any:
         stages = tuple(one.model_copy(update={"learning_rate": 0.011}) for one in config.stages)
@@ -128,7 +128,7 @@ def test_a_difference_is_measured(
             observation, first_bodies, body, config.model_copy(update={"stages": stages}), *rest, **more
         )  # fmt: skip
 
-    monkeypatch.setattr(tasks.fit_motion, "fit", another_machine)
+    monkeypatch.setattr(tasks.image.fit_motion, "fit", another_machine)
     same = again(made["mlflow_run_id"])
     assert not same["bit_equal"]
     assert same["same_environment"]

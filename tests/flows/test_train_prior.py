@@ -9,7 +9,7 @@ import pytest
 from flows.train_prior import TrainingPlan, train_prior, work_folder
 from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
-from hfb.export.motion_file import save_motion
+from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.priors.load import load_pose_prior
 from hfb.priors.mixture import MixturePrior

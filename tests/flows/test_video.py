@@ -11,8 +11,8 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.errors import InputError
-from hfb.export.motion_file import load_motion
-from hfb.media.pictures import read_picture_srgb
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.motion.motion_file import load_motion
 from tests.cli.conftest import _own_logging  # noqa: F401  (a command runs in this process)
 from tests.faults.stores import artifacts_of, assert_recorded_later, lost
 from tests.orchestration import mlflow_rows
@@ -63,7 +63,7 @@ def test_results_and_record() -> None:
 def test_a_median_that_holds_the_person_is_told(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody who never leaves: before the fit on the terminal, in result.json and in the record."""
     said: list[str] = []
-    monkeypatch.setattr("tasks.progress.say", said.append)
+    monkeypatch.setattr("tasks.telemetry.progress.say", said.append)
     result = run_clip(small_clip().source, tmp_path / "out", background="median")
     assert "plate_holds_person" in [one["code"] for one in result["warnings"]]
     assert ("warning/plate_holds_person",) in mlflow_rows(store, _WARNINGS)
@@ -178,7 +178,7 @@ def test_unusable_clips_are_told_and_leave_nothing(store: Path, tmp_path: Path) 
 def make_other_plate(folder: Path) -> Path:
     """The view of another camera."""
     picture = read_picture_srgb(small_clip(4, video=True).background)
-    from hfb.media.pictures import write_png
+    from hfb.io.media.pictures import write_png
 
     write_png(folder / "other.png", np.ascontiguousarray(picture[::-1, ::-1]))
     return folder / "other.png"

@@ -6,37 +6,37 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from hfb.baselines.chain_spec import read_chains
-from hfb.baselines.stored_poses import read_estimates
 from hfb.body.assets import load_default_body
 from hfb.body.smpl_file import read_smpl
-from hfb.clip import ClipCamera, read_clip
 from hfb.config import RunConfig
 from hfb.datasets.case import Case, load_case
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.real.calibration import read_calibration
-from hfb.datasets.real.clip_lens import clip_lens
 from hfb.datasets.real.footage import _timing
 from hfb.datasets.real.markers import read_joints_npz, read_trc
 from hfb.datasets.sharp import load_sharp
 from hfb.datasets.truth import load_truth_of
-from hfb.export.motion_file import load_motion
-from hfb.initialize.first_body import load_first_body
-from hfb.initialize.network_body import read_samplings
-from hfb.initialize.readers.sniff import read_tracks
-from hfb.initialize.tracks import ClipFrames, read_track, read_track_names
-from hfb.matting.external import weights_of
-from hfb.media.footage import open_footage
-from hfb.media.pictures import picture_size, read_matte, read_picture_srgb, recorded_exposure
-from hfb.media.video import read_frames
-from hfb.networks import load_network
+from hfb.evaluation.baselines.chain_spec import read_chains
+from hfb.evaluation.baselines.stored_poses import read_estimates
+from hfb.initialization.network_body import read_samplings
+from hfb.interop.readers.sniff import read_tracks
+from hfb.io.clip import ClipCamera, read_clip
+from hfb.io.media.calibration import read_calibration
+from hfb.io.media.clip_lens import clip_lens
+from hfb.io.media.footage import open_footage
+from hfb.io.media.pictures import picture_size, read_matte, read_picture_srgb, recorded_exposure
+from hfb.io.media.video import read_frames
+from hfb.io.toml_file import read_toml, to_record
+from hfb.matting.user_networks.external import weights_of
+from hfb.motion.motion_file import load_motion
+from hfb.motion.static_pose import load_first_body
+from hfb.networks.runtimes import load_network
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_weights import read_networks
-from hfb.toml_file import read_toml, to_record
-from tasks.batch_ledger import Ledger
-from tasks.clip_places import resolve_source
-from tasks.recipe import read_recipe
-from tasks.stored_runs import _id_in
+from hfb.tracking.tracks import ClipFrames, read_track, read_track_names
+from tasks.batch.batch_ledger import Ledger
+from tasks.inputs.clip_places import resolve_source
+from tasks.results.stored_runs import _id_in
+from tasks.tracking.recipe import read_recipe
 from tests.fuzz.results import RESULT_READERS
 
 _SHARP = {"sharp": [[0, 0, 32, 24]], "camera": {"height": 48, "width": 64}}

@@ -12,24 +12,24 @@ from PIL import Image
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import PARENTS
-from hfb.evaluate.motion_difference import motion_difference
-from hfb.export.amass import amass_arrays
-from hfb.export.bvh import bvh_text
-from hfb.export.c3d_file import c3d_bytes
-from hfb.export.joint_tables import csv_text, trc_text
-from hfb.export.mesh_files import mesh_name
-from hfb.export.motion_file import load_motion, save_motion
-from hfb.export.skinned_glb import skinned_glb
-from hfb.fit.alternatives import Alternatives, direction_record, load_alternatives, save_alternatives
-from hfb.initialize.readers.sniff import read_tracks
+from hfb.evaluation.motion_difference import motion_difference
+from hfb.fitting.alternatives import Alternatives, direction_record, load_alternatives, save_alternatives
+from hfb.interop.readers.sniff import read_tracks
+from hfb.interop.writers.amass import amass_arrays
+from hfb.interop.writers.bvh import bvh_text
+from hfb.interop.writers.c3d_file import c3d_bytes
+from hfb.interop.writers.joint_tables import csv_text, trc_text
+from hfb.interop.writers.mesh_files import mesh_name
+from hfb.interop.writers.skinned_glb import skinned_glb
+from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.report.result_curves import curves_section, read_curves
 from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
-from tasks.batch_summary import BatchSummary
-from tasks.fitted_body import named_body
-from tasks.handles import FileHandle
-from tasks.result_report import ReportParts, page_text
+from tasks.batch.batch_summary import BatchSummary
+from tasks.core.handles import FileHandle
+from tasks.results.fitted_body import named_body
+from tasks.results.result_report import ReportParts, page_text
 
 FACTS: dict[str, Any] = {
     "matte_iou": 0.91, "psnr_db": 31.5, "mpjpe_mm": None, "frames": 2, "sub_frames": 6, "fit_seconds": 3.5,

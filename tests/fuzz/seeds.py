@@ -16,19 +16,25 @@ import torch
 from PIL import Image
 from safetensors.numpy import save_file
 
-from hfb.export.bvh import write_bvh
-from hfb.export.motion_file import save_motion
+from hfb.interop.writers.bvh import write_bvh
+from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.priors.motion_weights import make_networks, write_networks
 from hfb.priors.training_spec import NetworkSizes
-from tests.baselines.networks import ShiftedCopies, moments, save_identity_onnx, save_linear_onnx, save_torchscript
 from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 from tests.datasets.real.videos import calibration_toml, cameras_json, write_trc
+from tests.evaluation.baselines.networks import (
+    ShiftedCopies,
+    moments,
+    save_identity_onnx,
+    save_linear_onnx,
+    save_torchscript,
+)
 from tests.fuzz.results import write_result
-from tests.initialize.readers import files
-from tests.media.test_picture_colours import P3, SRGB_CURVE, profile, save
-from tests.media.test_picture_depths import packed_tiff
-from tests.media.videos import picture, write_video
+from tests.interop.readers import files
+from tests.io.media.test_picture_colours import P3, SRGB_CURVE, profile, save
+from tests.io.media.test_picture_depths import packed_tiff
+from tests.io.media.videos import picture, write_video
 from tests.priors.test_gmm import make_mixture
 from tests.priors.test_vposer import make_vposer
 

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 
 from hfb.body.assets import load_default_body
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix, multiply_quaternions
 from hfb.photometry import linear_to_srgb
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.rotations import axis_angle_to_matrix, multiply_quaternions
+from hfb.rendering.backends import make_rasterizer
 
 SIZE_PX = 96
 LEFT_SHOULDER, RIGHT_SHOULDER, LEFT_ELBOW, RIGHT_ELBOW = 16, 17, 18, 19

@@ -7,13 +7,13 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import Weights
-from hfb.losses.texture import texel_neighbours
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.trajectory import trajectory_at_rest
-from hfb.objective import Objective
+from hfb.objective.objective import Objective
+from hfb.objective.texture import texel_neighbours
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.render.rasterizer import make_rasterizer
-from hfb.render.texture import texel_faces
-from hfb.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.texture import texel_faces
 from tests.scenes import moving_scene
 
 PARAMETERS = ("rotation", "translation", "betas", "texture")

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from hfb.body.mesh import Mesh
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import Rasterizer, make_rasterizer
-from tests.render.bodies import at, ball, box, limb, people, person_mesh, smooth_texture, two_balls
+from hfb.geometry.camera import PinholeCamera
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.rasterizer import Rasterizer
+from tests.rendering.bodies import at, ball, box, limb, people, person_mesh, smooth_texture, two_balls
 
 CAMERA = PinholeCamera.from_focal(80.0, 64, 56)
 

@@ -31,11 +31,11 @@ import asyncpg
 import psutil
 
 import flows  # noqa: F401 (its settings come before Prefect is imported)
-from hfb.initialize.first_body import load_first_body
-from tasks import video_frames
-from tasks.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.video_frames import saved_body
-from tasks.video_handles import BodyFound
+from hfb.motion.static_pose import load_first_body
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from tasks.core.video_handles import BodyFound
+from tasks.video import video_frames
+from tasks.video.video_frames import saved_body
 from tests.faults.servers import Postgres, PrefectProcess, postgres, prefect_server
 from tests.small_clips import SMALL_OPTIONS
 
@@ -58,14 +58,14 @@ def near_body(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
-    """Instead of `tasks.video_frames._body_between`: the body of the key frame before."""
+    """Instead of `tasks.video.video_frames._body_between`: the body of the key frame before."""
     found = load_first_body(known[0][1].path)
     return BodyFound(first=saved_body(folder / f"first_body_{number:06d}.npz", found))
 
 
 def command(arguments: list[str]) -> int:
     """The `hfb` command with that."""
-    from flows import cli
+    from flows.cli import cli
 
     if arguments[0] == "cheap":
         video_frames._body_between = near_body

@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import pytest
 
-from flows.deployment_run import COMMAND
+from flows.runtime.deployment_run import COMMAND
 from tests.infra.asking import api, ended, prefect_routes, started
 from tests.infra.team import Team, missing, stop
 from tests.orchestration import Problem
@@ -278,7 +278,7 @@ def test_commands_on_a_members_machine_are_recorded(here: Team, deployed: dict[s
         "2", "--fit.texture-px", "16", "--export.formats", "none", "--export.films", "none", "--export.report", "false",
     ]  # fmt: skip
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli", *words], env=environment, capture_output=True, text=True, timeout=240
+        [sys.executable, "-m", "flows.cli.cli", *words], env=environment, capture_output=True, text=True, timeout=240
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["mlflow_run_id"]

@@ -13,13 +13,14 @@ from torch import Tensor
 
 from hfb.config import MattingConfig
 from hfb.errors import InputError
-from hfb.matting.bgmv2_network import MattingNetwork
-from hfb.matting.external import BackgroundMattingV2, RobustVideoMatting
-from hfb.matting.matting import Matting, make_matting
-from hfb.network_files import check_network_file
-from hfb.networks import OnnxNetwork
+from hfb.io.toml_file import to_record
+from hfb.matting.matting import Matting
+from hfb.matting.methods import make_matting
+from hfb.matting.user_networks.bgmv2_network import MattingNetwork
+from hfb.matting.user_networks.external import BackgroundMattingV2, RobustVideoMatting
+from hfb.networks.files import check_network_file
+from hfb.networks.runtimes import OnnxNetwork
 from hfb.photometry import linear_to_srgb
-from hfb.toml_file import to_record
 from tests.matting.networks import DifferenceMatting, RememberingMatting, save_scripted
 
 
@@ -303,7 +304,7 @@ def test_what_is_no_network_is_told_by_the_file_alone(tmp_path: Path) -> None:
         check_network_file(tmp_path / "weights.pth")
     check_network_file(save_scripted(DifferenceMatting(), tmp_path / "bgm.pth"))
     check_network_file(onnx_network(tmp_path / "bgm.onnx"))
-    program = "import sys, hfb.network_files; print('torch' in sys.modules)"
+    program = "import sys, hfb.networks.files; print('torch' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert said == "False\n"
 
@@ -329,7 +330,7 @@ _OPENED = """
 import torch
 from pathlib import Path
 import numpy as np
-from hfb.networks import load_network
+from hfb.networks.runtimes import load_network
 try:
     torch.jit.load({path!r})
     print("opens anyway")

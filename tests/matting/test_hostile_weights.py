@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from hfb.errors import InputError
-from hfb.matting.external import weights_of
-from hfb.networks import load_network
+from hfb.matting.user_networks.external import weights_of
+from hfb.networks.runtimes import load_network
 from tests.matting.networks import DifferenceMatting, save_scripted
 
 

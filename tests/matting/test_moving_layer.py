@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from hfb.matting import kernels_layer
+from hfb.kernels import matting_layer as kernels_layer
 from hfb.matting.moving_layer import explained_matte
 from tests.matting.silhouettes import generated_plate
 

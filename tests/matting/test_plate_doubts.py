@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hfb.datasets.example import write_example
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.video import average_frames, read_frames
 from hfb.matting.plate_doubts import doubt_plate
-from hfb.media.pictures import read_picture_srgb
-from hfb.media.video import average_frames, read_frames
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite, generated_plate, seen
 from tests.matting.test_alignment import moved

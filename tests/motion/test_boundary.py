@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.motion.boundary import boundary_loss
 from hfb.motion.trajectory import Trajectory, trajectory_at_rest
+from hfb.objective.boundary import boundary_loss
 from tests.motion.test_trajectory import moving, random_poses
 
 

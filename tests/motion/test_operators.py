@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from hfb.formulas import readable_formulas
-from hfb.motion.operators import move, rotation_vectors
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
+from hfb.kernels.dispatch import readable_formulas
+from hfb.kernels.motion_operators import move, rotation_vectors
 from hfb.motion.trajectory import Trajectory
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
 def test_motions_and_gradients_are_the_readable_ones() -> None:

@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.clock import next_opening, subframe_clock, subframe_times_s
 from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest
-from hfb.rotations import axis_angle_to_matrix
 
 KINDS = ("quaternion", "axis-angle")
 

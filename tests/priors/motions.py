@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 
+from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.motion.trajectory import RotationKind, Trajectory, trajectory_at_rest
-from hfb.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 
 
 def moving(seed: int = 0, frames: int = 1, degree: int = 2, dtype: torch.dtype = torch.float32) -> Trajectory:
@@ -64,6 +64,6 @@ def from_origin(trajectory: Trajectory, origin: float) -> Trajectory:
 
 
 def _quaternion(turn: torch.Tensor) -> torch.Tensor:
-    from hfb.rotations import axis_angle_to_quaternion
+    from hfb.geometry.rotations import axis_angle_to_quaternion
 
     return axis_angle_to_quaternion(matrix_to_axis_angle(turn)).unbind(-1)

@@ -10,9 +10,14 @@ from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
 from hfb.datasets.motions.bvh import read_bvh
 from hfb.datasets.motions.retargeting import retarget
+from hfb.geometry.rotations import (
+    axis_angle_to_matrix,
+    axis_angle_to_quaternion,
+    multiply_quaternions,
+    quaternion_to_axis_angle,
+)
 from hfb.priors.anatomy import AnatomicalPrior, twist_swing
 from hfb.priors.pose import PosePrior
-from hfb.rotations import axis_angle_to_matrix, axis_angle_to_quaternion, multiply_quaternions, quaternion_to_axis_angle
 
 PRIOR = AnatomicalPrior()
 _MOCAP = Path(__file__).parents[3] / "shared" / "data" / "cmu_bvh"

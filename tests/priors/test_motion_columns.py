@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import MIRROR
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.trajectory import trajectory_at_rest
 from hfb.priors.motion_columns import (
     CLOCK,
@@ -20,7 +21,6 @@ from hfb.priors.motion_columns import (
     reversed_columns,
 )
 from hfb.priors.motion_corruption import mirrored_columns
-from hfb.rotations import axis_angle_to_matrix
 from tests.priors.motions import as_axis_angle_at_rest, backwards, from_origin, moving, seen_by_another_camera
 
 EVERYTHING = torch.ones(1, COLUMN_COUNT, dtype=torch.bool)

@@ -15,7 +15,7 @@ from hfb.body.model import ShapedBody
 from hfb.datasets.motion_windows import draw_columns
 from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
-from hfb.formulas import readable_formulas
+from hfb.kernels.dispatch import readable_formulas
 from hfb.priors.motion_columns import COLUMN_COUNT
 from hfb.priors.motion_measures import measure_motion_prior
 from hfb.priors.motion_prior import MotionPrior, load_motion_prior

@@ -6,11 +6,11 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import Stage, Weights, preset
 from hfb.datasets.motions.sources import open_motions
-from hfb.fit.loop import fit
+from hfb.fitting.loop import fit
+from hfb.geometry.rotations import in_hemisphere_of
 from hfb.motion.trajectory import Trajectory, trajectory_at_rest
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.motion_prior import load_motion_prior
-from hfb.rotations import in_hemisphere_of
 from tests.priors.motions import backwards
 from tests.scenes import moving_scene
 

@@ -5,8 +5,8 @@ import torch
 from torch import nn
 
 from hfb.errors import InputError
+from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.priors.vposer import VPoserPrior
-from hfb.rotations import axis_angle_to_matrix
 
 
 def _randomized(module: nn.Module, seed: int) -> nn.Module:

@@ -6,11 +6,11 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, preset
-from hfb.evaluate.protocol import at_rest, truth_scores
-from hfb.fit.loop import FitResult, fit
-from hfb.initialize.first_body import FirstBody
+from hfb.evaluation.protocol import at_rest, truth_scores
+from hfb.fitting.loop import FitResult, fit
+from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.render.rasterizer import make_rasterizer
+from hfb.rendering.backends import make_rasterizer
 from tests.scenes import Scene, moving_scene
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hfb.evaluate.tables import summarize, table_markdown
-from hfb.media.pictures import write_png
+from hfb.evaluation.tables import summarize, table_markdown
+from hfb.io.media.pictures import write_png
 from hfb.report import benchmark_page as pages
 from hfb.report.benchmark_page import Answer, benchmark_page
 from hfb.report.markdown import markdown

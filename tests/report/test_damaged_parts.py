@@ -14,12 +14,12 @@ from PIL import Image
 from flows.export import export_result
 from flows.report import make_report
 from hfb.errors import InputError
-from hfb.export.bvh import bvh_text
-from hfb.export.joint_tables import csv_text
-from hfb.export.keys import even_keys
-from hfb.export.motion_file import load_motion, save_motion
-from hfb.fit.alternatives import load_alternatives
-from hfb.media.video_file import FRAME_LIMIT
+from hfb.fitting.alternatives import load_alternatives
+from hfb.interop.writers.bvh import bvh_text
+from hfb.interop.writers.joint_tables import csv_text
+from hfb.interop.writers.keys import even_keys
+from hfb.io.media.video_file import FRAME_LIMIT
+from hfb.motion.motion_file import load_motion, save_motion
 from hfb.report.limb_speed import exposure_s
 from hfb.report.page import checked_picture
 from hfb.report.result_curves import curves_section, read_curves

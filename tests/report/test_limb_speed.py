@@ -9,7 +9,7 @@ from hfb.body.assets import load_default_body
 from hfb.motion.sampled import SampledMotion
 from hfb.report.limb_speed import LIMB_ENDS, exposure_s, instant_speeds, limb_speeds, shutter_for
 from hfb.report.result_speeds import shutter_advice, shutter_text
-from tests.export.motions import motion_of
+from tests.interop.writers.motions import motion_of
 
 WRIST = LIMB_ENDS["right wrist"]
 

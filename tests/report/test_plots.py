@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hfb.evaluate.cells import by_method
-from hfb.evaluate.tables import summarize
+from hfb.evaluation.cells import by_method
+from hfb.evaluation.tables import summarize
 from hfb.report.plots import error_by_joint, ratio_by_blur, write_plots
 
 BINS = [(0.05, 0.2), (0.2, 0.4), (0.4, 1.1)]

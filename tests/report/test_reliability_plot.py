@@ -5,9 +5,9 @@ import io
 import numpy as np
 from PIL import Image
 
-from hfb.evaluate.cells import by_method
-from hfb.evaluate.reliability import LEVELS, WITHIN
-from hfb.evaluate.tables import summarize
+from hfb.evaluation.cells import by_method
+from hfb.evaluation.reliability import LEVELS, WITHIN
+from hfb.evaluation.tables import summarize
 from hfb.report.reliability_plot import reliability
 
 BLUE = (0x00, 0x72, 0xB2)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from hfb.body.assets import load_default_body
-from hfb.fit.alternatives import LIMB_NAMES, Alternatives
-from hfb.media.video_writing import VideoWriter
+from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
+from hfb.io.media.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
 from hfb.report.result_unknown import alternatives_section, by_probability, reversed_text, unknown_section
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
-from tests.export.motions import motion_of
+from tests.interop.writers.motions import motion_of
 
 BODY = load_default_body()
 NASTY = """</script><script>alert(1)</script><b>"'"""
@@ -175,7 +175,7 @@ def posed(motion: SampledMotion, row: int) -> np.ndarray:
     """The vertices that the method itself finds."""
     import torch
 
-    from hfb.rotations import axis_angle_to_matrix
+    from hfb.geometry.rotations import axis_angle_to_matrix
 
     turns = axis_angle_to_matrix(torch.from_numpy(motion.poses[row : row + 1]).unflatten(1, (24, 3))).float()
     shaped = BODY.shape(torch.from_numpy(motion.betas).float())

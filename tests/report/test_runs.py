@@ -11,13 +11,13 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.evaluate.motion_difference import motion_difference
+from hfb.evaluation.motion_difference import motion_difference
 from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import RUN_COLOURS, draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import browser, opened, shows
-from tests.evaluate.test_motion_difference import linear_motion
-from tests.export.motions import motion_of
+from tests.evaluation.test_motion_difference import linear_motion
+from tests.interop.writers.motions import motion_of
 
 HOSTILE = '<script>alert("1")</script> $x$'
 

@@ -5,10 +5,10 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.mesh import vertex_normals
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.rendering.backends import make_rasterizer
 from hfb.report.shading import shade_bodies, side_view, time_colours
-from hfb.rotations import axis_angle_to_matrix
 from tests.scenes import standing_pose
 
 RASTERIZER = make_rasterizer("coverage", "cpu", 1)

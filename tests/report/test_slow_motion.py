@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.evaluate.protocol import reblur
-from hfb.formation import compose
-from hfb.render.rasterizer import make_rasterizer
+from hfb.evaluation.protocol import reblur
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
 from hfb.report import slow_motion as films
-from tests.export.motions import motion_of
+from tests.interop.writers.motions import motion_of
 from tests.scenes import moving_scene
 
 RASTERIZER = make_rasterizer("coverage", "cpu", 1)

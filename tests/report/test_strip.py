@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.evaluate.protocol import reblur
-from hfb.formation import compose
-from hfb.observation import Observation
-from hfb.render.rasterizer import make_rasterizer
+from hfb.evaluation.protocol import reblur
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.formation import compose
+from hfb.rendering.observation import Observation
 from hfb.report.strip import StripRow, draw_strip, lay_out
 from tests.scenes import moving_scene
 

@@ -6,9 +6,18 @@ import pytest
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from tasks.handles import FileHandle, FirstBodyHandle, FitHandle, StaleFile, digest, files_in, unchanged, with_files
-from tasks.inputs import Inputs, input_file, input_hashes
-from tasks.judge_case import JudgedHandle
+from tasks.benchmark.judge_case import JudgedHandle
+from tasks.core.handles import (
+    FileHandle,
+    FirstBodyHandle,
+    FitHandle,
+    StaleFile,
+    digest,
+    files_in,
+    unchanged,
+    with_files,
+)
+from tasks.inputs.inputs import Inputs, input_file, input_hashes
 
 
 @pytest.fixture
@@ -104,5 +113,5 @@ def test_what_is_replaced_while_it_is_read_is_seen(file: Path, tmp_path: Path) -
 
 def test_a_file_that_nobody_touched_is_read_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handle = FileHandle.of(file)
-    monkeypatch.setattr("tasks.handles.sha256_of", lambda path: pytest.fail(f"{path} is read again"))
+    monkeypatch.setattr("tasks.core.handles.sha256_of", lambda path: pytest.fail(f"{path} is read again"))
     handle.check()

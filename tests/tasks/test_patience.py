@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import pytest
 
 from hfb.errors import InputError
-from tasks.addresses import check_address, no_answer
-from tasks.patience import Patience, within
+from tasks.tracking.addresses import check_address, no_answer
+from tasks.tracking.patience import Patience, within
 
 
 def test_a_result_or_an_error_or_an_end() -> None:

@@ -7,13 +7,13 @@ import pytest
 import torch
 from PIL import Image
 
-from hfb.clip import Clip
 from hfb.config import CameraConfig, ExposureConfig
-from hfb.media.pictures import write_png
+from hfb.io.clip import Clip
+from hfb.io.media.pictures import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from tasks.handles import ClipHandle, FileHandle
-from tasks.prepare import prepare
-from tasks.scene import load_camera, load_picture
+from tasks.core.handles import ClipHandle, FileHandle
+from tasks.core.scene import load_camera, load_picture
+from tasks.image.prepare import prepare
 from tests.matting.silhouettes import composite, generated_plate
 
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli import main
+from flows.cli.cli import main
 from hfb.errors import InputError
-from tasks import tracking
-from tasks.secrets import SecretFormatter, without_login, without_secrets
-from tasks.store_place import check_store, on_server
+from tasks.telemetry.secrets import SecretFormatter, without_login, without_secrets
+from tasks.tracking import tracking
+from tasks.tracking.store_place import check_store, on_server
 
 PASSWORD = "pa/ss:w@rd"
 

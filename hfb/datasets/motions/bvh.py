@@ -10,7 +10,7 @@ import numpy as np
 
 from hfb.datasets.motions.quaternions import multiply, rotate
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _MAX_BYTES, _MAX_HEAD = 64 << 20, 4 << 20
 _MAX_JOINTS = 1000

@@ -16,7 +16,7 @@ from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.npz import read_npy, read_npz
 from hfb.datasets.motions.smpl_motions import uniform_clip
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 FRAME_FILE = re.compile(r"^(?P<sequence>.+)\.(?P<frame>\d{6})\.npz$")
 _FPS = 60.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from hfb.datasets.motions.bvh import BvhMotion
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _MAX_BYTES, _SNIFFED = 64 << 20, 4096
 _COLUMNS = 44

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from hfb.datasets.motions.quaternions import conjugate, from_axes, multiply, rotate, unit
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _REST_SHARE = 0.02
 """Weight of the expected hinge axis against what the clip's bends show: it decides for limbs that never bend."""

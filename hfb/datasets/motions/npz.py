@@ -4,8 +4,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from hfb.errors import InputError
-from hfb.media.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
-from hfb.shapes import Array, Shaped
+from hfb.io.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
+from hfb.typing import Array, Shaped
 
 
 def read_npz(path: Path, wanted: Collection[str]) -> tuple[dict[str, Shaped[Array, "..."]], list[str]]:

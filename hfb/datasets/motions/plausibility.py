@@ -7,7 +7,7 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.quaternions import from_axis_angle, multiply
 from hfb.errors import InputError
 from hfb.priors.anatomy import AnatomicalPrior
-from hfb.shapes import Array, Bool, Float
+from hfb.typing import Array, Bool, Float
 
 _IMPOSSIBLE = np.deg2rad(45)
 """Beyond the usual range of motion; fights and acrobatics stay below in most of their frames."""

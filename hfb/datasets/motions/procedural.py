@@ -22,7 +22,7 @@ from hfb.datasets.motions.gestures import (
 )
 from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.quaternions import from_axis_angle, multiply, to_axis_angle
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 FPS = 120.0
 _ROUNDS = 2

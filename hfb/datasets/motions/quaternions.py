@@ -1,11 +1,11 @@
 """Rotations of whole recordings in numpy: quaternions (w, x, y, z), any leading dimensions, float64.
 
-`hfb.rotations` is for what is fitted (torch, gradients); clips of thousands of frames are several times faster here.
+`hfb.geometry.rotations` serves fits (torch, gradients); this module is several times faster for long clips.
 """
 
 import numpy as np
 
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 
 def from_axis_angle(axis_angle: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
@@ -81,7 +81,7 @@ def between(source: Float[Array, "*n 3"], target: Float[Array, "*n 3"]) -> Float
 def from_axes(x: Float[Array, "*n 3"], y: Float[Array, "*n 3"], z: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     """The rotation that takes the coordinate axes to these (nearly) orthonormal ones.
 
-    Shepperd's method, as in `hfb.rotations.matrix_to_quaternion`.
+    Shepperd's method, as in `hfb.geometry.rotations.matrix_to_quaternion`.
     """
     (a, d, g), (b, e, h), (c, f, k) = (np.moveaxis(axis, -1, 0) for axis in (x, y, z))
     rows = [

@@ -4,7 +4,7 @@ import numpy as np
 
 from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.quaternions import align_signs, from_axis_angle, to_axis_angle
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _FAST = 0.9
 """Frames whose quaternions' product with the next one's is below this turn by 52 degrees or more: too far to tell how

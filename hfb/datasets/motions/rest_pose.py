@@ -10,7 +10,7 @@ from hfb.datasets.motions.quaternions import between, conjugate, from_axes, from
 from hfb.datasets.motions.trunk_frames import trunk_offsets
 from hfb.datasets.motions.world_axes import find_up
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _STILL = np.array([1.0, 0, 0, 0])
 _FLAT_FOOT = np.array([0, -np.sin(np.deg2rad(13.5)), np.cos(np.deg2rad(13.5))])

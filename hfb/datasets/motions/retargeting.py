@@ -28,7 +28,7 @@ from hfb.datasets.motions.quaternions import (
 )
 from hfb.datasets.motions.rest_pose import Rest, find_rest
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}
 _SIDES = ("left", "right")

@@ -16,7 +16,7 @@ from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.npz import read_npz
 from hfb.datasets.motions.quaternions import align_signs, from_axis_angle, multiply, rotate, to_axis_angle
 from hfb.errors import InputError
-from hfb.shapes import Array, Float, Shaped
+from hfb.typing import Array, Float, Shaped
 
 _POSES = ("poses", "root_orient", "pose_body")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")

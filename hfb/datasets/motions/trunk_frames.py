@@ -8,7 +8,7 @@ import numpy as np
 
 from hfb.datasets.motions.joint_names import JointMap
 from hfb.datasets.motions.quaternions import conjugate, from_axes, multiply, unit
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _FAR, _NEAR = (np.cos(np.deg2rad(angle) / 2) for angle in (45, 20))
 """How far pelvis or chest lie at most from where hips, shoulders and spine say, on average: where the rest pose is

@@ -9,7 +9,7 @@ import numpy as np
 from hfb.datasets.motions.joint_names import JointMap
 from hfb.datasets.motions.quaternions import unit
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 _TRUNK, _LEGS = 0.7, 0.2
 """Cosines of trunk and legs with what is up, above which somebody is upright, in a chair too."""

@@ -12,14 +12,14 @@ from pathlib import Path
 import av
 import numpy as np
 
-from hfb.clip import Clip, read_clip
 from hfb.errors import InputError
-from hfb.media.footage_names import PICTURE_SUFFIXES
-from hfb.media.pictures import read_picture_srgb
-from hfb.media.video import read_frames
-from hfb.media.video_file import open_video, video_stream
+from hfb.io.clip import Clip, read_clip
+from hfb.io.media.footage_names import PICTURE_SUFFIXES
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.video import read_frames
+from hfb.io.media.video_file import open_video, video_stream
 from hfb.photometry import as_srgb, srgb_to_linear
-from hfb.shapes import Array, Bool, Float
+from hfb.typing import Array, Bool, Float
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _LEAST_PICTURES = 8

@@ -10,7 +10,7 @@ from hfb.datasets.real.footage import Footage
 from hfb.datasets.real.markers import body_columns
 from hfb.datasets.real.recording import Recording, changed
 from hfb.errors import InputError
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 MOST_SHIFT = 4
 """How many frames joints and pictures may lie apart and still be brought together."""

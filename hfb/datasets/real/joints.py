@@ -7,14 +7,14 @@ import torch
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from hfb.datasets.real.calibration import CalibratedCamera
 from hfb.datasets.real.markers import Markers, body_columns
 from hfb.datasets.real.truth_source import TruthKind
 from hfb.errors import InputError
-from hfb.initialize.initializer import Initializer
-from hfb.render.camera import PinholeCamera
-from hfb.rotations import axis_angle_to_matrix
-from hfb.shapes import Array, Bool, Float
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.initializer import Initializer
+from hfb.io.media.calibration import CalibratedCamera
+from hfb.typing import Array, Bool, Float
 
 _LEAP_M = 0.5
 _NEIGHBOURS = 2

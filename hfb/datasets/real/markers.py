@@ -14,8 +14,8 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
-from hfb.media.array_files import names_in, read_arrays
-from hfb.shapes import Array, Float, Int
+from hfb.io.array_files import names_in, read_arrays
+from hfb.typing import Array, Float, Int
 
 _FILE_LIMIT = 64 << 20
 _MAX_NUMBERS = 1 << 25  # a line that is cut off stands for as many gaps as there are markers

@@ -10,10 +10,8 @@ import numpy as np
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.clip import ClipCamera
 from hfb.config import InitConfig
 from hfb.datasets.case import Case, load_case
-from hfb.datasets.real.calibration import CalibratedCamera
 from hfb.datasets.real.footage import Footage
 from hfb.datasets.real.joints import SeenJoints, SharpEstimates, all_points, measured_joints, pixels_of, share_inside
 from hfb.datasets.real.real_spec import RealSpec
@@ -25,13 +23,15 @@ from hfb.datasets.real.windows import RealWindow, choose, real_windows
 from hfb.datasets.sharp import save_sharp
 from hfb.datasets.truth import JointTruth, save_joint_truth
 from hfb.errors import InputError
-from hfb.initialize.initializer import make_initializer
-from hfb.media.atomic import write_bytes_atomic
-from hfb.media.pictures import write_matte, write_png
+from hfb.geometry.camera import PinholeCamera
+from hfb.initialization.initializer import make_initializer
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.clip import ClipCamera
+from hfb.io.media.calibration import CalibratedCamera
+from hfb.io.media.pictures import write_matte, write_png
 from hfb.photometry import linear_to_srgb
-from hfb.render.camera import PinholeCamera
-from hfb.render.rasterizer import make_rasterizer
-from hfb.shapes import Array, Float
+from hfb.rendering.backends import make_rasterizer
+from hfb.typing import Array, Float
 
 
 def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:

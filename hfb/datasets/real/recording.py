@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hfb.datasets.real.calibration import CalibratedCamera, camera_of, read_calibration
 from hfb.datasets.real.footage import Footage, open_footage
 from hfb.datasets.real.markers import Markers, body_columns, read_joints_npz, read_trc
 from hfb.errors import InputError
-from hfb.media.pictures import read_picture_srgb
-from hfb.media.video import median_plate
-from hfb.shapes import Array, Bool, Float
+from hfb.io.media.calibration import CalibratedCamera, camera_of, read_calibration
+from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.video import median_plate
+from hfb.typing import Array, Bool, Float
 
 _PLATE = re.compile(r"(.+)_plate\.(png|jpg|jpeg|tif|tiff)", re.IGNORECASE)
 _PLATE_FRAMES = 41

@@ -11,8 +11,8 @@ from hfb.datasets.real.shutter import Shutter
 from hfb.datasets.real.view import Box, View
 from hfb.datasets.sharp import SHARP_SUBFRAMES
 from hfb.errors import InputError
-from hfb.matting.matting import make_matting
-from hfb.shapes import Array, Bool, Float
+from hfb.matting.methods import make_matting
+from hfb.typing import Array, Bool, Float
 
 _USUAL_AREA = (0.6, 1.6)  # of the window's median: a mask outside is a matte that failed, not a moving person
 

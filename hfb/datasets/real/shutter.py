@@ -9,7 +9,7 @@ and the first of the next lies one interval of the video, as it should.
 from dataclasses import dataclass
 
 from hfb.motion.clock import subframe_times_s
-from hfb.shapes import Array, Float, Int
+from hfb.typing import Array, Float, Int
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.real.markers import Markers, body_columns
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 TruthKind = Literal["markers", "multi-view", "measured"]
 

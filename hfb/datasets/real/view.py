@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from hfb.datasets.real.calibration import CalibratedCamera
 from hfb.datasets.real.footage import Footage
 from hfb.datasets.real.recording import Recording
 from hfb.errors import InputError
+from hfb.geometry.camera import PinholeCamera
+from hfb.io.media.calibration import CalibratedCamera
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import gather_evidence, main_change
 from hfb.matting.matting import shrink
-from hfb.render.camera import PinholeCamera
-from hfb.shapes import Array, Bool, Float
+from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480
 _MARGIN = 0.12  # of the person's longer side: the matting wants to see some background

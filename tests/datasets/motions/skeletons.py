@@ -9,7 +9,7 @@ from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.datasets.motions.bvh import BvhMotion
 from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.quaternions import between, conjugate, from_axis_angle, multiply, rotate, unit
-from hfb.shapes import Array, Float
+from hfb.typing import Array, Float
 
 MIXAMO = (
     "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hfb.datasets.real.calibration import camera_of, read_calibration
 from hfb.errors import InputError
+from hfb.io.media.calibration import camera_of, read_calibration
 from tests.datasets.real.videos import HEIGHT, WIDTH, calibration_toml, cameras_json
 
 

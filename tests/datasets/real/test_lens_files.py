@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hfb.clip import ClipCamera
-from hfb.datasets.real.clip_lens import clip_lens
 from hfb.errors import InputError
-from hfb.media.lens import Lens
+from hfb.io.clip import ClipCamera
+from hfb.io.media.clip_lens import clip_lens
+from hfb.io.media.lens import Lens
 
 K = [[300.0, 0, 320], [0, 310.0, 240], [0, 0, 1]]
 FISHEYE = (-0.01, 0.03, -0.02, 0.004)

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from hfb.body.model import Body
-from hfb.clip import read_clip
 from hfb.datasets.case import Case, load_case
 from hfb.datasets.real import real_case
 from hfb.datasets.real.joints import pixels_of, without_leaps
@@ -20,11 +19,12 @@ from hfb.datasets.real.windows import choose, real_windows
 from hfb.datasets.sharp import load_sharp
 from hfb.datasets.truth import load_joint_truth
 from hfb.errors import InputError
-from hfb.initialize.first_body import FirstBody
-from hfb.initialize.initializer import Matte, Picture
-from hfb.media.pictures import read_matte, read_picture_srgb
+from hfb.geometry.camera import PinholeCamera
+from hfb.initialization.initializer import Matte, Picture
+from hfb.io.clip import read_clip
+from hfb.io.media.pictures import read_matte, read_picture_srgb
+from hfb.motion.static_pose import FirstBody
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from hfb.render.camera import PinholeCamera
 from tests.datasets.real.videos import BODY, FPS, HEIGHT, WIDTH, figure, joints_m, write_recording
 
 SHARED = Path(os.environ.get("HFB_SHARED_DATA", Path(__file__).parents[3] / ".." / "shared" / "data"))

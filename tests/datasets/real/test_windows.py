@@ -11,7 +11,7 @@ from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.real.recording import Recording, find_plate, find_recording
 from hfb.datasets.real.windows import RealWindow, choose, real_windows
 from hfb.errors import InputError
-from hfb.media.pictures import write_png
+from hfb.io.media.pictures import write_png
 from tests.datasets.real.videos import BODY, FPS, calibration_toml, figure, joints_m, room, write_recording, write_trc
 from tests.datasets.real.videos import write_video as write
 

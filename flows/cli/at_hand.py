@@ -1,0 +1,57 @@
+"""The commands about what is at hand: `hfb models`, `hfb runs`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from flows.runtime import summary
+from hfb.errors import InputError
+
+
+def add_models_flags(parser: argparse.ArgumentParser) -> None:
+    """List or fetch, and from where."""
+    parser.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
+    parser.add_argument(
+        "--from", "--wheel", type=Path, action="append", default=[], metavar="FILE", dest="files",
+        help="take a network, MediaPipe's wheel or npm archive that already lies here; may be given again",
+    )  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="fetch again what is there")
+
+
+def models(given: argparse.Namespace) -> None:
+    """`hfb models`: networks and files that can be used; fetch the rest."""
+    from hfb.networks.fetch import fetch_networks
+    from hfb.networks.mediapipe_files import list_networks
+    from hfb.networks.registry import list_models
+
+    if given.out is not None:
+        os.environ["HFB_MODELS_DIR"] = str(given.out)
+
+    if given.files and given.action != "fetch":
+        raise InputError("--from goes with `hfb models fetch`")
+    if given.action == "fetch":
+        from tasks.telemetry import displays, progress
+
+        with progress.showing(displays.display_for(quiet=given.quiet)), progress.step("pose networks"):
+            networks = fetch_networks(progress.say, given.files, given.force)
+    else:
+        networks = list_networks()
+    if given.json:
+        known = [model.as_dict() for model in list_models()]
+        print(json.dumps({"networks": [network.as_dict() for network in networks], "models": known}))
+    elif not given.quiet:
+        print(summary.models_text(list_models()))
+
+
+def runs(given: argparse.Namespace) -> None:
+    """`hfb runs`: this process becomes the server of MLflow's pages."""
+    from tasks.tracking.store_place import SMALL_SERVER, pages_command
+
+    command = pages_command(given.port)
+    url = f"http://127.0.0.1:{given.port}"
+    print(json.dumps({"url": url, "command": command}) if given.json else f"{url}  (Ctrl-C ends it)", flush=True)
+    os.dup2(2, 1)  # the server's own lines are not results
+    os.execve(command[0], command, {**os.environ, **SMALL_SERVER})

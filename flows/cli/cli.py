@@ -1,0 +1,343 @@
+"""The `hfb` command line: results on standard output, everything else on standard error.
+
+Exit codes: 0 done; 1 something unexpected (the log tells more), or a clip of a batch has no result; 2 something the
+user gave cannot be used; 3 a run was repeated and came out otherwise; 130 interrupted; 141 nobody reads the output.
+Nothing heavy is imported before it is known what is to be done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import logging
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from flows.cli import at_hand, clips, exporting, judging, recording, repeating, reporting, training
+from flows.cli.options import add_config_flags, run_config
+from flows.runtime import summary
+from flows.runtime.prefect_home import check_home
+from flows.runtime.running import Chain, report, tell, through_prefect, when_ready
+from hfb import __version__
+from hfb.errors import InputError, ServerLost, Unavailable
+from tasks.telemetry.secrets import without_secrets
+from tasks.workers.engine import engine_of
+
+if TYPE_CHECKING:
+    from hfb.evaluation.experiments import Experiment
+
+_DONE, _FAILED, _UNUSABLE, _INTERRUPTED, _NOBODY_READS = 0, 1, 2, 130, 141
+
+_told_to_end: list[int] = []  # the exit code of a signal that came
+_ENDS_WITHIN_S = 60.0
+_last_resorts: list[threading.Timer] = []
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    words = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in words
+    signal.signal(signal.SIGTERM, _end_orderly)
+    at_interrupt = signal.getsignal(signal.SIGINT)
+    if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
+        signal.signal(signal.SIGINT, _interrupt)
+    try:
+        given = _parsed(words)
+        check_home()
+        code = given.run(given) or _DONE
+        sys.stdout.flush()
+        return code
+    except InputError as error:
+        return _complain(str(error), as_json, _UNUSABLE)
+    except ServerLost as error:
+        _complain(str(error), as_json, _FAILED)
+        sys.stdout.flush()
+        os._exit(_FAILED)  # at a normal exit Prefect would try for minutes to send its server what is left
+    except Unavailable as error:
+        return _complain(str(error), as_json, _FAILED)
+    except BrokenPipeError:  # whoever read the results has gone, as `head` goes
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left to say is said to nobody
+        return _NOBODY_READS
+    except KeyboardInterrupt:
+        return _complain("interrupted; the same command goes on from here", as_json, _INTERRUPTED)
+    except Exception as error:
+        if _told_to_end:  # a library that was interrupted may turn the end into a failure of its own
+            return _told_to_end[0]
+        return _complain(_unexpected(error), as_json, _FAILED)
+    finally:
+        if at_interrupt is signal.default_int_handler:
+            signal.signal(signal.SIGINT, at_interrupt)
+        while _last_resorts:
+            _last_resorts.pop().cancel()
+
+
+def _parsed(words: list[str]) -> argparse.Namespace:
+    given, unknown = _parser().parse_known_args(words)
+    if unknown:
+        flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
+        close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"see `{given.command.prog} --help`"
+        raise InputError(f"unrecognized argument {unknown[0]}; {hint}")
+    given.words = words
+    return given
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see `{self.prog} --help`")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser("hfb", description="Human from Blur: how a person moved during one exposure.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"hfb {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+
+    fit = _command(commands, "fit", _fit, "blurred pictures of a static camera -> a moving body")
+    fit.add_argument("frames", nargs="+", type=Path, metavar="FRAME", help="blurred picture; several are one problem")
+    fit.add_argument("--background", required=True, type=Path, metavar="PLATE", help="the same view without the person")
+    fit.add_argument("--clip", type=Path, metavar="clip.toml", help="camera and exposure of the recording")
+    add_config_flags(fit)
+
+    demo = _command(commands, "demo", _demo, "the whole chain on an example with known truth")
+    add_config_flags(demo)
+
+    video = _command(commands, "video", clips.video, "a blurred video of a static camera -> one continuous motion")
+    clips.add_video_flags(video)
+    add_config_flags(video)
+
+    batch = _command(commands, "batch", clips.batch, "every clip of a folder; failures again later")
+    clips.add_batch_flags(batch)
+    add_config_flags(batch)
+
+    synth = _command(
+        commands, "synth", _synth, "write the cases of a set: pictures, and what happened", configured=False
+    )
+    synth.add_argument("set", choices=(*judging.SETS, "clip"), help="which set; clip: one clip for hfb video")
+    synth.add_argument("--mp4", action="store_true", help="clip: a video instead of a folder of its frames")
+    synth.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
+    judging.add_set_flags(synth)
+
+    benchmark = _command(
+        commands, "benchmark", _benchmark, "methods against cases of known truth: tables and plots", configured=False
+    )
+    benchmark.add_argument("set", choices=judging.SETS, help="which set")
+    benchmark.add_argument("--frames", type=int, default=1, metavar="T", help="blurred frames per case [1]")
+    judging.add_set_flags(benchmark)
+    judging.add_method_flags(benchmark)
+
+    reproduce = _command(
+        commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
+    )
+    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a file of infra/experiments, by name")
+    judging.add_set_flags(reproduce, count=None)
+    judging.add_method_flags(reproduce, methods=None)
+
+    train = _command(
+        commands, "train-prior", _train_prior, "learn from your motion capture how people move, or stand",
+        configured=False, out="FILE",
+    )  # fmt: skip
+    training.add_training_flags(train)
+
+    models = _command(
+        commands, "models", at_hand.models, "networks and files that can be used; get the rest", seeded=True
+    )
+    at_hand.add_models_flags(models)
+
+    again = _command(
+        commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
+    )
+    repeating.add_rerun_flags(again)
+
+    compare = _command(
+        commands, "compare", repeating.compare, "recorded runs beside each other", seeded=True, configured=False
+    )
+    repeating.add_compare_flags(compare)
+
+    exported = _command(
+        commands, "export", exporting.export, "a result for Blender, AMASS's tools, OpenSim ...", seeded=True,
+        configured=False,
+    )  # fmt: skip
+    exporting.add_export_flags(exported)
+
+    reported = _command(
+        commands, "report", reporting.report_result, "a result on one page that opens anywhere", seeded=True,
+        configured=False,
+    )  # fmt: skip
+    reporting.add_report_flags(reported)
+
+    recorded = _command(
+        commands, "record", recording.record_result, "put a result into MLflow that could not be recorded when made",
+        seeded=True, configured=False,
+    )  # fmt: skip
+    recording.add_record_flags(recorded)
+
+    runs = _command(commands, "runs", at_hand.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    runs.add_argument("--port", type=int, default=5000, help="[5000]")
+    return parser
+
+
+def _command(
+    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True, out: str = "DIR"
+) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
+    command.set_defaults(run=run, began=time.perf_counter(), command=command)
+    command.add_argument("--out", type=Path, metavar=out, help="where results go [a folder in runs]")
+    if configured:
+        command.add_argument("--config", type=Path, metavar="FILE.toml", help="options of the method, by section")
+    if seeded:  # where the configuration's own --seed is not offered; every command takes one
+        command.add_argument("--seed", type=int, help=argparse.SUPPRESS)
+    command.add_argument("--json", action="store_true", help="the last line on standard output is one JSON object")
+    command.add_argument("--quiet", action="store_true", help="no progress")
+    command.add_argument("--verbose", action="store_true", help="Prefect's and MLflow's own messages too")
+    return command
+
+
+def _fit(given: argparse.Namespace) -> None:
+    from tasks.inputs.inputs import assumptions, take_inputs
+
+    config = run_config(given)
+    out = given.out or Path("runs") / given.frames[0].stem
+    inputs = take_inputs(given.frames, given.background, config, given.clip, out=out)  # what is missing is said at once
+    if not given.quiet:
+        for assumed in assumptions(inputs, config):
+            print(f"hfb: {assumed}", file=sys.stderr)
+
+    def load() -> Chain:
+        from flows.fit_image import fit_image
+
+        return when_ready(lambda: fit_image(given.frames, given.background, out, config, given.clip))
+
+    result = through_prefect(given, out, load)
+    report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
+
+
+def _demo(given: argparse.Namespace) -> None:
+    config = run_config(given)
+    out = given.out or Path("runs/demo")
+
+    def load() -> Chain:
+        from flows.demo import fit_example
+
+        return lambda ready: fit_example(out, config, ready)
+
+    result = through_prefect(given, out, load)
+    report(given, result, summary.DEMO_KEYS, summary.DEMO_ROWS)
+
+
+def _synth(given: argparse.Namespace) -> None:
+    if given.set == "clip":
+        clips.synth_clip(given)
+        return
+    if given.mp4:
+        raise InputError("the cases of a set are pictures: leave --mp4 out, or take `hfb synth clip`")
+    spec = judging.set_spec(given, given.frames)
+    out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
+
+    def load() -> Chain:
+        from flows.benchmark import run_synthesis
+
+        return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
+
+    result = through_prefect(given, out, load)
+    tell(given, result, f"{result['count']} cases ({result['skipped']} left out) in {result['out']}")
+
+
+def _benchmark(given: argparse.Namespace) -> None:
+    out = given.out or Path("runs") / given.set
+    result = _benchmarked(given, given.frames, out)
+    tell(given, result, judging.benchmark_text(result))
+
+
+def _reproduce(given: argparse.Namespace) -> None:
+    experiment = judging.experiment_of(given.experiment)
+    given.set, given.fill = experiment.set, experiment.fill
+    given.count = given.count or experiment.count
+    given.methods = given.methods or ",".join(experiment.methods)
+    out = given.out or Path("runs") / given.experiment
+    result = _benchmarked(given, experiment.frames, out, experiment)
+    tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
+
+
+def _benchmarked(
+    given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
+) -> dict[str, Any]:
+    judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
+    judging.set_spec(given, frames)
+    engine = engine_of(given.workers, given.store)
+
+    def load() -> Chain:
+        from flows.benchmark import run_benchmark
+
+        plan = judging.plan_of(given, frames)
+        return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
+
+    return through_prefect(given, out, load)
+
+
+def _train_prior(given: argparse.Namespace) -> None:
+    out = given.out or training.DEFAULT_OUT[given.kind]
+
+    def load() -> Chain:
+        from flows.train_prior import train_prior
+
+        plan = training.plan_of(given)
+        return when_ready(lambda: train_prior(plan, out))
+
+    result = through_prefect(given, out.parent, load)
+    tell(given, result, training.training_text(result))
+
+
+def _complain(message: str, as_json: bool, code: int) -> int:
+    message = without_secrets(" ".join(message.splitlines()))  # one line, whatever a file is called
+    print(f"hfb: {message}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"error": message}))
+    return code
+
+
+def _unexpected(error: Exception) -> str:
+    from flows.runtime.surroundings import log_path
+
+    logging.getLogger("hfb").exception("unexpected")
+    where = f"the log is {log_path()}" if logging.getLogger().handlers else "no log was kept"
+    reason = str(error).strip().splitlines()
+    return f"unexpected {type(error).__name__}{': ' + reason[0] if reason else ''}; {where}"
+
+
+def _end_orderly(signum: int, _frame: object) -> NoReturn:
+    _told_to_end.append(128 + signum)
+    _end_at_last(_told_to_end[0])
+    raise SystemExit(_told_to_end[0])
+
+
+def _interrupt(_signum: int, _frame: object) -> NoReturn:
+    _end_at_last(_INTERRUPTED)
+    raise KeyboardInterrupt
+
+
+def _end_at_last(code: int) -> None:
+    """End the process by and by, whatever it waits for.
+
+    A signal that comes while a library takes a lock leaves it taken; tidying up, as Prefect does through the same
+    connection, then waits for it for ever.
+    """
+
+    def end() -> None:
+        print("hfb: it was told to end and did not in a minute; the same command goes on from here", file=sys.stderr)
+        os._exit(code)
+
+    last_resort = threading.Timer(_ENDS_WITHIN_S, end)
+    last_resort.daemon = True
+    last_resort.start()
+    _last_resorts.append(last_resort)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

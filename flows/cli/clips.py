@@ -1,0 +1,170 @@
+"""The commands about clips: `hfb video`, `hfb batch`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from flows.cli.judging import add_worker_flags, positive
+from flows.cli.options import run_config
+from flows.runtime.running import Chain, surrounded, tell, through_prefect, when_ready
+from hfb.errors import InputError
+from tasks.batch.notifications import FORMS, VARIABLE, addresses_of, notifying
+from tasks.inputs.out_place import check_batch_out, default_out
+from tasks.workers.engine import engine_of
+
+VIDEO_KEYS = (
+    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
+    "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
+    "people",
+)  # fmt: skip
+_OF_A_SYNTHETIC_CLIP = ("--mp4", "--frames", "--seed", "--size", "--out", "--json", "--quiet", "--verbose")
+_PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
+
+
+def add_video_flags(parser: argparse.ArgumentParser) -> None:
+    """Which clip, and how it was taken."""
+    add = parser.add_argument
+    add("source", type=Path, metavar="CLIP", help="a video, a folder of its frames, or a folder with a clip.toml")
+    add(
+        "--background", metavar="PLATE|median|still",
+        help="a picture of the view without the person, the median over time, or the longest stretch in which nobody "
+        "moves [what clip.toml says, a background.png or plate.png beside the clip, median]",
+    )  # fmt: skip
+    add("--clip", type=Path, metavar="clip.toml", help="camera, exposure, time range, person [the folder's own]")
+    add("--everyone", action="store_true", help="each person who is seen, one after the other, into DIR/person-1 ...")
+    add("--truth", type=Path, metavar="FILE", help="a motion file of what really happened: adds errors against it")
+    _add_shared_flags(parser)
+
+
+def add_batch_flags(parser: argparse.ArgumentParser) -> None:
+    """Which folder, and how often."""
+    add = parser.add_argument
+    add("folder", type=Path, metavar="FOLDER", help="clips: NAME.mp4 with NAME.toml, folders NAME/ with a clip.toml")
+    add("--attempts", type=positive, default=3, metavar="N", help="failures after which a clip is set aside [3]")
+    add("--wait", type=positive, default=60, metavar="S", help="before a second attempt, doubled for each further [60]")
+    add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
+    add("--again", action="store_true", help="take clips that were set aside once more")
+    add(
+        "--notify", action="append", default=[], metavar="URL",
+        help=f"tell of clips that fail: {FORMS}; several times for several; also from the variable {VARIABLE}",
+    )  # fmt: skip
+    _add_shared_flags(parser)
+
+
+def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--window", metavar="K", dest="config:video.window", default=argparse.SUPPRESS, help="as --video.window")
+    add("--average", metavar="K", dest="config:video.average", default=argparse.SUPPRESS, help="as --video.average")
+    add_worker_flags(parser)
+
+
+def video(given: argparse.Namespace) -> None:
+    """`hfb video`."""
+    from tasks.inputs.video_inputs import take_video_inputs
+
+    config, engine = run_config(given), engine_of(given.workers, given.store)
+    out = given.out or default_out(given.source)
+    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone, out)
+
+    def load() -> Chain:
+        from flows.people import run_clip
+
+        return when_ready(lambda: run_clip(inputs, out, config, engine))
+
+    result = through_prefect(given, out, load)
+    result["total_seconds"] = round(time.perf_counter() - given.began, 3)
+    shown = {key: result.get(key) for key in VIDEO_KEYS} if given.json else result
+    tell(given, shown, "" if given.json else video_text(result))
+
+
+def batch(given: argparse.Namespace) -> int:
+    """`hfb batch`: 1 where a clip has no result, as for other failures."""
+    from tasks.inputs.clip_places import find_clips
+
+    config = run_config(given)
+    engine_of(given.workers, given.store)  # what is wrong with it is said at once
+    out = given.out or default_out(given.folder)
+    check_batch_out(given.folder, out)
+    find_clips(given.folder, out)  # a folder that is none is said at once
+    addresses = addresses_of(given.notify)
+
+    def load() -> Chain:
+        from flows.batch import batch as every_clip
+
+        options = config.model_dump(mode="json")
+        pace = (given.attempts, given.wait, given.watch, given.again, given.store)
+        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
+
+    with notifying(addresses):
+        result = through_prefect(given, out, load)
+    tell(given, result, batch_text(result))
+    return int(result["done"] < result["clips"])
+
+
+def synth_clip(given: argparse.Namespace) -> None:
+    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame.
+
+    Raises:
+        InputError: an option is for the cases of a set.
+    """
+    flags = [word.partition("=")[0] for word in given.words if word.startswith("--")]
+    if other := next((flag for flag in flags if flag not in _OF_A_SYNTHETIC_CLIP), None):
+        raise InputError(f"`hfb synth clip` makes one clip, and {other} is for the cases of a set: leave it out")
+    out = given.out or Path("runs/clip")
+    with surrounded(given, out, recorded=False):
+        from tasks.telemetry import progress
+
+        with progress.step("libraries"):
+            from hfb.datasets.clip_making import make_clip
+        wide = 640 if given.size is None else given.size
+        even = 2 if given.mp4 else 1  # H.264 takes no odd number of pixels
+        height, width = (even * round(side / even) for side in (0.75 * wide, wide))
+        with progress.step("frames"):
+            made = make_clip(
+                out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance
+            )  # fmt: skip
+    result = {"frames": given.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
+    tell(given, result, f"{given.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
+
+
+def video_text(result: Mapping[str, Any]) -> str:
+    """The short table that ends a clip."""
+    if result.get("people"):
+        return _people_text(result)
+    gaps = ", ".join(f"{first} to {last}" for first, last in result["gaps"]) or "none"
+    rows = [
+        ("frames", f"{result['frames']} ({result['resumed_frames']} from an earlier start)"),
+        ("sub-frames", str(result["sub_frames"])),
+        ("gaps", gaps),
+        ("IoU with the matte", _shown(result.get("matte_iou"), ".3f")),
+        ("image PSNR [dB]", _shown(result.get("psnr_db"), ".1f")),
+        ("MPJPE [mm]", _shown(result.get("mpjpe_mm"), ".1f")),
+        ("jump at an edge [mm]", _shown(result.get("worst_jump_mm"), ".2f")),
+        ("seconds", f"{result['seconds']:.1f}   ({result['seconds'] / result['frames']:.2f} per frame)"),
+    ]
+    lines = ["", *(f"{name:<24}{value}" for name, value in rows if value != "-"), ""]
+    lines += [f"{name:<9}{result[key]}" for name, key in _PLACES if result.get(key)]
+    return "\n".join(lines + ([f"MLflow   {result['mlflow_link']}"] if result.get("mlflow_link") else []))
+
+
+def _people_text(result: Mapping[str, Any]) -> str:
+    """A line per person."""
+    lines = [""]
+    for one in result["people"]:
+        told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
+        lines.append(f"{one['name']:<16}seen in {one['seen']} frames; {told}; {one['out']}")
+    return "\n".join([*lines, "", f"result   {result['out']}"])
+
+
+def batch_text(result: Mapping[str, Any]) -> str:
+    """What became of a folder."""
+    counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
+    return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
+
+
+def _shown(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,169 @@
+"""The commands that judge: `hfb synth`, `hfb benchmark`, `hfb reproduce`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hfb.config import InitConfig
+from hfb.datasets.real.real_spec import RealSpec
+from hfb.datasets.set_spec import SetSpec
+from hfb.errors import InputError
+from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, method_spec
+from hfb.io.toml_file import to_record
+
+if TYPE_CHECKING:
+    from flows.benchmark import BenchmarkPlan
+    from hfb.evaluation.experiments import Experiment
+
+SETS = ("bt-amass", "bc-cape", "b-aist")
+EXPERIMENTS = Path(__file__).parents[2] / "infra" / "experiments"
+_DEFAULT_METHODS = "best,paper,static"
+_DEFAULT_COUNT = 20
+
+
+def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_COUNT) -> None:
+    """What a set is made from. A folder that is not given is replaced by what hfb makes itself."""
+    add = parser.add_argument
+    shown = "as in the experiment's file" if count is None else str(count)
+    add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
+    add("--seed", type=_natural, default=0, metavar="S", help="of everything that is random [0]")
+    add("--motions", type=Path, metavar="DIR", help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files [built in]")
+    add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
+    add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
+    add("--videos", type=Path, metavar="DIR", help="b-aist: videos of a static camera")
+    add("--average", type=positive, default=9, metavar="K", help="b-aist: frames per exposure [9]")
+    add("--body", type=Path, metavar="FILE", help="your SMPL file, for the truth and the fit [the embedded body]")
+    add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
+    add("--size", type=positive, metavar="PX", help="side of the pictures; b-aist: the longer one [256; b-aist: 384]")
+    add("--easy", action="store_true", help="the fit's own mesh, no noise: for finding errors, never to be quoted")
+    add_worker_flags(parser)
+
+
+def add_worker_flags(parser: argparse.ArgumentParser) -> None:
+    """Who computes."""
+    parser.add_argument(
+        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
+    )  # fmt: skip
+    parser.add_argument(
+        "--store",
+        metavar="URL",
+        help="with a cluster whose workers do not see this machine's files: where they are shared, s3://bucket/prefix",
+    )
+
+
+def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEFAULT_METHODS) -> None:
+    """What runs on the set."""
+    known = "; ".join(f"{name}: {what}" for name, what in METHOD_NAMES.items()).replace("%", "%%")
+    shown = "as in the experiment's file" if methods is None else methods
+    parser.add_argument("--methods", default=methods, metavar="A,B,...", help=f"{known} [{shown}]")
+    parser.add_argument("--chains", type=Path, metavar="FILE.toml", help="deblur-then-estimate chains, by name")
+    parser.add_argument(
+        "--start", choices=("simulated", "estimated"),
+        help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
+        "[simulated; b-aist: estimated]",
+    )  # fmt: skip
+
+
+def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
+    """The set that the flags describe.
+
+    Raises:
+        InputError: b-aist without videos, or a number that no set takes.
+    """
+    size = {} if given.size is None else {"size_px": given.size}
+    if given.set == "b-aist":
+        if given.videos is None:
+            raise InputError("b-aist is made from real video: give a folder with --videos DIR")
+        content = {"videos": given.videos, "average": given.average} | size
+        return to_record(RealSpec, content | {"frames": frames, "seed": given.seed}, "options")
+    names = ("set", "seed", "fill", "easy", "motions", "backgrounds", "textures", "body")
+    content = {name: getattr(given, name) for name in names}
+    return to_record(SetSpec, content | size | {"frames": frames}, "options")
+
+
+def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
+    """The methods of a comma-separated list, each once.
+
+    Raises:
+        InputError: an unknown name; the sentence lists the known ones.
+    """
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise InputError("--methods names no method")
+    return tuple(method_spec(name, chains) for name in names)
+
+
+def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
+    """Everything that decides a benchmark's figures, from its flags."""
+    from flows.benchmark import BenchmarkPlan
+
+    start = given.start or ("estimated" if given.set == "b-aist" else "simulated")
+    return BenchmarkPlan(
+        spec=set_spec(given, frames), count=given.count, methods=method_specs(given.methods, given.chains),
+        start=start, init=InitConfig(), body=given.body,
+    )  # fmt: skip
+
+
+def experiment_of(name: str) -> Experiment:
+    """One of the files in infra/experiments.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    path = EXPERIMENTS / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(one.stem for one in EXPERIMENTS.glob("*.toml")))
+        where = f"known are {known}" if known else f"{EXPERIMENTS} is not there: run from a clone of the repository"
+        raise InputError(f"there is no experiment called {name}: {where}")
+    from hfb.evaluation.experiments import load_experiment
+
+    return load_experiment(path)
+
+
+def benchmark_text(result: Mapping[str, Any]) -> str:
+    """The short table that ends a benchmark."""
+    lines = ["", f"{'method':<24}{'n':>5}{'start':>9}{'fitted':>9}{'ratio':>8}   {'95 %':<14}{'IoU':>6}{'better':>8}"]
+    for name, cells in result["methods"].items():
+        cell = cells["all"]
+        interval = cell["ratio_ci95"]
+        low_high = f"[{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "-"
+        of = cell["n_pose"] if interval else cell["n"]
+        share = "-" if cell["better_than_start"] is None else f"{cell['better_than_start']:.0%}"
+        numbers = ((cell["initial_mpjpe_mm"], ".1f", 9), (cell["mpjpe_mm"], ".1f", 9), (cell["ratio"], ".3f", 8))
+        text = "".join(f"{'-' if value is None else format(value, form):>{width}}" for value, form, width in numbers)
+        iou = "-" if cell["iou"] is None else f"{cell['iou']:.3f}"
+        lines.append(f"{name:<24}{of:>5}{text}   {low_high:<14}{iou:>6}{share:>8}")
+    lines += ["", f"cases    {result['count']} ({result['skipped']} left out)", f"page     {result['page']}"]
+    lines += [f"result   {result['out']}"]
+    if result.get("mlflow_link"):
+        lines.append(f"MLflow   {result['mlflow_link']}")
+    return "\n".join(lines)
+
+
+def positive(text: str) -> int:
+    """A flag's whole number, 1 or more."""
+    return _at_least(text, 1)
+
+
+def _natural(text: str) -> int:
+    return _at_least(text, 0)
+
+
+def _at_least(text: str, least: int) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+    if number < least:
+        raise argparse.ArgumentTypeError(f"must be {least} or more, not {number}")
+    return number
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

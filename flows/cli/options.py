@@ -1,0 +1,159 @@
+"""Options of a run from four places: flag over --config file over preset over default.
+
+The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it
+costs nothing to import: `hfb --help` has to answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from hfb.config import InitConfig, RunConfig, preset
+from hfb.errors import InputError
+from hfb.io.toml_file import merged, read_toml, to_record
+
+_PREFIX = "config:"
+_DEFAULT_PRESET = RunConfig().preset
+_NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
+
+
+def add_config_flags(parser: argparse.ArgumentParser) -> None:
+    """One flag per key of the configuration; nothing is set unless the user gives it."""
+    group = parser.add_argument_group(
+        "options of the method", f"defaults are those of --preset {_DEFAULT_PRESET}; a flag wins over --config"
+    )
+    _add_short_flags(group)
+    shown = preset(_DEFAULT_PRESET)
+    for name, field, default in _keys(shown):
+        described = (field.description or "").replace("%", "%%")
+        flag = f"--{name.replace('_', '-')}"
+        group.add_argument(
+            flag,
+            dest=_PREFIX + name,
+            default=argparse.SUPPRESS,
+            metavar=_placeholder(field),
+            help=described if default is None else f"{described} [{_shown(default)}]".strip(),
+        )
+        if "_" in name:  # as the file writes it
+            group.add_argument(
+                f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
+            )  # fmt: skip
+
+
+def _add_short_flags(group: argparse._ArgumentGroup) -> None:
+    """What most people say about both ends: `--init`, `--matting`, and the files of their networks."""
+    short: tuple[tuple[str, str, str], ...] = (
+        ("init", "FILE|auto|mediapipe|matte|metro", "another system's result, or how to find a first body"),
+        ("init-weights", "FILE", "as --init.weights"),
+        ("matting", "network|known-background|bgmv2|rvm", "as --matting.method"),
+        ("matting-weights", "FILE", "as --matting.weights"),
+    )
+    for name, metavar, described in short:
+        group.add_argument(f"--{name}", metavar=metavar, action=_Short, default=argparse.SUPPRESS, help=described)
+    group.add_argument(
+        "--weights", metavar="FILE", default=argparse.SUPPRESS,
+        help="of the network that --matting or --init names, where only one of them needs a file",
+    )  # fmt: skip
+
+
+class _Short(argparse.Action):
+    """Sets the key that a short flag stands for."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        room, _, key = self.option_strings[0].removeprefix("--").partition("-")
+        if room == "init" and not key and values not in get_args(InitConfig.model_fields["method"].annotation):
+            setattr(namespace, f"{_PREFIX}init.file", values)
+            values = "file"
+        setattr(namespace, f"{_PREFIX}{room}.{key or 'method'}", values)
+
+
+def run_config(given: argparse.Namespace) -> RunConfig:
+    """The configuration that flags, --config file and preset make together.
+
+    Raises:
+        InputError: an unknown key or an impossible value, named with where it came from.
+    """
+    path: Path | None = given.config
+    from_file = read_toml(path) if path else {}
+    to_record(RunConfig, from_file, str(path))
+    from_flags = _nested({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
+    if "weights" in given:
+        from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": given.weights}})
+    to_record(RunConfig, from_flags, "options")
+    name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
+    content = merged(merged(preset(name).model_dump(), from_file), from_flags)
+    return to_record(RunConfig, content, "options")
+
+
+def _room_of_weights(chosen: Mapping[str, Any]) -> str:
+    """Whose file --weights is.
+
+    Raises:
+        InputError: nobody's, or of both ends.
+    """
+    methods = {room: chosen.get(room, {}).get("method") for room in _NEED_WEIGHTS}
+    rooms = [room for room, method in methods.items() if method in _NEED_WEIGHTS[room]]
+    if len(rooms) != 1:
+        said = "both --matting and --init" if rooms else "neither --matting bgmv2|rvm nor --init metro"
+        raise InputError(f"--weights: {said} ask for a file; use --matting-weights and --init-weights")
+    return rooms[0]
+
+
+def _keys(record: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo, Any]]:
+    for name, field in type(record).model_fields.items():
+        value = getattr(record, name)
+        if isinstance(value, BaseModel):
+            yield from _keys(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, field, value
+
+
+def _placeholder(field: FieldInfo) -> str:
+    if get_origin(field.annotation) is Literal:
+        return "|".join(map(str, get_args(field.annotation)))
+    kinds = {int: "N", float: "X", Path: "FILE", str: "NAME"}
+    parts = get_args(field.annotation)
+    if type(None) in parts and get_origin(parts[0]) is Literal:
+        return "|".join(map(str, get_args(parts[0])))
+    if any(get_origin(one) is Literal for one in get_args(field.annotation)):
+        return "NAME,..."
+    named = {field.annotation, *get_args(field.annotation)}
+    return next((word for kind, word in kinds.items() if kind in named), "JSON")
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        if all(isinstance(one, str) for one in default):
+            return ",".join(default) or "none"
+        return json.dumps([one.model_dump(exclude_defaults=True) for one in default]).replace("%", "%%")
+    return str(default)
+
+
+def _nested(flags: Mapping[str, str]) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    for key, text in flags.items():
+        *path, name = key.removeprefix(_PREFIX).split(".")
+        inner = content
+        for part in path:
+            inner = inner.setdefault(part, {})
+        inner[name] = _parsed(key.removeprefix(_PREFIX), text)
+    return content
+
+
+def _parsed(key: str, text: str) -> Any:
+    """Numbers and names are pydantic's to read; a list of records, such as fit.stages, comes as JSON."""
+    if not text.startswith(("[", "{")):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"options: {key} is not valid JSON: {error}") from error

@@ -1,0 +1,84 @@
+"""The command that trains priors: `hfb train-prior`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hfb.io.toml_file import to_record
+from hfb.priors.training_spec import MotionTraining, PoseTraining
+
+if TYPE_CHECKING:
+    from flows.train_prior import TrainingPlan
+
+DEFAULT_OUT = {"motion": Path("runs/motion_prior.safetensors"), "pose": Path("runs/pose_prior.safetensors")}
+
+
+def add_training_flags(parser: argparse.ArgumentParser) -> None:
+    """What is learned, from what, for how long."""
+    add = parser.add_argument
+    epochs = f"{MotionTraining().epochs}; of a pose prior {PoseTraining().epochs} at most"
+    add(
+        "--motions",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="AMASS, BVH, DeepMimic, CAPE or hfb's own motion files",
+    )
+    add("--kind", choices=("motion", "pose"), default="motion", help="how people move, or how they stand [motion]")
+    add("--epochs", type=int, metavar="N", help=f"passes over the data [{epochs}]")
+    add("--seed", type=int, default=0, metavar="S", help="of everything that is random [0]")
+    add(
+        "--test", nargs="+", default=[], metavar="PATTERN",
+        help="names of motions, such as 'cmu_09_*', that are only measured on, at the very end",
+    )  # fmt: skip
+    add(
+        "--held-out", nargs="+", default=[], metavar="PATTERN",
+        help="names that are measured on for choosing, a person or another studio [every fourth motion]",
+    )  # fmt: skip
+
+
+def plan_of(given: argparse.Namespace) -> TrainingPlan:
+    """The plan that the flags describe.
+
+    Raises:
+        InputError: a number that no training takes.
+    """
+    from flows.train_prior import TrainingPlan
+
+    content: dict[str, Any] = {"motions": given.motions, "kind": given.kind, "seed": given.seed}
+    content |= {"tests": given.test, "held_out": given.held_out}
+    if given.epochs is not None:
+        content[given.kind] = {"epochs": given.epochs}
+    return to_record(TrainingPlan, content, "options")
+
+
+def training_text(result: Mapping[str, Any]) -> str:
+    """The few lines that end a training."""
+    data = result["data"]
+    counts = ", ".join(f"{len(data[part])} {words}" for part, words in _PARTS.items() if data[part])
+    lines = ["", f"motions  {counts}" + (f" ({len(data['refused'])} left out)" if data["refused"] else "")]
+    for part, words in _PARTS.items():
+        found = result["measures"].get(part)
+        if found:
+            told = [
+                f"{label} {found['all'][name]:{form}}"
+                for name, (label, form) in _SHOWN.items()
+                if found["all"].get(name) is not None
+            ]
+            lines.append(f"{words:<14}{', '.join(told)}")
+    lines += [f"training {result['training_seconds']:.0f} s", f"result   {result['out']}"]
+    if result.get("mlflow_link"):
+        lines.append(f"MLflow   {result['mlflow_link']}")
+    return "\n".join(lines)
+
+
+_PARTS = {"trained": "learned from", "held_out": "held out", "tested": "tested"}
+_SHOWN = {
+    "whole_body": ("direction known: whole body", ".0%"),
+    "joint": ("joints", ".0%"),
+    "prior_at_50": ("prior's median", ".1f"),
+    "prior_at_95": ("at 95 %", ".1f"),
+}

@@ -1,0 +1,114 @@
+"""Start the flow of one flow run if its deployment is one of infra/prefect.yaml. Run as a program in containers.
+
+A deployment's row at the server may name any entrypoint, and steps that are run before it. Here the row only chooses
+among our own flows: nothing that it holds is imported or run, neither to start a flow nor for its hooks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from uuid import UUID
+
+from anyio import TASK_STATUS_IGNORED
+from anyio.abc import TaskStatus
+from prefect.client.orchestration import PrefectClient, get_client
+from prefect.client.schemas.objects import FlowRun, State
+from prefect.exceptions import ObjectNotFound
+from prefect.runner._flow_run_executor import FlowRunExecutorContext
+from prefect.runner._process_manager import ProcessHandle
+from prefect.runner._starter_engine import EngineCommandStarter
+from prefect.states import Crashed
+from prefect.utilities.processutils import command_to_string
+
+ENTRYPOINTS = frozenset(f"flows.deployed.{name}" for name in ("fit", "video", "batch", "benchmark", "train"))
+COMMAND = "python -P -m flows.runtime.deployment_run"
+_ENGINE = command_to_string([sys.executable, "-P", "-m", "prefect.engine"])  # -P: not what lies in the current folder
+
+
+class NotOurs(RuntimeError):
+    """A flow run that is not of a deployment of ours."""
+
+
+async def entrypoint_of(flow_run: FlowRun, client: PrefectClient) -> str:
+    """The flow of ours that a flow run is of.
+
+    Raises:
+        NotOurs: it has no deployment, or one with other code or steps of its own.
+    """
+    try:
+        deployment = await client.read_deployment(flow_run.deployment_id) if flow_run.deployment_id else None
+    except ObjectNotFound:
+        deployment = None
+    if deployment is None:
+        raise NotOurs("workers of hfb start runs of its deployments alone: this run has none")
+    if deployment.entrypoint not in ENTRYPOINTS or deployment.pull_steps:
+        raise NotOurs(
+            f"workers of hfb start its own flows alone: the deployment {deployment.name} has other code, or steps "
+            "before it; `python infra/deploy.py` puts ours in place"
+        )
+    return deployment.entrypoint
+
+
+async def supervise(
+    flow_run: FlowRun,
+    entrypoint: str,
+    environment: Mapping[str, str | None],
+    task_status: TaskStatus[int] = TASK_STATUS_IGNORED,
+) -> tuple[int, str]:
+    """Run a flow in a process of its own until it ends or is cancelled; its exit code and process id."""
+    async with FlowRunExecutorContext() as context:
+        with TemporaryDirectory(prefix="hfb-run-", ignore_cleanup_errors=True) as folder:
+            starter = EngineCommandStarter(
+                command=_ENGINE,
+                cwd=Path(folder),
+                env={**environment, "PREFECT__FLOW_ENTRYPOINT": entrypoint},
+                control_channel=context.control_channel,
+                env_overrides_settings=True,
+            )
+            executor = context.create_executor(flow_run, starter, hook_runner=_NoHooks(), propose_submitting=False)
+            execution = await executor.submit(task_status=_process_id(task_status))
+    if execution is None or execution.status_code is None:
+        raise RuntimeError("the process of the flow run did not start")
+    return execution.status_code, str(execution.handle.pid)
+
+
+def _process_id(task_status: TaskStatus[int]) -> Any:
+    class _Told:
+        def started(self, handle: ProcessHandle) -> None:
+            assert handle.pid is not None
+            task_status.started(handle.pid)
+
+    return _Told()
+
+
+class _NoHooks:
+    """Our flows have no hooks for crashes and cancellations: what a row at the server says of them is not looked at."""
+
+    async def run_cancellation_hooks(self, flow_run: FlowRun, state: State[Any]) -> None:
+        """None."""
+
+    async def run_crashed_hooks(self, flow_run: FlowRun, state: State[Any]) -> None:
+        """None."""
+
+
+async def _in_a_container() -> int:
+    async with get_client() as client:
+        flow_run = await client.read_flow_run(UUID(os.environ["PREFECT__FLOW_RUN_ID"]))
+        try:
+            entrypoint = await entrypoint_of(flow_run, client)
+        except NotOurs as refused:
+            await client.set_flow_run_state(flow_run.id, Crashed(message=str(refused)), force=True)
+            print(refused, file=sys.stderr)
+            return 2
+    code, _ = await supervise(flow_run, entrypoint, {})
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(asyncio.run(_in_a_container()))

@@ -1,0 +1,108 @@
+"""Workers that start hfb's flows and nothing else: what Prefect's own take from a run or a pool has no effect here.
+
+Prefect's process worker lets whoever starts a run choose its command, environment and folder (job variables), and
+loads the code that a deployment names. `prefect worker start --pool hfb` finds these classes by the pool's type.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, Self
+
+from anyio import TASK_STATUS_IGNORED
+from anyio.abc import TaskStatus
+from prefect.client.orchestration import PrefectClient
+from prefect.client.schemas.objects import FlowRun
+from prefect.workers.base import BaseJobConfiguration, BaseVariables, BaseWorker, BaseWorkerResult
+
+from flows.runtime.deployment_run import COMMAND, entrypoint_of, supervise
+
+BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
+_SHORTEST_BEAT_S = 30  # Prefect's
+NO_VARIABLES: Mapping[str, Any] = {"type": "object", "properties": {}, "additionalProperties": False}
+
+
+class FixedConfiguration(BaseJobConfiguration):
+    """How a process for a flow run is started: as the worker is, whatever run, deployment and pool say.
+
+    The pool tells one thing: how often a run is to be heard of, since its server ends runs that fall silent.
+    """
+
+    @classmethod
+    async def from_template_and_values(
+        cls, base_job_template: dict[str, Any], values: dict[str, Any], client: PrefectClient | None = None
+    ) -> Self:
+        """See the class."""
+        beat = (base_job_template.get("job_configuration", {}).get("env") or {}).get(BEAT)
+        given = isinstance(beat, str) and beat.isdecimal() and int(beat) >= _SHORTEST_BEAT_S
+        return cls(env={BEAT: beat} if given else {})
+
+
+class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult]):
+    """Starts each flow run in a process of its own on this machine."""
+
+    type = "hfb"
+    job_configuration = FixedConfiguration
+    _display_name = "hfb"
+    _description = "Runs the flows of hfb, and no others, in processes beside the worker."
+
+    @classmethod
+    def get_default_base_job_template(cls) -> dict[str, Any]:
+        """Of a pool that a worker makes itself: nothing to fill in."""
+        return {"job_configuration": {"env": {}}, "variables": dict(NO_VARIABLES)}
+
+    async def run(
+        self, flow_run: FlowRun, configuration: FixedConfiguration, task_status: TaskStatus[int] | None = None
+    ) -> BaseWorkerResult:
+        """Refuse what is not ours, else run it to its end."""
+        entrypoint = await entrypoint_of(flow_run, self.client)
+        environment = {**os.environ, **configuration.env}
+        code, process = await supervise(flow_run, entrypoint, environment, task_status or TASK_STATUS_IGNORED)
+        return BaseWorkerResult(status_code=code, identifier=process)
+
+
+def _fixed(configuration: type[Any]) -> type[Any]:
+    """A job configuration of containers whose image and mounts are the pool's, and whose command is ours."""
+
+    class Fixed(configuration):
+        """Job variables of runs and deployments have no effect."""
+
+        @classmethod
+        async def from_template_and_values(
+            cls, base_job_template: dict[str, Any], values: dict[str, Any], client: PrefectClient | None = None
+        ) -> Any:
+            """See the class."""
+            return await super().from_template_and_values(base_job_template, {}, client=client)
+
+        def prepare_for_flow_run(self, *args: Any, **kwargs: Any) -> None:
+            """See the class."""
+            self.command = COMMAND
+            if hasattr(self, "job_manifest"):  # of a job in Kubernetes, where the command is a container's arguments
+                for container in self.job_manifest["spec"]["template"]["spec"]["containers"]:
+                    container.pop("command", None)
+                    container["args"] = COMMAND
+            super().prepare_for_flow_run(*args, **kwargs)
+
+    return Fixed
+
+
+with suppress(ImportError):  # hfb[team] has it
+    from prefect_docker.worker import DockerWorker
+
+    class HfbDockerWorker(DockerWorker):
+        """Starts each flow run in a container of its own."""
+
+        type = "hfb-docker"
+        job_configuration = _fixed(DockerWorker.job_configuration)
+
+
+with suppress(ImportError):
+    from prefect_kubernetes.worker import KubernetesWorker
+
+    class HfbKubernetesWorker(KubernetesWorker):
+        """Starts each flow run in a job of its own."""
+
+        type = "hfb-kubernetes"
+        job_configuration = _fixed(KubernetesWorker.job_configuration)

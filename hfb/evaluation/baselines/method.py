@@ -1,0 +1,31 @@
+"""What the judge compares: anything that turns an observation into a claim about the motion."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from hfb.datasets.case import Case
+from hfb.evaluation.prediction import Prediction
+from hfb.motion.static_pose import FirstBody
+from hfb.rendering.observation import Observation
+
+
+@runtime_checkable
+class Method(Protocol):
+    """One method, ready to answer case after case; every answer is a function of its arguments alone."""
+
+    name: str
+
+    def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
+        """Answer one case.
+
+        Args:
+            case: of its files only oracles, which say so in their names, read the truth; folders of other systems'
+                results are looked up by its number.
+            observation: with estimated mattes.
+            starts: the static estimate of every frame, the same for all methods.
+
+        Raises:
+            InputError: this case cannot be answered (nobody found, a network that fails).
+            FloatingPointError: the optimisation or a network left the finite numbers.
+        """
+        ...

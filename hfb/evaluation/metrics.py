@@ -1,0 +1,273 @@
+"""How far a motion is from the truth, and a picture from the one it explains.
+
+Joints are SMPL's 24 in metres, camera coordinates; R counts sub-frames, frame after frame. Everything is computed
+in float64, errors are in millimetres. A real video's truth knows only some joints, and those not always:
+`subset_errors` leaves out what is NaN there; nothing else does.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hfb.body.skeleton import H36M_14
+from hfb.geometry.procrustes import align_known, align_similarity, rotate_sequence
+from hfb.typing import Array, Bool, Float
+
+_PELVIS = 0
+
+Metric = Callable[[Array, Array], float]
+
+
+def mpjpe_mm(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
+) -> float:
+    """Mean per joint position error [mm], the pelvis (joint 0) centred, after one rotation of the whole sequence.
+
+    The one rotation (Kabsch, no scale, over all joints of all sub-frames) aligns the predicted sequence's axes with
+    the truth's, as the paper does; it is no rotation per sub-frame, so a wrong turn within the sequence counts.
+
+    Args:
+        joints: over which the mean is taken (the alignment uses all); every joint when not given.
+    """
+    return _mean_mm(_aligned_residual(predicted, truth), joints)
+
+
+def pa_mpjpe_mm(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
+) -> float:
+    """MPJPE [mm] after a similarity (rotation, translation, scale) per sub-frame, of the chosen joints."""
+    chosen = slice(None) if joints is None else list(joints)
+    source, target = _float64(predicted)[:, chosen], _float64(truth)[:, chosen]
+    return _mean_mm(align_similarity(source, target) - target, None)
+
+
+def in_plane_depth_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> tuple[float, float]:
+    """MPJPE's residuals split along the camera's axes: mean length across the view (x, y), mean |z| along it [mm]."""
+    residual = _aligned_residual(predicted, truth)
+    return 1000 * float(np.linalg.norm(residual[..., :2], axis=-1).mean()), 1000 * float(abs(residual[..., 2]).mean())
+
+
+def joint_errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "J"]:
+    """`mpjpe_mm` joint by joint: each one's mean over the sub-frames [mm], after the same alignment of all of them."""
+    return errors_mm(predicted, truth).mean(0)
+
+
+def errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "R J"]:
+    """The distances whose mean is `mpjpe_mm`, joint by joint and sub-frame by sub-frame [mm]."""
+    return 1000 * np.linalg.norm(_aligned_residual(predicted, truth), axis=-1)
+
+
+@dataclass(frozen=True)
+class SubsetErrors:
+    """Errors over the joints that the truth knows [mm]; NaN where it knows too little to tell.
+
+    Attributes:
+        mpjpe_mm, in_plane_mm, depth_mm: after one rotation of the sequence, centred as asked, over the sub-frames in
+            which the centre is known.
+        pa_mpjpe_mm: after a similarity per sub-frame, over those with three known joints or more.
+        joints_mm: MPJPE joint by joint.
+    """
+
+    mpjpe_mm: float
+    pa_mpjpe_mm: float
+    in_plane_mm: float
+    depth_mm: float
+    joints_mm: Float[Array, "P"]
+
+
+def subset_errors(
+    predicted: Float[Array, "R P 3"], truth: Float[Array, "R P 3"], centre: Sequence[int]
+) -> SubsetErrors:
+    """Errors where only some joints are known, at some instants.
+
+    Args:
+        predicted: the same joints as in the truth.
+        truth: NaN where a joint is unknown at an instant; such a joint counts nowhere, neither in an alignment nor in a
+            mean.
+        centre: positions within P whose mean stands in for the pelvis, such as the two hips; a sub-frame in which one
+            of them is unknown is left out of MPJPE.
+
+    Raises:
+        ValueError: the prediction is not finite where the truth is known.
+    """
+    source, target = _float64(predicted), _float64(truth)
+    known = np.isfinite(target).all(-1)
+    if not np.isfinite(source[known]).all():
+        raise ValueError("the prediction is not finite")
+    source, target = np.where(known[..., None], source, 0), np.where(known[..., None], target, 0)
+    counted = known & known[:, list(centre)].all(1)[:, None]
+    residual = _aligned_residual(source, target, list(centre), counted)
+    errors = 1000 * np.where(counted, np.linalg.norm(residual, axis=-1), np.nan)
+    similar = known & (known.sum(1) >= 3)[:, None]
+    pa_residual = align_known(source, target, similar) - target
+    return SubsetErrors(
+        mpjpe_mm=_mean_of_known(errors),
+        pa_mpjpe_mm=1000 * _mean_of_known(np.where(similar, np.linalg.norm(pa_residual, axis=-1), np.nan)),
+        in_plane_mm=1000 * _mean_of_known(np.where(counted, np.linalg.norm(residual[..., :2], axis=-1), np.nan)),
+        depth_mm=1000 * _mean_of_known(np.where(counted, abs(residual[..., 2]), np.nan)),
+        joints_mm=np.array([_mean_of_known(column) for column in errors.T]),
+    )
+
+
+def reverse_time(joints: Float[Array, "R *s"], frames: int = 1) -> Float[Array, "R *s"]:
+    """The same poses, or silhouettes, with the sub-frames of every frame in the opposite order.
+
+    A uniform exposure looks the same either way: this is what one frame cannot tell.
+    """
+    return joints.reshape(frames, -1, *joints.shape[1:])[:, ::-1].reshape(joints.shape)
+
+
+def wrong_direction(
+    predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1, metric: Metric = mpjpe_mm
+) -> Bool[Array, "T"]:
+    """Per frame: would the prediction be nearer to the truth, by this metric, with its time reversed?"""
+    pairs = zip(np.split(predicted, frames), np.split(truth, frames), strict=True)
+    return np.array([metric(one[::-1], other) < metric(one, other) for one, other in pairs])
+
+
+def turned_in_time(rows: Float[Array, "R *s"], wrong: Bool[Array, "T"]) -> Float[Array, "R *s"]:
+    """The same rows, with time reversed in the frames whose direction is wrong."""
+    turned = np.repeat(wrong, len(rows) // len(wrong))
+    return np.where(turned.reshape(-1, *[1] * (rows.ndim - 1)), reverse_time(rows, len(wrong)), rows)
+
+
+def better_of_both(
+    metric: Metric, predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1
+) -> float:
+    """The metric of the prediction with every frame turned to the direction of time that suits it better."""
+    return metric(turned_in_time(predicted, wrong_direction(predicted, truth, frames, metric)), truth)
+
+
+@dataclass(frozen=True)
+class MotionErrors:
+    """What a results table needs of one clip; all lengths in mm.
+
+    Attributes:
+        mpjpe_mm, pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        mpjpe_14_mm, pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        better_mpjpe_mm, better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        in_plane_mm, depth_mm: MPJPE's residuals across and along the view.
+        wrong_direction: share of frames that would be nearer to the truth with their time reversed.
+    """
+
+    mpjpe_mm: float
+    pa_mpjpe_mm: float
+    mpjpe_14_mm: float
+    pa_mpjpe_14_mm: float
+    better_mpjpe_mm: float
+    better_pa_mpjpe_mm: float
+    in_plane_mm: float
+    depth_mm: float
+    wrong_direction: float
+
+
+def motion_errors(predicted: Float[Array, "R 24 3"], truth: Float[Array, "R 24 3"], frames: int = 1) -> MotionErrors:
+    """All motion metrics of one clip of `frames` frames with R / frames sub-frames each."""
+    in_plane, depth = in_plane_depth_mm(predicted, truth)
+    return MotionErrors(
+        mpjpe_mm=mpjpe_mm(predicted, truth),
+        pa_mpjpe_mm=pa_mpjpe_mm(predicted, truth),
+        mpjpe_14_mm=mpjpe_mm(predicted, truth, H36M_14),
+        pa_mpjpe_14_mm=pa_mpjpe_mm(predicted, truth, H36M_14),
+        better_mpjpe_mm=better_of_both(mpjpe_mm, predicted, truth, frames),
+        better_pa_mpjpe_mm=better_of_both(pa_mpjpe_mm, predicted, truth, frames),
+        in_plane_mm=in_plane,
+        depth_mm=depth,
+        wrong_direction=float(wrong_direction(predicted, truth, frames).mean()),
+    )
+
+
+def blur_rate(silhouettes: Float[Array, "S H W"]) -> float:
+    """|union of R_S(i)| / |R_S(1)| - 1, the union being the pixelwise maximum: 0 for a body at rest.
+
+    Of one frame; the rate of a clip is the mean over its frames.
+
+    Raises:
+        ValueError: the first silhouette is empty.
+    """
+    first = _float64(silhouettes[0]).sum()
+    if first <= 0:
+        raise ValueError("the blur rate is undefined: the first sub-frame's silhouette is empty")
+    return float(_float64(silhouettes.max(0)).sum() / first - 1)
+
+
+def soft_iou(alpha: Float[Array, "H W"], matte: Float[Array, "H W"]) -> float:
+    """sum min / sum max of two mattes, the paper's IoU: 1 only where they agree. Two empty ones agree."""
+    covered = _float64(np.maximum(alpha, matte)).sum()
+    return float(_float64(np.minimum(alpha, matte)).sum() / covered) if covered > 0 else 1.0
+
+
+def silhouette_iou(predicted: Float[Array, "S H W"], truth: Float[Array, "S H W"]) -> float:
+    """IoU of rendered against true silhouettes, sub-frame by sub-frame; their mean."""
+    return float(np.mean([soft_iou(one, other) for one, other in zip(predicted, truth, strict=True)]))
+
+
+def psnr_db(
+    predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
+) -> float:
+    """Peak signal-to-noise ratio [dB] of pictures in [0, 1]; infinite where they are equal.
+
+    Args:
+        mask: weight per pixel, such as the matte; the whole picture when not given, or when it is empty.
+    """
+    squared = ((_float64(predicted) - _float64(truth)) ** 2).mean(-1)
+    weighted = mask is not None and mask.sum() > 0
+    error = float(np.average(squared, weights=_float64(mask)) if weighted and mask is not None else squared.mean())
+    return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def ssim(
+    predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
+) -> float:
+    """Structural similarity of pictures in [0, 1], 1 where they are equal (Wang et al. 2004, eq. 13, mean of channels).
+
+    The paper's own settings: a Gaussian window of sigma 1.5 (11 pixels), biased covariances, K1 .01, K2 .03.
+
+    Args:
+        mask: weight per pixel of the map of similarities, such as the matte; when not given, or when it is empty, the
+            mean is over the picture but for a rim of half a window.
+
+    Raises:
+        ValueError: a picture smaller than the window.
+    """
+    from skimage.metrics import structural_similarity  # slow to import, and few need it
+
+    whole, per_pixel = structural_similarity(
+        _float64(predicted), _float64(truth), gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+        data_range=1.0, channel_axis=-1, full=True,
+    )  # fmt: skip
+    if mask is None or mask.sum() <= 0:
+        return float(whole)
+    return float(np.average(per_pixel.mean(-1), weights=_float64(mask)))
+
+
+def _float64(values: Array) -> Array:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _aligned_residual(
+    predicted: Array, truth: Array, centre: Sequence[int] = (_PELVIS,), counted: Array | None = None
+) -> Array:
+    """predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
+
+    The rotation is the best one for the counted joints; the residual of others means nothing.
+    """
+    source, target = _float64(predicted), _float64(truth)
+    source = source - source[:, centre].mean(1, keepdims=True)
+    target = target - target[:, centre].mean(1, keepdims=True)
+    if counted is not None:
+        source, target = source * counted[..., None], target * counted[..., None]
+    return rotate_sequence(source, target) - target
+
+
+def _mean_of_known(values: Array) -> float:
+    """Mean without the NaN; NaN of none."""
+    known = np.isfinite(values)
+    return float(values[known].mean()) if known.any() else math.nan
+
+
+def _mean_mm(residual: Array, joints: Sequence[int] | None) -> float:
+    chosen = slice(None) if joints is None else list(joints)
+    return 1000 * float(np.linalg.norm(residual[:, chosen], axis=-1).mean())

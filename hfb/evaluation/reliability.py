@@ -1,0 +1,76 @@
+"""Is a method as sure as it should be? What it said about its own errors, against what happened."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hfb.evaluation.metrics import errors_mm
+from hfb.fitting.alternatives import Alternatives
+from hfb.fitting.confidence import radius_factor
+from hfb.typing import Array, Float
+
+LEVELS: tuple[float, ...] = (0.1, 0.25, 0.5, 0.75, 0.9)
+"""Probabilities at which the joints' radii are checked."""
+
+WITHIN: tuple[str, ...] = tuple(f"within_p{100 * level:.0f}" for level in LEVELS)
+"""Columns of the rows: the share of a case's joints whose error is within the radius said for that probability."""
+
+COLUMNS: tuple[str, ...] = (*WITHIN, "radius_mm", "direction_said")
+DIRECTION_EDGES: tuple[float, ...] = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+"""Directions are compared group by group of what was said: a probability on an edge belongs to the upper group."""
+
+
+def joint_row(
+    joints: Float[Array, "R 24 3"], radius_mm: Float[Array, "R 24"], exponent: float, true: Float[Array, "R 24 3"]
+) -> dict[str, float]:
+    """What a row says of one case's radii, over all joints but the pelvis, about which all is measured.
+
+    Args:
+        radius_mm: the radii that hold half of the errors. exponent: of the law that gives the other probabilities.
+        true: the true joints at the same instants [m].
+    """
+    errors, radii = errors_mm(joints, true)[:, 1:], radius_mm[:, 1:]
+    shares = [float((errors <= radii * radius_factor(level, exponent)).mean()) for level in LEVELS]
+    return dict(zip(WITHIN, shares, strict=True)) | {"radius_mm": float(radii.mean())}
+
+
+def direction_row(alternatives: Alternatives) -> dict[str, float | None]:
+    """P(direction right) as said, the mean over the frames; None where nothing moved enough to have one."""
+    said = alternatives.body_right()
+    return {"direction_said": float(said.mean()) if np.isfinite(said).all() else None}
+
+
+def reliability_cell(values: Mapping[str, Float[Array, "C"]]) -> dict[str, Any]:
+    """Entries of a results cell: what happened at every level, and how far that is from what was said.
+
+    ``radius_error`` is the mean over the levels of |said - happened|, ``direction_error`` the expected calibration
+    error of the directions: the mean over the groups of |mean said - share right|, weighted by their cases.
+    """
+    known = np.isfinite(values["radius_mm"])
+    shares = [float(values[name][known].mean()) if known.any() else None for name in WITHIN]
+    off = [abs(share - level) for share, level in zip(shares, LEVELS, strict=True) if share is not None]
+    groups = direction_groups(values)
+    cases = sum(group["n"] for group in groups)
+    return {
+        **dict(zip(WITHIN, shares, strict=True)),
+        "radius_mm": float(values["radius_mm"][known].mean()) if known.any() else None,
+        "radius_error": float(np.mean(off)) if off else None,
+        "direction_said": float(sum(group["n"] * group["said"] for group in groups) / cases) if cases else None,
+        "direction_error": (
+            float(sum(group["n"] * abs(group["said"] - group["right"]) for group in groups) / cases) if cases else None
+        ),
+    }
+
+
+def direction_groups(values: Mapping[str, Float[Array, "C"]]) -> list[dict[str, Any]]:
+    """Cases grouped by P(direction right) as said: their number, the mean said, the share that was right."""
+    said, right = values["direction_said"], 1 - values["wrong_direction"]
+    known = np.isfinite(said) & np.isfinite(right)
+    place = np.digitize(said, DIRECTION_EDGES[1:-1])
+    members = [known & (place == index) for index in range(len(DIRECTION_EDGES) - 1)]
+    return [
+        {"n": int(one.sum()), "said": float(said[one].mean()), "right": float(right[one].mean())}
+        for one in members
+        if one.any()
+    ]

@@ -1,0 +1,137 @@
+"""A small network that weighs what is told of a joint's depth: by pictures, by joints across the view, by the fit.
+
+Before a fit's stages of full size four things say how deep a joint lies: the joint network about the picture, the same
+about the fit's own picture (of which the truth is known, so that the difference corrects the fit, see
+`hfb.fitting.comparison`), the lifting network, and the fit itself. Their weights depend on the joint and
+on how far they are apart. One set of weights serves all joints, so that some thousand fits are enough to learn from.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+import torch
+from safetensors.torch import load_file
+from torch import nn
+
+from hfb.body.skeleton import JOINT_COUNT, MIRROR, PARENT_OR_SELF
+from hfb.evidence.lifting_network import as_large, lift
+from hfb.kernels.determinism import one_torch_thread
+from hfb.typing import Float, Tensor
+
+FACTS = 33
+
+_WIDTH = 96
+_OUTPUT_SCALE = 0.1
+"""Of a window's unit: corrections of about unit size learn best."""
+
+
+class DepthFusion(nn.Module):
+    """Two hidden layers for each joint by itself, all joints alike but for a vector of their own.
+
+    Attributes:
+        mean, spread: (FACTS,) of what it learned from.
+    """
+
+    mean: Tensor
+    spread: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(FACTS))
+        self.register_buffer("spread", torch.ones(FACTS))
+        self.joint = nn.Parameter(torch.randn(JOINT_COUNT, _WIDTH))
+        self.enter = nn.Linear(FACTS, _WIDTH)
+        self.hidden = nn.Linear(_WIDTH, _WIDTH)
+        self.forget = nn.Dropout(0.1)
+        self.leave = nn.Linear(_WIDTH, 1)
+        nn.init.zeros_(self.leave.weight)
+        nn.init.zeros_(self.leave.bias)
+
+    def forward(self, facts: Float[Tensor, "*n 24 f"]) -> Float[Tensor, "*n 24"]:
+        """By how much each joint lies deeper than the lifting network says [units]; see `DepthCues.facts`."""
+        values = nn.functional.gelu(self.enter((facts - self.mean) / self.spread) + self.joint)
+        values = self.forget(nn.functional.gelu(self.hidden(values)))
+        corrections: Tensor = _OUTPUT_SCALE * self.leave(values)[..., 0]
+        return corrections
+
+
+@dataclass(frozen=True)
+class DepthCues:
+    """What is told of T neighbouring frames, in the units of their windows (`hfb.evidence.joint_network.Window`).
+
+    Attributes:
+        fitted: the fit's joints from the pelvis. start: what it began from. lengths: of its bones.
+        perspective: `Window.units_to_tangents`. unit_m: a unit in metres at the pelvis' distance.
+        claimed: what the joint network says about the picture, and the ``scale`` of its error.
+        shown: what it says about the fit's own picture.
+    """
+
+    fitted: Float[Tensor, "T 24 3"]
+    start: Float[Tensor, "T 24 3"]
+    lengths: Float[Tensor, "T 24"]
+    perspective: Float[Tensor, "T"]
+    unit_m: Float[Tensor, "T"]
+    claimed: Float[Tensor, "T 24 3"]
+    scale: Float[Tensor, "T 24 3"]
+    shown: Float[Tensor, "T 24 3"]
+
+    def lifted(self) -> Float[Tensor, "T 24"]:
+        """Depth by the lifting network."""
+        return lift(self.fitted, self.start, self.lengths, self.perspective)
+
+    def mirrored(self) -> "DepthCues":
+        """Of the mirror images."""
+        mirror, turned = list(MIRROR), self.fitted.new_tensor([-1.0, 1.0, 1.0])
+        fitted, start, claimed, shown = (
+            one[:, mirror] * turned for one in (self.fitted, self.start, self.claimed, self.shown)
+        )
+        return DepthCues(
+            fitted, start, self.lengths[:, mirror], self.perspective, self.unit_m, claimed, self.scale[:, mirror], shown
+        )
+
+    def facts(self, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "T 24 f"]:
+        """What `DepthFusion` is told: differences between the cues, of the joints and of their bones."""
+        fitted, start, claimed, shown = (
+            (one - one[:, :1]).detach().float() for one in (self.fitted, self.start, self.claimed, self.shown)
+        )
+        start = as_large(start, fitted[..., :2])
+        apart = torch.stack([one[..., 2] - lifted for one in (claimed, shown, fitted, start)], -1)
+        across = torch.cat([one[..., :2] - fitted[..., :2] for one in (claimed, shown)], -1)
+        own = torch.cat([apart, lifted[..., None], across, fitted], -1)
+        bones = own - own[:, list(PARENT_OR_SELF)]
+        alone = torch.full_like(self.unit_m, float(len(fitted) == 1))
+        of_frames = [one[:, None].expand_as(self.lengths) for one in (self.unit_m, alone)]
+        rest = torch.cat([self.scale.log(), torch.stack([self.lengths, *of_frames], -1)], -1).detach().float()
+        return torch.cat([own, bones, _of_neighbours(apart[..., :3]), rest], -1)
+
+
+def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
+    """The mean of the frames before and after; of a single frame its own."""
+    if len(values) == 1:
+        return values
+    before, after = values[:-1], values[1:]
+    return torch.cat([after[:1], (before[:-1] + after[1:]) / 2, before[-1:]])
+
+
+def facts_both_ways(cues: DepthCues, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "2 T 24 f"]:
+    """Of the frames and of their mirror images."""
+    return torch.stack([cues.facts(lifted), cues.mirrored().facts(lifted[:, list(MIRROR)])])
+
+
+def fuse(cues: DepthCues) -> Float[Tensor, "T 24"]:
+    """Depth behind the pelvis by the shipped network: the mean for the frames and their mirror images."""
+    lifted = cues.lifted()
+    with one_torch_thread(), torch.inference_mode():
+        seen, reflected = shipped_depth_fusion()(facts_both_ways(cues, lifted))
+        fused = lifted + (seen + reflected[:, list(MIRROR)]) / 2
+    return fused.clone()  # what inference mode makes must not enter a graph
+
+
+@lru_cache(maxsize=1)
+def shipped_depth_fusion() -> DepthFusion:
+    """With the weights of data/depth_fusion.safetensors; data/depth_fusion.json tells how they were made."""
+    network = DepthFusion()
+    with resources.as_file(resources.files("hfb.evidence") / "data" / "depth_fusion.safetensors") as path:
+        network.load_state_dict(load_file(path))
+    return network.requires_grad_(False).eval()

@@ -1,0 +1,237 @@
+"""A clip in windows: a few neighbouring frames each, fitted by themselves, overlapping by one frame.
+
+With the person known, no window needs another's result: they can be fitted in any order and at once, and the cost
+grows in proportion to the frames.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.config import FitConfig, RunConfig
+from hfb.errors import InputError
+from hfb.fitting.clip_person import ClipPerson, as_person
+from hfb.fitting.loop import FitResult, Problem, fit_all
+from hfb.io.array_files import read_arrays
+from hfb.motion.motion_file import write_arrays
+from hfb.motion.static_pose import FirstBody
+from hfb.motion.trajectory import Trajectory
+from hfb.priors.motion_prior import MotionPrior
+from hfb.priors.pose import PosePrior
+from hfb.rendering.observation import Observation
+from hfb.typing import Array, Bool, Float, Tensor
+
+
+def windows_at_once(config: FitConfig) -> int:
+    """How many windows are one problem (`fit_all`): a device would be idle with one."""
+    return config.at_once if config.rasterizer in ("cuda", "warp") else 1
+
+
+@dataclass(frozen=True)
+class ClipWindow:
+    """Neighbouring frames of a clip that are fitted jointly.
+
+    Attributes:
+        frames: their numbers in the clip, one after another.
+        segment: which unbroken stretch of the clip they belong to, counted from 0.
+    """
+
+    frames: tuple[int, ...]
+    segment: int
+
+
+@dataclass(frozen=True)
+class WindowFit:
+    """What the fit of one window found, in metres and camera coordinates.
+
+    Attributes:
+        frames, segment: see `ClipWindow`.
+        texture: linear light; None where the person was known.
+        joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
+        loss: the kept iterate's weighted sum; history: one value per iteration of every term.
+    """
+
+    frames: tuple[int, ...]
+    segment: int
+    trajectory: Trajectory
+    betas: Float[Tensor, "10"]
+    texture: Float[Tensor, "A A 3"] | None
+    joint_radius_mm: Float[Array, "T S 24"] | None
+    loss: float
+    seconds: float
+    history: dict[str, list[float]] = field(default_factory=dict)
+
+
+def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...]:
+    """Cut every unbroken run of usable frames into windows of `length` frames that share one with the next.
+
+    The last window of a run is shorter where the run does not divide; a lone frame is a window of its own.
+    """
+    if length < 2:
+        raise ValueError(f"windows of {length} frames cannot overlap: give 2 or more")
+    windows: list[ClipWindow] = []
+    for segment, run in enumerate(runs(usable)):
+        firsts = range(run.start, max(run.stop - 1, run.start + 1), length - 1)
+        windows += [ClipWindow(tuple(range(at, min(at + length, run.stop))), segment) for at in firsts]
+    return tuple(windows)
+
+
+def runs(usable: Bool[Array, "T"]) -> list[range]:
+    """The unbroken runs of true entries, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
+    return [range(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"], count: int) -> tuple[int, ...]:
+    """Which windows settle the person: from the middle of each equal part of the clip, where most of them is seen.
+
+    Args:
+        matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
+    """
+    whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
+    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
+    seen = np.array([float(np.mean([matte_areas[frame] for frame in window.frames])) for window in windows])
+    several = np.array([len(window.frames) > 1 for window in windows])
+    # A window of one frame knows the least about depth: it is taken only where its part has no other.
+    return tuple(int(part[np.lexsort((-seen[part], ~several[part]))[0]]) for part in parts)
+
+
+def window_config(config: RunConfig) -> FitConfig:
+    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing."""
+    video, base = config.video, config.fit
+    return base.model_copy(
+        update={
+            "stages": video.stages,
+            "settle": min(video.settle, base.settle),
+            "directions": base.directions.model_copy(update={"search": False}),
+        }
+    )
+
+
+def person_config(config: RunConfig) -> FitConfig:
+    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions."""
+    return config.fit.model_copy(update={"directions": config.fit.directions.model_copy(update={"search": False})})
+
+
+@dataclass(frozen=True)
+class WindowScene:
+    """A window and what its fit sees.
+
+    Attributes:
+        observation, first_bodies: of the window's frames alone.
+        person: shape and texture to hold fixed; both are found where it is not given.
+    """
+
+    window: ClipWindow
+    observation: Observation
+    first_bodies: Sequence[FirstBody]
+    person: ClipPerson | None = None
+
+
+def fit_windows(
+    scenes: Sequence[WindowScene],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    motion_prior: MotionPrior | None = None,
+) -> list[WindowFit]:
+    """Fit several windows of one clip: at once on a device (see `fit_all`), in turn otherwise.
+
+    In rooms of one size, so that no window's result depends on which others are fitted beside it.
+    """
+    room = windows_at_once(config)
+    found: dict[int, WindowFit] = {}
+    for kind in sorted({_kind(one) for one in scenes}):
+        alike = [place for place, one in enumerate(scenes) if _kind(one) == kind]
+        for at in range(0, len(alike), room):
+            some = alike[at : at + room]
+            problems = [_problem(scenes[place], body) for place in some]
+            results = fit_all(problems, body, config, seed, pose_prior, None, motion_prior, room)
+            found |= {
+                place: _window_fit(scenes[place], result, config)
+                for place, result in zip(some, results, strict=True)
+            }  # fmt: skip
+    return [found[place] for place in range(len(scenes))]
+
+
+def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
+    """Windows of one kind can be one problem."""
+    seen = scene.observation
+    return len(scene.window.frames), scene.person is not None, seen.exposure_s, seen.interval_s
+
+
+def _problem(scene: WindowScene, body: Body) -> Problem:
+    first_bodies, person = scene.first_bodies, scene.person
+    if person is not None:
+        first_bodies = [as_person(first, person.betas, body) for first in first_bodies]
+    return Problem(scene.observation, first_bodies, person)
+
+
+def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> WindowFit:
+    radius, frames = found.motion.joint_radius_mm, scene.window.frames
+    return WindowFit(
+        frames=frames,
+        segment=scene.window.segment,
+        trajectory=found.trajectory,
+        betas=torch.from_numpy(found.motion.betas).float(),
+        texture=found.texture if scene.person is None else None,
+        joint_radius_mm=None if radius is None else radius.reshape(len(frames), config.subframes, 24),
+        loss=found.loss,
+        seconds=found.seconds,
+        history=found.history,
+    )
+
+
+def save_window(path: Path, found: WindowFit) -> None:
+    """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat."""
+    motion = found.trajectory
+    arrays: dict[str, Array] = {
+        "frames": np.array(found.frames), "segment": np.array(found.segment), "betas": found.betas.double().numpy(),
+        "rotation": motion.rotation.detach().numpy(), "translation": motion.translation.detach().numpy(),
+        "anchor": motion.anchor.detach().numpy(), "kind": np.array(motion.kind), "origin": np.array(motion.origin),
+        "loss": np.array(found.loss), "history": np.array(json.dumps(found.history)),
+    }  # fmt: skip
+    if found.texture is not None:
+        arrays["texture"] = found.texture.detach().numpy()
+    if found.joint_radius_mm is not None:
+        arrays["joint_radius_mm"] = found.joint_radius_mm
+    write_arrays(path, arrays)
+
+
+def load_window(path: Path) -> WindowFit:
+    """Read a window's result; its ``seconds`` are 0.
+
+    Raises:
+        InputError: missing, damaged, or not a window's result.
+    """
+    try:
+        content = read_arrays(path)
+        motion = Trajectory(
+            torch.from_numpy(content["rotation"]),
+            torch.from_numpy(content["translation"]),
+            torch.from_numpy(content["anchor"]),
+            "axis-angle" if str(content["kind"]) == "axis-angle" else "quaternion",
+            float(content["origin"]),
+        )
+        texture = content.get("texture")
+        return WindowFit(
+            frames=tuple(int(frame) for frame in content["frames"]),
+            segment=int(content["segment"]),
+            trajectory=motion,
+            betas=torch.from_numpy(content["betas"]).float(),
+            texture=None if texture is None else torch.from_numpy(texture),
+            joint_radius_mm=content.get("joint_radius_mm"),
+            loss=float(content["loss"]),
+            seconds=0.0,
+            history=json.loads(str(content["history"])),
+        )
+    except FileNotFoundError:
+        raise InputError(f"there is no window's result at {path}") from None
+    except (KeyError, ValueError, TypeError, OSError) as error:
+        raise InputError(f"{path} is not a window's result of hfb ({error}); delete it to have it made again") from None

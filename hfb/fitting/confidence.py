@@ -1,0 +1,116 @@
+"""How far off each joint may be: a radius per joint and sub-frame that holds half of the errors, and the law beyond it.
+
+The error meant is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
+It is taken to follow a Weibull law with one exponent k and a median of its own for every joint and instant,
+
+    P(error <= x) = 1 - 2^-((x / radius)^k),        log radius = b_0 + sum_i b_i f_i,
+
+whose features f_i are read off the fit. The coefficients are fitted by maximum likelihood to fits whose truth is known
+(`infra/calibrate_confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
+from a start that was estimated from its picture as from a simulated one. A new feature is a new entry in
+`hfb.fitting.joint_features`.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from hfb.typing import Array, Float, Int
+
+StartKind = Literal["simulated", "network", "matte"]
+"""Where a first body is from: drawn beside the truth, as benchmarks do; a pose network; the matte's outline alone."""
+
+Features = Mapping[str, Float[Array, "R 24"]]
+_CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
+_KIND_WORDS: Mapping[str, str] = {
+    "simulated": "simulated starts", "network": "starts by a pose network", "matte": "starts by the matte alone"
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ConfidenceModel:
+    """The coefficients of the log-linear radius, and the exponent of the law.
+
+    Attributes:
+        coefficients: b_i by the feature's name. constant: b_0, of a radius in mm.
+        exponent: k.
+        typical: the features' means where the model was fitted: they stand in for what a fit does not know.
+    """
+
+    coefficients: Mapping[str, float]
+    constant: float
+    exponent: float
+    typical: Mapping[str, float]
+
+    def radius_mm(self, features: Features) -> Float[Array, "R 24"]:
+        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured."""
+        exponent = np.full_like(next(iter(features.values())), self.constant)
+        for name, weight in self.coefficients.items():
+            exponent = exponent + weight * features.get(name, self.typical[name])
+        radius = np.exp(exponent)
+        radius[:, 0] = 0
+        return radius
+
+
+def radius_factor(probability: float, exponent: float) -> float:
+    """How many radii hold the error with this probability: the law solved for x / radius."""
+    return float(np.log2(1 / (1 - probability)) ** (1 / exponent))
+
+
+def start_kind(source: str) -> StartKind:
+    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's."""
+    if source in ("simulated", "truth"):
+        return "simulated"
+    return "matte" if source == "matte" else "network"
+
+
+@lru_cache
+def _shipped() -> dict[str, Any]:
+    return json.loads(resources.files("hfb.fitting").joinpath("data/confidence.json").read_text())
+
+
+@lru_cache
+def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
+    """The model that comes with hfb for a kind of start; the exponent is the same for all."""
+    content = _shipped()
+    of_kind = {name: content["by_start"][kind][name] for name in ("coefficients", "constant", "typical")}
+    return ConfidenceModel(exponent=content["exponent"], **of_kind)
+
+
+def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources: Sequence[str]) -> Float[Array, "R 24"]:
+    """Every row's radius, by the source of its frame's first body."""
+    radius = np.empty_like(features["reach"])
+    kinds = np.array([start_kind(source) for source in sources])[frame_index]
+    for kind in get_args(StartKind):
+        rows = kinds == kind
+        radius[rows] = shipped_confidence(kind).radius_mm({name: table[rows] for name, table in features.items()})
+    return radius
+
+
+def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
+    """What the radii of a result rest on: the kinds of its starts, how often radii held there, and a sentence.
+
+    Args:
+        sources: of the first bodies of all frames.
+    """
+    measured = {
+        kind: _shipped()["by_start"][kind]["people_held_out"]
+        for kind in sorted({start_kind(source) for source in sources})
+    }
+    told = "; ".join(
+        f"{_KIND_WORDS[kind]}: {100 * one['within_p50']:.0f} % of joints within the radius said for 50 %, "
+        f"{100 * one['within_p90']:.0f} % within that for 90 % (n {one['n']})"
+        for kind, one in measured.items()
+    )
+    others = sorted({source for source in sources if source not in _CALIBRATED})
+    beyond = f" Starts by {', '.join(others)} were not calibrated: a network's radii are taken." if others else ""
+    sentence = (
+        f"Radii were calibrated on synthetic pictures and checked on people left out. From {told}. Real pictures were "
+        f"not part of it: there errors are larger, above all where front and back are mistaken.{beyond}"
+    )
+    return {"starts": list(measured), "people_held_out": measured, "holds_for": sentence}

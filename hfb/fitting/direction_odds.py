@@ -1,0 +1,43 @@
+"""From evidence to probabilities: a softmax over hypotheses whose few coefficients were measured."""
+
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from hfb.typing import Array, Float
+
+EVIDENCE: tuple[str, ...] = ("excess", "limbs_backwards", "body_backwards", "network_backwards")
+"""What speaks against a hypothesis.
+
+``excess``: by how much the objective's weighted sum, the motion prior left out, is above that of the motion as fitted;
+beyond `LARGEST_EXCESS` more means no more. ``limbs_backwards``, ``body_backwards``: the motion prior's
+-log P(it does not run backwards), per limb and of the body as a whole; ``network_backwards``: the joint network's,
+which saw the picture. All summed over the frames.
+"""
+
+LARGEST_EXCESS = 0.3
+
+
+def probabilities(
+    evidence: Float[Array, "A E"], several: bool, calibration: Mapping[str, Any] | None = None
+) -> Float[Array, "A"]:
+    """P(hypothesis) = softmax of minus the evidence (columns: `EVIDENCE`) times the calibration's coefficients.
+
+    Args:
+        several: of several frames, which the continuity between them ties together.
+        calibration: coefficients by name, for ``single`` and for ``several``; the shipped ones when not given.
+    """
+    chosen = (calibration or shipped_odds())["several" if several else "single"]
+    exponent = -(evidence - evidence[:1]) @ np.array([chosen[name] for name in EVIDENCE])
+    weights = np.exp(exponent - exponent.max())
+    return weights / weights.sum()
+
+
+@lru_cache
+def shipped_odds() -> dict[str, Any]:
+    """The coefficients that come with hfb, and what they were measured on (`infra/calibrate_confidence`)."""
+    return json.loads(resources.files("hfb.fitting").joinpath("data/directions.json").read_text())

@@ -1,0 +1,230 @@
+"""Which way did it move? Hypotheses that run the fitted motion, or a limb of it, backwards in time.
+
+One uniformly exposed picture looks the same whichever way the whole body moved, and nearly the same whichever way a
+single limb did; the fit has settled on one of these motions by chance. Here the others are made from it exactly,
+refitted briefly, and weighed by everything the objective knows (picture, matte, pose prior and, in several frames, the
+continuity between them) and by the motion prior, which has seen how people move.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from hfb.body.model import ShapedBody
+from hfb.config import DirectionsConfig
+from hfb.fitting.alternatives import LIMB_JOINTS, MOVES_M, Alternatives
+from hfb.fitting.direction_odds import EVIDENCE, LARGEST_EXCESS, probabilities
+from hfb.fitting.reversal import limb_columns, reverse_columns
+from hfb.fitting.variables import Variables
+from hfb.kernels.adam import Adam
+from hfb.motion.clock import subframe_clock
+from hfb.motion.sampled import SampledMotion, sample_motion
+from hfb.motion.trajectory import Trajectory
+from hfb.objective.objective import Objective
+from hfb.priors.motion_columns import LIMBS
+from hfb.typing import Array, Bool, Float, Tensor
+
+_REFIT_RATE, _POLISH_RATE = 0.003, 0.002
+"""Learning rates of Adam [rad and m per step]: the motion is nearly right, only what the turn broke is to be mended."""
+
+_ADAM_EPSILON = 1e-4
+_CONVINCING = 1.25
+"""How much likelier than the fitted motion (or its reverse) one has to be whose limbs were turned against the body."""
+
+_IN_DOUBT = (0.02, 1.0)
+"""Excess of the loss, before refitting, between which a refit may change what is thought of a hypothesis."""
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    """A motion with some limbs run backwards, the objective's terms of it, and their weighted sum."""
+
+    reversed_limbs: Bool[Tensor, "T 5"]
+    trajectory: Trajectory
+    terms: dict[str, float]
+    loss: float
+
+    def mirrored(self, found: Variables, objective: Objective, shaped: ShapedBody) -> "_Hypothesis":
+        """The whole motion of one frame backwards: its picture, and so the picture's terms, stay the same."""
+        trajectory = reverse_columns(self.trajectory, limb_columns(torch.ones_like(self.reversed_limbs)))
+        with torch.no_grad():
+            here, there = (
+                _weighed(objective.body_terms(one, found.betas, shaped)) for one in (self.trajectory, trajectory)
+            )
+            change = {name: (there[name] - here[name]).item() for name in here}
+            loss = self.loss + (objective.total(there) - objective.total(here)).item() if here else self.loss
+        terms = {name: value + change.get(name, 0.0) for name, value in self.terms.items()}
+        return _Hypothesis(~self.reversed_limbs, trajectory, terms, loss)
+
+
+def search_directions(
+    found: Variables,
+    coarse: Objective,
+    fine: Objective,
+    config: DirectionsConfig,
+) -> tuple[Trajectory, Alternatives]:
+    """The motion in its likeliest directions (the fitted one bit for bit, where none is likelier), and all others.
+
+    Args:
+        found: what was fitted; its shape and texture are kept by every hypothesis.
+        coarse: the objective of the last stage at a small picture size: there hypotheses are refitted and compared.
+        fine: the objective of the last stage: there the winner is polished, where it is another than what was fitted.
+            Its motion prior is what knows time's arrow; without one a picture says nothing about the whole body.
+    """
+    with torch.no_grad():
+        shaped = fine.body.shape(found.betas)
+    hypotheses = _hypotheses(found, shaped, coarse, config)
+    several = len(hypotheses[0].reversed_limbs) > 1
+    if not several:
+        hypotheses += [one.mirrored(found, coarse, shaped) for one in hypotheses]
+    fitted = hypotheses[0].loss
+    evidence = np.array([_evidence(one, fitted, fine, shaped) for one in hypotheses])
+    scores = {name: np.array([one.terms[name] for one in hypotheses]) for name in hypotheses[0].terms}
+    losses = [one.loss for one in hypotheses]
+    probability = probabilities(evidence, several)
+    as_fitted = [0] if several else [0, len(hypotheses) // 2]  # the motion that was fitted, and exactly its reverse
+    chosen = _likeliest(probability, as_fitted)
+    if chosen not in as_fitted:
+        hypotheses[chosen] = _refitted(hypotheses[chosen], found, fine, config.polish, _POLISH_RATE)
+    motions = [_sampled(one.trajectory, found, fine, shaped) for one in hypotheses]
+    alternatives = Alternatives(
+        reversed_limbs=torch.stack([one.reversed_limbs for one in hypotheses]).numpy(),
+        poses=np.stack([motion.poses for motion in motions]),
+        trans=np.stack([motion.trans for motion in motions]),
+        joints=np.stack([motion.joints for motion in motions]),
+        scores=scores | {"loss": np.array(losses)} | dict(zip(EVIDENCE, evidence.T, strict=True)),
+        probability=probability,
+        chosen=chosen,
+        frame_index=motions[0].frame_index,
+    )
+    if not several and chosen in as_fitted and np.round(alternatives.body_right()[0], 6) < 0.5:
+        # Likelier than any other by itself, but the others together say that the body as a whole went the other way.
+        alternatives = replace(alternatives, chosen=as_fitted[1] - chosen)
+    return hypotheses[alternatives.chosen].trajectory, alternatives
+
+
+def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
+    """The likeliest hypothesis; one that was not fitted to the full pictures has to be clearly likelier."""
+    handicapped = probability / _CONVINCING
+    handicapped[as_fitted] = probability[as_fitted]
+    return int((handicapped > handicapped.max() - 1e-5).argmax())  # a tie but for rounding stays what was fitted
+
+
+def _hypotheses(
+    found: Variables, shaped: ShapedBody, objective: Objective, config: DirectionsConfig
+) -> list[_Hypothesis]:
+    """As fitted, then what else is worth weighing, the likeliest of them refitted."""
+    moves = _moving_limbs(found.trajectory, shaped, subframe_clock(objective.subframes))
+    turned = [
+        _judged(limbs, reverse_columns(found.trajectory, limb_columns(limbs)), found, objective)
+        for limbs in _turns(moves, config.limbs)
+    ]
+    start = _judged(torch.zeros_like(moves), found.trajectory, found, objective)
+    low, high = (start.loss + bound for bound in _IN_DOUBT)
+    doubtful = [index for index, one in enumerate(turned) if low < one.loss < high]
+    if not doubtful:
+        return [start, *turned]
+    # What was fitted is compared at its best at this picture size too, but it stays what it was; what is not refitted
+    # is taken to gain as much.
+    compared = _refitted(start, found, objective, config.iterations, _REFIT_RATE)
+    gain = start.loss - compared.loss
+    turned = [replace(one, loss=one.loss - gain) for one in turned]
+    for index in sorted(doubtful, key=lambda index: turned[index].loss)[: config.refits]:
+        turned[index] = _refitted(turned[index], found, objective, config.iterations, _REFIT_RATE)
+    return [replace(compared, trajectory=found.trajectory), *turned]
+
+
+def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tensor, "S"]) -> Bool[Tensor, "T 5"]:
+    """Limbs whose own reversal would move one of their joints; of the torso, any joint of the body."""
+    frames = trajectory.rotation.shape[0]
+
+    def joints(motion: Trajectory) -> Float[Tensor, "T S 24 3"]:
+        with torch.no_grad():
+            rotations, translations = motion.at(clock)
+            return shaped.joints_of(rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (frames, -1))
+
+    before, moves = joints(trajectory), []
+    for place, members in enumerate(LIMB_JOINTS):
+        limbs = torch.zeros(frames, len(LIMBS), dtype=torch.bool)
+        limbs[:, place] = True
+        moved = (joints(reverse_columns(trajectory, limb_columns(limbs))) - before).norm(dim=-1)
+        moves.append(moved[:, :, slice(None) if 0 in members else list(members)].amax((1, 2)) >= MOVES_M)
+    return torch.stack(moves, 1)
+
+
+def _turns(moves: Bool[Tensor, "T 5"], each_limb: bool) -> list[Bool[Tensor, "T 5"]]:
+    """What to run backwards: of several frames each one and all of them; of every frame each limb that moves."""
+    frames, turns = len(moves), []
+    whole: Sequence[int | slice] = (*range(frames), slice(None)) if frames > 1 else ()
+    places = [tuple(place) for place in moves.nonzero().tolist()] if each_limb else []
+    for place in (*whole, *places):
+        limbs = torch.zeros_like(moves)
+        limbs[place] = True
+        turns.append(limbs)
+    return turns
+
+
+def _terms(trajectory: Trajectory, found: Variables, objective: Objective) -> dict[str, Float[Tensor, ""]]:
+    return _weighed(objective.terms(trajectory, found.betas.detach(), found.texture.detach()))
+
+
+def _weighed(terms: dict[str, Float[Tensor, ""]]) -> dict[str, Float[Tensor, ""]]:
+    """The objective's terms but the motion prior's, whose opinion on directions is weighed apart."""
+    return {name: value for name, value in terms.items() if name != "adversarial"}
+
+
+def _values(terms: dict[str, Float[Tensor, ""]]) -> dict[str, float]:
+    return {name: value.item() for name, value in terms.items()}
+
+
+def _judged(limbs: Bool[Tensor, "T 5"], trajectory: Trajectory, found: Variables, objective: Objective) -> _Hypothesis:
+    with torch.no_grad():
+        terms = _terms(trajectory, found, objective)
+        return _Hypothesis(limbs, trajectory, _values(terms), objective.total(terms).item())
+
+
+def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterations: int, rate: float) -> _Hypothesis:
+    """The best iterate of Adam on the motion alone, its steps shortening along a half cosine."""
+    given = start.trajectory
+    rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
+    free = given.with_coefficients(rotation, translation)
+    optimizer = Adam([rotation, translation], _ADAM_EPSILON)
+    best = replace(start, loss=math.inf)  # the start's own loss may be of another picture size
+    for iteration in range(iterations + 1):
+        terms = _terms(free, found, objective)
+        total = objective.total(terms)
+        if total.item() < best.loss:
+            motion = given.with_coefficients(rotation.detach().clone(), translation.detach().clone())
+            best = _Hypothesis(start.reversed_limbs, motion, _values(terms), total.item())
+        if iteration == iterations:
+            break
+        total.backward()
+        optimizer.step([rate * (0.1 + 0.45 * (1 + math.cos(math.pi * iteration / iterations)))] * 2)
+    return best if math.isfinite(best.loss) else start
+
+
+def _evidence(one: _Hypothesis, fitted: float, objective: Objective, shaped: ShapedBody) -> Float[Array, "E"]:
+    """See `EVIDENCE`; `fitted` is the loss of the motion as fitted."""
+    against = [torch.zeros(1)] * (len(EVIDENCE) - 1)
+    with torch.no_grad():
+        if (prior := objective.motion_prior) is not None:
+            columns = prior.reversed_logits(one.trajectory, shaped)
+            limbs = torch.stack([columns[:, list(members)].mean(1) for members in LIMBS.values()])
+            against[:2] = limbs, prior.whole_body_logit(one.trajectory, shaped)
+        if (seen := objective.evidence) is not None:
+            rotations, translations = one.trajectory.at(one.trajectory.rotation.new_tensor([0.0, 1.0]))
+            joints = shaped.joints_of(rotations.flatten(0, 1), translations.flatten(0, 1)).unflatten(0, (-1, 2))
+            opening, closing = seen.units(joints).unbind(1)
+            against[2] = seen.backwards_logit(closing - opening)
+        costs = [torch.nn.functional.softplus(logits).sum().item() for logits in against]
+    return np.array([min(one.loss - fitted, LARGEST_EXCESS), *costs])
+
+
+def _sampled(trajectory: Trajectory, found: Variables, objective: Objective, shaped: ShapedBody) -> SampledMotion:
+    seen = objective.observation
+    return sample_motion(
+        trajectory, shaped, found.betas, objective.subframes, seen.exposure_s, seen.interval_s, seen.camera.matrix()
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""The pinhole camera: metres in front of the lens to pixels.
+
+Frame: OpenCV's (+x right, +y down, +z forward). The picture spans [0, W] x [0, H] and the centre of pixel
+(row 0, column 0) is at (0.5, 0.5), so that cropping shifts and resizing scales the matrix, nothing else.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from hfb.typing import Float, Tensor
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Focal lengths and principal point [px] of a picture of height x width pixels; no distortion."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    height: int
+    width: int
+
+    @staticmethod
+    def from_focal(focal_px: float, height: int, width: int) -> "PinholeCamera":
+        """Camera of one focal length [px] that looks through the middle of the picture."""
+        return PinholeCamera(float(focal_px), float(focal_px), width / 2, height / 2, int(height), int(width))
+
+    @staticmethod
+    def from_matrix(K: Float[Tensor, "3 3"], height: int, width: int) -> "PinholeCamera":
+        """Camera of a calibration matrix; its skew, if any, is left out."""
+        fx, fy, cx, cy = (float(K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        return PinholeCamera(fx, fy, cx, cy, int(height), int(width))
+
+    def matrix(self, dtype: torch.dtype = torch.float64) -> Float[Tensor, "3 3"]:
+        """K, which maps a direction (x, y, 1) to homogeneous pixels."""
+        return torch.tensor([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]], dtype=dtype)
+
+    def project(self, points: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
+        """Pixels (x, y) of points [m] in camera coordinates, which must lie in front of the lens (z > 0)."""
+        xy = points[..., :2] / points[..., 2:]
+        return torch.stack([xy[..., 0] * self.fx + self.cx, xy[..., 1] * self.fy + self.cy], -1)
+
+    def unproject(self, pixels: Float[Tensor, "*n 2"], depth: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3"]:
+        """Points [m] in camera coordinates at the given depth z [m] behind the given pixels (x, y)."""
+        x = (pixels[..., 0] - self.cx) / self.fx * depth
+        y = (pixels[..., 1] - self.cy) / self.fy * depth
+        return torch.stack([x, y, depth], -1)
+
+    def crop(self, left: float, top: float, width: int, height: int) -> "PinholeCamera":
+        """The camera of a window of this picture; the window may reach outside it."""
+        return replace(self, cx=self.cx - left, cy=self.cy - top, height=int(height), width=int(width))
+
+    def resize(self, height: int, width: int) -> "PinholeCamera":
+        """The camera of the same view with another number of pixels."""
+        down, right = height / self.height, width / self.width
+        return PinholeCamera(self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width))

@@ -1,0 +1,126 @@
+"""The landmarks of the person whom the matte shows: many proposals, the one that agrees best with the matte.
+
+Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
+regions come from the detector and from the matte itself, pictures are the frame and the person alone on gray, and
+every answer is drawn as a stick figure and compared with the matte.
+"""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region
+from hfb.matting.matting import matte_region
+from hfb.typing import Array, Float, Shaped
+
+_GRAY = 0.5
+_STICK_FIGURE_PX = 128
+_LEAST_SCORE = 0.5
+_SURE_AGREEMENT = 0.55
+# Limbs as (from, to, radius relative to the trunk's length).
+_LIMBS = (
+    ("left_shoulder", "left_elbow", 0.10), ("left_elbow", "left_wrist", 0.08), ("left_wrist", "left_index", 0.07),
+    ("right_shoulder", "right_elbow", 0.10), ("right_elbow", "right_wrist", 0.08), ("right_wrist", "right_index", 0.07),
+    ("left_hip", "left_knee", 0.15), ("left_knee", "left_ankle", 0.10), ("left_heel", "left_foot_index", 0.07),
+    ("right_hip", "right_knee", 0.15), ("right_knee", "right_ankle", 0.10), ("right_heel", "right_foot_index", 0.07),
+    ("left_shoulder", "right_shoulder", 0.12), ("left_hip", "right_hip", 0.16),
+)  # fmt: skip
+
+
+def find_landmarks(
+    networks: PoseNetworks, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+) -> tuple[Landmarks, float] | None:
+    """The best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
+
+    Args:
+        frame_srgb: the blurred frame.
+        matte: the person's share of each pixel, not empty.
+    """
+    alpha = matte[..., None]
+    alone = frame_srgb * alpha + _GRAY * (1 - alpha)
+    best: tuple[Landmarks, float] | None = None
+    best_value = 0.0
+    for region in _proposals(networks, frame_srgb, alone, matte):
+        for picture in (frame_srgb, alone):
+            found = networks.locate(picture, region)
+            if found.score < _LEAST_SCORE:
+                continue
+            again = networks.locate(picture, found.next_region)
+            found = again if again.score >= found.score - 0.05 else found
+            agreement = stick_agreement(found, matte)
+            value = agreement * (0.5 + 0.5 * found.score)
+            if value > best_value:
+                best, best_value = (found, agreement), value
+        if best is not None and best[1] > _SURE_AGREEMENT:
+            break
+    return best
+
+
+def _proposals(
+    networks: PoseNetworks, frame: Float[Array, "H W 3"], alone: Float[Array, "H W 3"], matte: Float[Array, "H W"]
+) -> Iterator[Region]:
+    """Regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
+    top, left, bottom, right = matte_region(matte, margin=0.3)
+    window = (slice(top, bottom), slice(left, right))
+    for picture in (frame[window], alone[window]):
+        for region in networks.detect(picture):
+            moved = Region(region.x + left, region.y + top, region.size, region.angle, region.score)
+            if _near(moved, matte):
+                yield moved
+    top, left, bottom, right = matte_region(matte, margin=0.0)
+    rows, columns = np.mgrid[top:bottom, left:right] + 0.5
+    weight = matte[top:bottom, left:right].astype(np.float64)
+    weight /= weight.sum()
+    y, x = float((rows * weight).sum()), float((columns * weight).sum())
+    spread = np.cov(np.stack([columns.ravel(), rows.ravel()]), aweights=weight.ravel(), bias=True)
+    values, axes = np.linalg.eigh(spread)
+    along = axes[:, 1] * (-1 if axes[1, 1] > 0 else 1)  # the long axis, pointing up
+    angle = float(np.arctan2(along[0], -along[1]))
+    size = max(1.25 * (bottom - top), 1.25 * (right - left), 5.2 * float(np.sqrt(values[1])))
+    for turn in (0.0, angle, angle / 2, -0.5, 0.5):
+        for scale in (1.0, 1.25):
+            yield Region(x, y, size * scale, turn)
+
+
+def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
+    """A bystander in the plate is a person too: the region's middle must hold a part of the matte."""
+    half = max(2, round(region.size * 0.2))
+    y, x = round(region.y), round(region.x)
+    middle = matte[max(0, y - half) : max(0, y + half), max(0, x - half) : max(0, x + half)]
+    return bool(middle.size and middle.max() > 0.2)
+
+
+def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
+    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths."""
+    top, left, bottom, right = matte_region(matte, margin=0.25)
+    scale = _STICK_FIGURE_PX / max(bottom - top, right - left)
+    size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
+    target = cv2.resize(matte[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
+    figure = draw_stick_figure((landmarks.pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
+    # Parts of the figure outside the picture count against it only where the picture could have shown them.
+    return float(np.minimum(target, figure).sum() / max(np.maximum(target, figure).sum(), 1e-6))
+
+
+def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> Shaped[Array, "h w"]:
+    """A figure of 0 and 1: trunk, head and limbs as thick lines."""
+    figure = np.zeros(shape, np.uint8)
+    at = {name: pixels[index] for name, index in LANDMARK.items()}
+    shoulders = (at["left_shoulder"] + at["right_shoulder"]) / 2
+    hips = (at["left_hip"] + at["right_hip"]) / 2
+    trunk = max(float(np.hypot(*(shoulders - hips))), 0.6 * float(np.hypot(*(at["left_hip"] - at["left_knee"]))), 2.0)
+    for start, end, radius in _LIMBS:
+        _line(figure, at[start], at[end], 2 * radius * trunk)
+    outline = [at[n] for n in ("left_shoulder", "right_shoulder", "right_hip", "left_hip")]
+    cv2.fillConvexPoly(figure, cv2.convexHull(np.round(outline).astype(np.int32)), 1)
+    _line(figure, shoulders, hips, 0.45 * trunk)
+    head = (at["left_ear"] + at["right_ear"]) / 2
+    _line(figure, shoulders, head, 0.22 * trunk)
+    _line(figure, head, head + 0.1 * (head - shoulders), 0.42 * trunk)
+    return figure
+
+
+def _line(figure: Shaped[Array, "h w"], start: Float[Array, "2"], end: Float[Array, "2"], thickness: float) -> None:
+    limit = 4 * max(figure.shape)
+    first, last = (tuple(int(v) for v in np.clip(np.round(p), -limit, limit)) for p in (start, end))
+    cv2.line(figure, first, last, 1, max(1, min(round(thickness), 255)))

@@ -1,0 +1,105 @@
+"""Whose result a file is, told by what is in it, and the person it is to be about."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from hfb.errors import InputError
+from hfb.interop.readers import amass, gvhmr, hybrik, joints, keypoints, own, phalp, pymaf, sam3d, tram, wham
+from hfb.interop.readers.joining import JOINT, joined
+from hfb.interop.readers.picture_names import ClipPictures, by_pictures
+from hfb.interop.readers.pose_track import PoseTrack, tidy
+from hfb.io.safe.contents import named, read_contents
+
+_ANY_CLIP = ClipPictures()
+Reader = Callable[[Any, tuple[int, int], dict[str, Any]], list[PoseTrack] | None]
+_READERS: tuple[Reader, ...] = (
+    own.read, wham.read, pymaf.read, hybrik.read, phalp.read, tram.read, gvhmr.read, sam3d.read, amass.read,
+    joints.read, keypoints.read,
+)  # fmt: skip
+SYSTEMS = (
+    "PyMAF",
+    "HybrIK",
+    "PHALP / 4D-Humans",
+    "WHAM",
+    "TRAM",
+    "GVHMR",
+    "SAM 3D Body",
+    "AMASS",
+    "3D joints",
+    "2D keypoints",
+    "hfb",
+)
+
+
+def read_tracks(
+    files: Sequence[Path], height: int, width: int, clip: ClipPictures = _ANY_CLIP
+) -> tuple[PoseTrack, ...]:
+    """Everybody in a result.
+
+    Args:
+        files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
+        height, width: of the pictures [px], for systems that do not say.
+        clip: the names of the pictures, for systems that go by names.
+
+    Raises:
+        InputError: damaged, a pickle that names code, unknown, or about other pictures.
+    """
+    path, *others = files
+    content = read_contents(path)
+    beside = {other.name: read_contents(other) for other in others}
+    try:
+        for read in _READERS:
+            tracks = read(content, (height, width), beside)
+            if tracks is not None:
+                return tuple(track.at_size(height, width) for track in joined(_usable(by_pictures(tracks, clip))))
+        if _holds_nothing(content):
+            raise InputError("it holds nobody")
+    except InputError as error:
+        raise InputError(f"{path} cannot be used: {error}") from error
+    except Exception as error:  # what a damaged or hostile file combines is not foreseeable
+        reason = repr(error)[:120]
+        raise InputError(f"{path} cannot be used: it is damaged, or of an unknown version ({reason})") from error
+    held = ", ".join(list(named(content))[:12])[:120] or type(content).__name__
+    raise InputError(
+        f"{path} is no result that hfb knows (it holds {held}); known are {', '.join(SYSTEMS)}; of any other system "
+        "give an .npz with its 3D joints in metres as `joints` (frames, 24, 3)"
+    )
+
+
+def _usable(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
+    """Everybody with rows of which a body can be made."""
+    if not any(len(track) for track in tracks):
+        raise InputError("it holds nobody")
+    usable = [track for track in map(tidy, tracks) if len(track)]
+    if not usable:
+        raise InputError("nobody is left: its numbers are not finite, its joints too few, or behind the camera")
+    return usable
+
+
+def _holds_nothing(content: Any) -> bool:
+    """Lists and dictionaries with nothing in them, as systems write where they saw nobody."""
+    parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else (content,)
+    return all(isinstance(part, dict | list) and not part for part in parts)
+
+
+def choose_person(
+    tracks: Sequence[PoseTrack], person: str | None, shown: Callable[[PoseTrack], float] | None = None
+) -> PoseTrack:
+    """The named one, else the one who is shown most, else the one seen in most frames.
+
+    Args:
+        shown: how much of a person the pictures show.
+
+    Raises:
+        InputError: nobody, or nobody of that name.
+    """
+    if not tracks:
+        raise InputError("the result holds nobody")
+    if person is None:
+        return max(tracks, key=lambda track: (0.0 if shown is None else shown(track), len(track)))
+    chosen = next((track for track in tracks if person in (track.person, *track.person.split(JOINT))), None)
+    if chosen is None:
+        known = ", ".join(track.person for track in tracks[:20])
+        raise InputError(f"the {tracks[0].system} result has no person {person}; it has {known}")
+    return chosen

@@ -1,0 +1,62 @@
+"""amass.npz: what AMASS's tools and Blender's SMPL add-on open (SMPL-H's 156 columns, z up, an even rate)."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hfb.body.model import BetasSpace
+from hfb.config import AmassRate
+from hfb.geometry.rotations import quaternion_to_axis_angle
+from hfb.interop.writers.keys import even_keys, rest_joints, turned
+from hfb.motion.motion_file import write_arrays
+from hfb.motion.sampled import SampledMotion
+from hfb.typing import Array
+
+_COLUMNS, _BODY_COLUMNS, _BETAS, _DMPLS = 156, 66, 16, 8
+_Z_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
+"""Rotation (w, x, y, z) from the camera's frame to AMASS's: x stays, the camera looks along +y, z is up."""
+
+
+def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate = 120) -> dict[str, Array]:
+    """The members of the file.
+
+    AMASS's own are ``poses`` (F, 156): root, 21 body joints, fingers at rest; ``trans``, ``betas``, ``dmpls``,
+    ``gender``, ``mocap_framerate``. Betas that are not SMPL's would be read as if they were: ``betas`` is then zero,
+    and they are in ``hfb_betas``. Beside them, under names that no AMASS tool knows: ``hfb_joints`` (F, 24, 3) m in the
+    same world, ``hfb_times_s``, ``hfb_observed`` (the shutter was open), ``hfb_present`` (the person was there),
+    ``betas_space``.
+
+    The camera is taken to be level: up in the picture is up in the world.
+
+    Raises:
+        InputError: the motion's instants are not in order.
+    """
+    keys = even_keys(motion, float(rate))
+    rest = rest_joints(motion)
+    poses = np.zeros((len(keys.times_s), _COLUMNS))
+    rotations = quaternion_to_axis_angle(torch.from_numpy(turned(keys.quaternions, _Z_UP))).numpy()
+    poses[:, :_BODY_COLUMNS] = rotations.reshape(len(poses), -1)[:, :_BODY_COLUMNS]
+    joints = np.stack([keys.places[..., 0], keys.places[..., 2], -keys.places[..., 1]], -1)
+    betas = np.zeros(_BETAS)
+    if betas_space == "smpl":
+        betas[: len(motion.betas)] = motion.betas
+    return {
+        "poses": poses,
+        "trans": joints[:, 0] - rest[0],  # SMPL's root turns about its own joint, which stays at rest plus trans
+        "betas": betas,
+        "dmpls": np.zeros((len(poses), _DMPLS)),
+        "gender": np.array("neutral"),
+        "mocap_framerate": np.array(float(rate)),
+        "hfb_joints": joints,
+        "hfb_times_s": keys.times_s,
+        "hfb_observed": keys.observed,
+        "hfb_present": keys.present,
+        "hfb_betas": motion.betas,
+        "betas_space": np.array(betas_space),
+    }
+
+
+def write_amass(path: Path, motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate = 120) -> None:
+    """Write the file whole or not at all; see `amass_arrays`."""
+    write_arrays(path, amass_arrays(motion, betas_space, rate))

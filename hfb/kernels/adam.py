@@ -1,0 +1,36 @@
+"""Adam on the few tensors of one fit in the processor's memory."""
+
+from collections.abc import Sequence
+
+from hfb.kernels import fit_adam as kernels_adam
+from hfb.typing import Tensor
+
+
+class Adam:
+    """As `torch.optim.Adam`, with a rate for every tensor at every step; what was asked of them before is forgotten.
+
+    Torch's own asks a lot before it moves a number: .24 ms of an iteration's ten, where moving them takes .05.
+    """
+
+    def __init__(self, leaves: Sequence[Tensor], epsilon: float) -> None:
+        self._leaves, self._epsilon, self._steps = leaves, epsilon, 0
+        self._means = [leaf.new_zeros(leaf.shape) for leaf in leaves]
+        self._squares = [leaf.new_zeros(leaf.shape) for leaf in leaves]
+        for leaf in leaves:
+            leaf.grad = None
+
+    def step(self, rates: Sequence[float]) -> None:
+        """Move every leaf that has a gradient, and forget the gradient.
+
+        Args:
+            rates: the learning rate of each leaf.
+        """
+        self._steps += 1
+        for leaf, mean, square, rate in zip(self._leaves, self._means, self._squares, rates, strict=True):
+            if leaf.grad is not None:
+                values = leaf.detach().contiguous()
+                numbers = (one.view(-1).numpy() for one in (values, leaf.grad.contiguous(), mean, square))
+                kernels_adam.step(*numbers, self._steps, rate, self._epsilon)
+                if not leaf.is_contiguous():
+                    leaf.detach().copy_(values)
+                leaf.grad = None

@@ -1,0 +1,301 @@
+"""Compiled parts of the body: joints along their chains, and linear blend skinning, with their ways back.
+
+Skinning works on all instants at once: the 12 entries of a joint's transform lie side by side for every instant
+("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint that holds it, and the
+joints that hold it are a list: two to four of 24. The compiler makes such operations of flat loops of a length that it
+knows; nested ones it leaves slow.
+"""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
+
+import numpy as np
+from numba import njit
+
+from hfb.kernels.compile import INLINE, JIT, LOOP, entry, loop_entry
+from hfb.kernels.simd import (  # instants at once: a number that the compiler knows
+    LANES,
+    lanes,
+    load_apart,
+    load_lanes,
+    multiply_add,
+    some_lane,
+    store_apart,
+    store_lanes,
+    sum_lanes,
+)
+
+
+@loop_entry
+def add_shape(betas, template, rows, shaped):
+    """Fill `shaped` (n) with the template plus every beta times its row (K, n): SMPL's eq. 8."""
+    whole = template.shape[0] - template.shape[0] % LANES
+    for n in range(0, whole, LANES):
+        total = load_lanes(template, n)
+        for k in range(betas.shape[0]):
+            total = multiply_add(load_lanes(rows, k * template.shape[0] + n), betas[k], total)
+        store_lanes(shaped, n, total)
+    for n in range(whole, template.shape[0]):
+        shaped[n] = template[n]
+        for k in range(betas.shape[0]):
+            shaped[n] += betas[k] * rows[k, n]
+
+
+@njit(**INLINE)
+def _inner_product(rows, k, given):
+    """Of a row and as many numbers."""
+    zero, count = lanes(given.dtype.type(0.0)), given.shape[0]
+    one, two, three, four = zero, zero, zero, zero
+    whole, at = count - count % (4 * LANES), k * count
+    for n in range(0, whole, 4 * LANES):
+        one = one + load_lanes(rows, at + n) * load_lanes(given, n)
+        two = two + load_lanes(rows, at + n + LANES) * load_lanes(given, n + LANES)
+        three = three + load_lanes(rows, at + n + 2 * LANES) * load_lanes(given, n + 2 * LANES)
+        four = four + load_lanes(rows, at + n + 3 * LANES) * load_lanes(given, n + 3 * LANES)
+    total = sum_lanes((one + two) + (three + four))
+    for n in range(whole, count):
+        total += rows[k, n] * given[n]
+    return total
+
+
+@loop_entry
+def add_shape_gradient(rows, joint_rows, of_vertices, of_joints, of_betas):
+    """Way back of `add_shape` from vertices and joints: fills `of_betas`."""
+    for k in range(of_betas.shape[0]):
+        of_betas[k] = _inner_product(rows, k, of_vertices) + _inner_product(joint_rows, k, of_joints)
+
+
+@loop_entry
+def place(rotations, translations, rest, parents, transforms, joints):
+    """Fill `transforms` (N, 24, 3, 4), rest body to world, and `joints` (N, 24, 3): SMPL's eq. 4 along every chain."""
+    for n in range(rotations.shape[0]):
+        for j in range(rest.shape[0]):
+            p = parents[j]
+            if p < 0:
+                for r in range(3):
+                    for c in range(3):
+                        transforms[n, j, r, c] = rotations[n, j, r, c]
+                    joints[n, j, r] = rest[j, r] + translations[n, r]
+            else:
+                for r in range(3):
+                    a, b, c = transforms[n, p, r, 0], transforms[n, p, r, 1], transforms[n, p, r, 2]
+                    for q in range(3):
+                        transforms[n, j, r, q] = (
+                            a * rotations[n, j, 0, q] + b * rotations[n, j, 1, q] + c * rotations[n, j, 2, q]
+                        )
+                    along = a * (rest[j, 0] - rest[p, 0]) + b * (rest[j, 1] - rest[p, 1])
+                    joints[n, j, r] = along + c * (rest[j, 2] - rest[p, 2]) + joints[n, p, r]
+            # Rest vertices are given about the origin, not about the joint: subtract the rotated rest joint.
+            for r in range(3):
+                turned = transforms[n, j, r, 0] * rest[j, 0] + transforms[n, j, r, 1] * rest[j, 1]
+                transforms[n, j, r, 3] = joints[n, j, r] - (turned + transforms[n, j, r, 2] * rest[j, 2])
+
+
+@entry
+def place_gradient(
+    rotations, rest, parents, transforms, of_transforms, of_joints, of_rotations, of_translations, of_rest
+):
+    """Fill the first two gradients and add to the third, from those of what `place` filled."""
+    count = rest.shape[0]
+    turn, at = np.empty((count, 3, 3), rest.dtype), np.empty((count, 3), rest.dtype)
+    for n in range(rotations.shape[0]):
+        for j in range(count):
+            for r in range(3):
+                pull = of_transforms[n, j, r, 3]
+                at[j, r] = pull + of_joints[n, j, r]
+                for c in range(3):
+                    turn[j, r, c] = of_transforms[n, j, r, c] - pull * rest[j, c]
+                    of_rest[j, c] -= transforms[n, j, r, c] * pull
+        for j in range(count - 1, 0, -1):
+            p = parents[j]
+            for c in range(3):
+                bone = rest[j, c] - rest[p, c]
+                for q in range(3):
+                    of_rotations[n, j, c, q] = (
+                        transforms[n, p, 0, c] * turn[j, 0, q]
+                        + transforms[n, p, 1, c] * turn[j, 1, q]
+                        + transforms[n, p, 2, c] * turn[j, 2, q]
+                    )
+                for r in range(3):
+                    turn[p, r, c] += at[j, r] * bone + (
+                        turn[j, r, 0] * rotations[n, j, c, 0]
+                        + turn[j, r, 1] * rotations[n, j, c, 1]
+                        + turn[j, r, 2] * rotations[n, j, c, 2]
+                    )
+                of_bone = (
+                    transforms[n, p, 0, c] * at[j, 0]
+                    + transforms[n, p, 1, c] * at[j, 1]
+                    + transforms[n, p, 2, c] * at[j, 2]
+                )
+                of_rest[j, c] += of_bone
+                of_rest[p, c] -= of_bone
+            for r in range(3):
+                at[p, r] += at[j, r]
+        for r in range(3):
+            of_translations[n, r] = at[0, r]
+            of_rest[0, r] += at[0, r]
+            for c in range(3):
+                of_rotations[n, 0, r, c] = turn[0, r, c]
+
+
+@njit(**LOOP)
+def spread(transforms, first, n, table):
+    """Write n instants' transforms into `table` (24, 4 columns x 3 rows x LANES), zeros into the lanes beyond."""
+    for j in range(transforms.shape[1]):
+        for c in range(4):
+            for r in range(3):
+                for s in range(LANES):
+                    table[j, (3 * c + r) * LANES + s] = transforms[first + s, j, r, c] if s < n else 0.0
+
+
+@njit(**INLINE)
+def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices):
+    """Write a point of every instant, turned by the transforms that hold vertex v, to number `to` of the first body's
+    `vertices` on and so for every body, `stride` apart."""
+    zero = lanes(table.dtype.type(0.0))
+    moved_x, moved_y, moved_z = zero, zero, zero
+    for k in range(starts[v], starts[v + 1]):
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        x_here, y_here, z_here = x * weight, y * weight, z * weight
+        moved_x = _row_of(table, at, x_here, y_here, z_here, weight, moved_x)
+        moved_y = _row_of(table, at + LANES, x_here, y_here, z_here, weight, moved_y)
+        moved_z = _row_of(table, at + 2 * LANES, x_here, y_here, z_here, weight, moved_z)
+    store_apart(vertices, to, stride, moved_x)
+    store_apart(vertices, to + 1, stride, moved_y)
+    store_apart(vertices, to + 2, stride, moved_z)
+
+
+@njit(**INLINE)
+def _row_of(table, at, x, y, z, weight, added):
+    """A row of a joint's transforms times a weighed point."""
+    added = multiply_add(load_lanes(table, at + 9 * LANES), weight, added)
+    added = multiply_add(load_lanes(table, at), x, added)
+    added = multiply_add(load_lanes(table, at + 3 * LANES), y, added)
+    return multiply_add(load_lanes(table, at + 6 * LANES), z, added)
+
+
+@njit(**LOOP)
+def _skin_block(table, rest, starts, joints, weights, to, vertices):
+    """Fill LANES bodies of `vertices`, from number `to` on."""
+    stride = 3 * rest.shape[0]
+    for v in range(rest.shape[0]):
+        x, y, z = lanes(rest[v, 0]), lanes(rest[v, 1]), lanes(rest[v, 2])
+        move_point(x, y, z, table, starts, joints, weights, v, to + 3 * v, stride, vertices)
+
+
+@entry
+def skin(transforms, rest, starts, joints, weights, vertices):
+    """Fill `vertices` (S, V, 3) by linear blend skinning (SMPL's eq. 2) of rest vertices (V, 3).
+
+    starts: (V + 1), where each vertex's joints and weights begin in their lists.
+    """
+    table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
+    for first in range(0, transforms.shape[0], LANES):
+        n = min(LANES, transforms.shape[0] - first)
+        spread(transforms, first, n, table)
+        if n == LANES:
+            _skin_block(table, rest, starts, joints, weights, first * rest.size, vertices)
+        else:
+            block = np.empty((LANES, rest.shape[0], 3), rest.dtype)
+            _skin_block(table, rest, starts, joints, weights, 0, block)
+            vertices[first:] = block[:n]
+
+
+@njit(**JIT)
+def whole_block(given, first):
+    """LANES bodies' gradients from the first on, zeros where there are fewer: an array, and where in it they begin."""
+    if given.shape[0] - first >= LANES:
+        return given, first * given.shape[1] * 3
+    block = np.zeros((LANES, given.shape[1], 3), given.dtype)
+    block[: given.shape[0] - first] = given[first:]
+    return block, 0
+
+
+@njit(**INLINE)
+def ask(given, at, stride):
+    """What every instant asks of the vertex at a position, and whether any asks for something: what the camera does not
+    see does not."""
+    x, y, z = load_apart(given, at, stride), load_apart(given, at + 1, stride), load_apart(given, at + 2, stride)
+    return x, y, z, some_lane(x) | some_lane(y) | some_lane(z)
+
+
+@njit(**INLINE)
+def pull(starts, joints, weights, v, asked, point, pulls):
+    """Add what vertex v asks of the transforms that hold it: outer products of what is asked and the point."""
+    for k in range(starts[v], starts[v + 1]):
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        x, y, z = asked[0] * weight, asked[1] * weight, asked[2] * weight
+        _pull_column(pulls, at, x, y, z, point[0])
+        _pull_column(pulls, at + 3 * LANES, x, y, z, point[1])
+        _pull_column(pulls, at + 6 * LANES, x, y, z, point[2])
+        at += 9 * LANES
+        store_lanes(pulls, at, load_lanes(pulls, at) + x)
+        store_lanes(pulls, at + LANES, load_lanes(pulls, at + LANES) + y)
+        store_lanes(pulls, at + 2 * LANES, load_lanes(pulls, at + 2 * LANES) + z)
+
+
+@njit(**INLINE)
+def _pull_column(pulls, at, x, y, z, coordinate):
+    store_lanes(pulls, at, multiply_add(x, coordinate, load_lanes(pulls, at)))
+    store_lanes(pulls, at + LANES, multiply_add(y, coordinate, load_lanes(pulls, at + LANES)))
+    store_lanes(pulls, at + 2 * LANES, multiply_add(z, coordinate, load_lanes(pulls, at + 2 * LANES)))
+
+
+@njit(**INLINE)
+def ask_point(table, starts, joints, weights, v, asked, of_rest):
+    """What every instant asks of the point: the blended rotation's transpose times what is asked of the vertex. Adds
+    their sum to the rest vertex's gradient."""
+    zero = lanes(table.dtype.type(0.0))
+    x, y, z = zero, zero, zero
+    for k in range(starts[v], starts[v + 1]):
+        at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
+        along_x, along_y, along_z = asked[0] * weight, asked[1] * weight, asked[2] * weight
+        x = _column_of(table, at, along_x, along_y, along_z, x)
+        y = _column_of(table, at + 3 * LANES, along_x, along_y, along_z, y)
+        z = _column_of(table, at + 6 * LANES, along_x, along_y, along_z, z)
+    of_rest[v, 0] += sum_lanes(x)
+    of_rest[v, 1] += sum_lanes(y)
+    of_rest[v, 2] += sum_lanes(z)
+    return x, y, z
+
+
+@njit(**INLINE)
+def _column_of(table, at, x, y, z, added):
+    """A column of a joint's transforms times what is asked."""
+    added = multiply_add(load_lanes(table, at), x, added)
+    added = multiply_add(load_lanes(table, at + LANES), y, added)
+    return multiply_add(load_lanes(table, at + 2 * LANES), z, added)
+
+
+@njit(**LOOP)
+def gather(pulls, first, n, of_transforms):
+    """What n instants' transforms are asked for, out of lanes: the way back of `spread`."""
+    for j in range(of_transforms.shape[1]):
+        for c in range(4):
+            for r in range(3):
+                for s in range(n):
+                    of_transforms[first + s, j, r, c] = pulls[j, (3 * c + r) * LANES + s]
+
+
+@njit(**LOOP)
+def _skin_gradient_block(table, rest, starts, joints, weights, given, first, pulls, of_rest):
+    stride = 3 * rest.shape[0]
+    for v in range(rest.shape[0]):
+        x, y, z, some = ask(given, first + 3 * v, stride)
+        if not some:
+            continue
+        asked = x, y, z
+        pull(starts, joints, weights, v, asked, (rest[v, 0], rest[v, 1], rest[v, 2]), pulls)
+        if of_rest.shape[0] > 0:
+            ask_point(table, starts, joints, weights, v, asked, of_rest)
+
+
+@entry
+def skin_gradient(transforms, rest, starts, joints, weights, given, of_transforms, of_rest):
+    """Fill `of_transforms` and add to `of_rest`, which is left out where it is empty."""
+    table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
+    for first in range(0, transforms.shape[0], LANES):
+        n, pulls = min(LANES, transforms.shape[0] - first), np.zeros(table.shape, rest.dtype)
+        spread(transforms, first, n, table)
+        block, at = whole_block(given, first)
+        _skin_gradient_block(table, rest, starts, joints, weights, block, at, pulls, of_rest)
+        gather(pulls, first, n, of_transforms)

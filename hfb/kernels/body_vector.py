@@ -1,0 +1,93 @@
+"""Compiled parts: the features of all instants' poses times a vertex's pose blend shapes, there and back.
+
+Written out block by block, so that every number in reach of a register stays in one: what the compiler makes of loops
+loads most of them again and again.
+"""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+from hfb.kernels.simd import LANES, address, fma, lanes_of, load, positions, shuffle
+
+FEATURES = 208  # of a pose: SMPL's 23 x 9 and a zero, a number that 16 divides
+BLOCK = 16
+
+
+def _ahead(builder, position, count):
+    return builder.add(position, ir.Constant(position.type, count))
+
+
+def _directions(context, builder, array_type, array, at, kind):
+    """A block of a vertex's three rows of directions, as real numbers."""
+    rows = [load(context, builder, array_type, array, _ahead(builder, at, row * FEATURES), BLOCK) for row in range(3)]
+    block = ir.VectorType(kind, BLOCK)
+    return [builder.sitofp(row, block) for row in rows] if isinstance(array_type.dtype, types.Integer) else rows
+
+
+def _sums(builder, blocks):
+    """The sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
+    half = BLOCK // 2
+    blocks = [
+        builder.fadd(shuffle(builder, one, one, range(half)), shuffle(builder, one, one, range(half, BLOCK)))
+        for one in blocks
+    ]
+    while len(blocks) > 1:
+        pairs = list(zip(blocks[::2], blocks[1::2], strict=True))
+        blocks = [
+            builder.fadd(shuffle(builder, *pair, range(0, BLOCK, 2)), shuffle(builder, *pair, range(1, BLOCK, 2)))
+            for pair in pairs
+        ]
+    return blocks[0]
+
+
+@intrinsic
+def displacements(typingctx, features, directions, at):
+    """Of every instant the three inner products of its `features` (LANES, FEATURES) with the three rows that begin at a
+    position of `directions`: three times LANES numbers."""
+    kind = lanes_of(features.dtype)
+    signature = types.UniTuple(kind, 3)(features, directions, at)
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (2,))
+        totals = [[None] * LANES for _ in range(3)]
+        for first in range(0, FEATURES, BLOCK):
+            there = _ahead(builder, at, first)
+            rows = _directions(context, builder, signature.args[1], arguments[1], there, kind.vector.element)
+            for lane in range(LANES):
+                place = ir.Constant(at.type, lane * FEATURES + first)
+                feature = load(context, builder, signature.args[0], arguments[0], place, BLOCK)
+                for row, total in zip(rows, totals, strict=True):
+                    so_far = total[lane]
+                    total[lane] = builder.fmul(row, feature) if so_far is None else fma(builder, row, feature, so_far)
+        return cgutils.pack_array(builder, [_sums(builder, total) for total in totals])
+
+    return signature, codegen
+
+
+@intrinsic
+def add_features(typingctx, features, directions, at, x, y, z):
+    """Way back of `displacements`: add to `features` what the three are asked for, each of (x, y, z) LANES numbers."""
+    signature = types.void(features, directions, at, x, y, z)
+
+    def codegen(context, builder, signature, arguments):
+        (at,) = positions(context, builder, signature, arguments, (2,))
+        asked = [[shuffle(builder, one, one, [lane] * BLOCK) for one in arguments[3:]] for lane in range(LANES)]
+        for first in range(0, FEATURES, BLOCK):
+            there = _ahead(builder, at, first)
+            rows = _directions(
+                context, builder, signature.args[1], arguments[1], there, signature.args[3].vector.element
+            )
+            for lane in range(LANES):
+                place = ir.Constant(at.type, lane * FEATURES + first)
+                pointer, _, align = address(context, builder, signature.args[0], arguments[0], place, BLOCK)
+                total = builder.load(pointer)
+                total.align = align
+                for weight, row in zip(asked[lane], rows, strict=True):
+                    total = fma(builder, weight, row, total)
+                builder.store(total, pointer).align = align
+        return context.get_dummy_value()
+
+    return signature, codegen

@@ -1,0 +1,40 @@
+"""Which form of a formula runs: the compiled kernels, or the readable torch that they are tested against.
+
+Compiled kernels take tensors in the processor's memory, of one fit. The readable form runs on any device, and under
+`torch.func.vmap`, which gives tensors of many fits to a formula written for one.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import lru_cache
+
+import torch
+
+from hfb.typing import Shaped, Tensor
+
+_readable = ContextVar("readable", default=False)
+
+
+def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
+    """Whether the compiled kernels take this tensor."""
+    return tensor.device.type == "cpu" and not _readable.get()
+
+
+@contextmanager
+def readable_formulas() -> Iterator[None]:
+    """Inside, in this thread, the readable form runs wherever there are two."""
+    before = _readable.set(True)
+    try:
+        yield
+    finally:
+        _readable.reset(before)
+
+
+@lru_cache(maxsize=256)
+def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) -> Shaped[Tensor, "..."]:
+    """A tensor of these numbers, or of one, made once: to copy them to a device makes the processor wait for it.
+
+    Not to be changed.
+    """
+    return torch.tensor(values, dtype=dtype, device=device)

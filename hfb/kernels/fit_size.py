@@ -1,0 +1,84 @@
+"""Compiled: a motion as it is for a person with other betas, seen alike, with its way back."""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
+
+import numpy as np
+from numba import njit
+
+from hfb.kernels.compile import JIT, LOOP, entry
+
+
+@njit(**LOOP)
+def _rest(betas, template, rows, joints):
+    """Fill the joints (72) of the rest pose [m]."""
+    for n in range(joints.shape[0]):
+        joints[n] = template[n]
+        for k in range(betas.shape[0]):
+            joints[n] += np.float64(rows[k, n]) * betas[k]
+
+
+@njit(**LOOP)
+def _length(joints, parents):
+    """Of all bones [m]."""
+    total = 0.0
+    for child in range(1, parents.shape[0]):
+        x, y, z = _bone(joints, parents[child], child)
+        total += np.sqrt(x * x + y * y + z * z)
+    return total
+
+
+@njit(**LOOP)
+def _bone(joints, parent, child):
+    a, b = 3 * parent, 3 * child
+    return joints[b] - joints[a], joints[b + 1] - joints[a + 1], joints[b + 2] - joints[a + 2]
+
+
+@njit(**JIT)
+def _people(betas, reference, template, rows, parents):
+    """Rest joints of both people, and how much longer the bones of the first are."""
+    now, before = np.empty(template.shape[0], np.float64), np.empty(template.shape[0], np.float64)
+    _rest(betas, template, rows, now)
+    _rest(reference, template, rows, before)
+    return now, before, _length(now, parents) / _length(before, parents)
+
+
+@entry
+def as_large(translation, betas, reference, template, rows, parents, moved):
+    """Fill `moved` (T, D1, 4): coefficients of the path of a person with `betas` who is seen as one with `reference`
+    and `translation` is. template: (72), rows: (K, 72), see `hfb.body.model.Body.shape_rows`."""
+    now, before, factor = _people(betas, reference, template, rows, parents)
+    for t in range(translation.shape[0]):
+        for d in range(translation.shape[1]):
+            for c in range(3):
+                moved[t, d, c] = factor * translation[t, d, c]
+            moved[t, d, 3] = translation[t, d, 3]
+        for c in range(3):
+            moved[t, 0, c] = factor * (np.float64(translation[t, 0, c]) + before[c]) - now[c]
+
+
+@entry
+def as_large_gradient(translation, betas, reference, template, rows, parents, given, of_translation, of_betas):
+    """Fill the gradients of the coefficients and the betas."""
+    now, before, factor = _people(betas, reference, template, rows, parents)
+    of_joints, of_factor = np.zeros(now.shape[0], np.float64), 0.0
+    for t in range(translation.shape[0]):
+        for d in range(translation.shape[1]):
+            for c in range(3):
+                of_translation[t, d, c] = factor * given[t, d, c]
+                of_factor += np.float64(given[t, d, c]) * translation[t, d, c]
+            of_translation[t, d, 3] = given[t, d, 3]
+        for c in range(3):
+            of_factor += given[t, 0, c] * before[c]
+            of_joints[c] -= given[t, 0, c]
+    of_factor /= _length(before, parents)
+    for child in range(1, parents.shape[0]):
+        x, y, z = _bone(now, parents[child], child)
+        pull = of_factor / np.sqrt(x * x + y * y + z * z)
+        for c, along in enumerate((x, y, z)):
+            of_joints[3 * child + c] += pull * along
+            of_joints[3 * parents[child] + c] -= pull * along
+    for k in range(betas.shape[0]):
+        total = 0.0
+        for n in range(of_joints.shape[0]):
+            total += rows[k, n] * of_joints[n]
+        of_betas[k] = total

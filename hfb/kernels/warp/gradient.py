@@ -1,0 +1,168 @@
+"""Warp kernels: from the pull on what pixels show to the gradient of the vertices.
+
+Every sum belongs to one thread, which adds in a fixed order: a face over the pixels that show it, an outline edge over
+its pieces, a vertex over its faces and edges. No two threads write to one place.
+"""
+# mypy: ignore-errors
+# (Warp compiles these: its types are not mypy's)
+
+from typing import Any
+
+import warp as wp
+
+from hfb.kernels.warp.screen import (
+    HALF,
+    ONE,
+    ZERO,
+    closest_parameter,
+    highest_centre,
+    lowest_centre,
+    outline_edge,
+    twice_area,
+)
+from hfb.kernels.warp.surface import corner_of, face_weights
+
+wp.set_module_options({"enable_backward": False})
+
+TWO = wp.constant(wp.float64(2.0))
+
+
+@wp.kernel
+def pull_faces(
+    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d), codes: wp.array3d(dtype=wp.int32), pulls: wp.array3d(dtype=wp.vec3d),
+    on_corners: wp.array3d(dtype=wp.vec3d),
+):  # fmt: skip
+    """Gradients of each face's corners (x, y, 1/z) through the colours it shows. Threads: bodies, faces.
+
+    A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of its 1/z
+    by e shifts u by b (u_corner - u) e / (sum b / z).
+    """
+    b, f = wp.tid()
+    sum_p, sum_q, sum_r = wp.vec3d(), wp.vec3d(), wp.vec3d()
+    if front[b, f] != wp.uint8(0):
+        p, q, r = projected[b, faces[f, 0]], projected[b, faces[f, 1]], projected[b, faces[f, 2]]
+        depths, inverse = wp.vec3d(p[2], q[2], r[2]), ONE / twice_area(p, q, r)
+        slope_q = wp.vec2d((r[1] - p[1]) * inverse, (p[0] - r[0]) * inverse)
+        slope_r = wp.vec2d((p[1] - q[1]) * inverse, (q[0] - p[0]) * inverse)
+        c_from, c_to = lowest_centre(p[0], q[0], r[0]), highest_centre(p[0], q[0], r[0], codes.shape[2])
+        r_from, r_to = lowest_centre(p[1], q[1], r[1]), highest_centre(p[1], q[1], r[1], codes.shape[1])
+        for row in range(r_from, r_to + 1):
+            for column in range(c_from, c_to + 1):
+                if codes[b, row, column] == f:
+                    centre = wp.vec2d(wp.float64(column) + HALF, wp.float64(row) + HALF)
+                    weights = face_weights(centre, p, q, r)
+                    w = wp.cw_mul(weights, depths)
+                    scale = ONE / (w[0] + w[1] + w[2])
+                    at = (w[0] * uv[f, 0] + w[1] * uv[f, 1] + w[2] * uv[f, 2]) * scale
+                    pull = pulls[b, row, column]
+                    slopes = wp.vec2d(pull[1], pull[2]) * scale
+                    d_p, d_q = wp.dot(slopes, uv[f, 0] - at), wp.dot(slopes, uv[f, 1] - at)
+                    d_r = wp.dot(slopes, uv[f, 2] - at)
+                    base = d_p * p[2]
+                    moved = (d_q * q[2] - base) * slope_q + (d_r * r[2] - base) * slope_r
+                    sum_p = sum_p + weights[0] * wp.vec3d(-moved[0], -moved[1], d_p)
+                    sum_q = sum_q + weights[1] * wp.vec3d(-moved[0], -moved[1], d_q)
+                    sum_r = sum_r + weights[2] * wp.vec3d(-moved[0], -moved[1], d_r)
+    on_corners[b, f, 0] = sum_p
+    on_corners[b, f, 1] = sum_q
+    on_corners[b, f, 2] = sum_r
+
+
+@wp.func
+def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64):
+    """Gradients of an edge's ends from that of the point of it closest to a pixel's centre.
+
+    by_uv: gradient by the share of the end in the texture coordinates, (slope . (uv_end - uv_start)).
+    """
+    x, y = end[0] - start[0], end[1] - start[1]
+    t = closest_parameter(centre, start, end)
+    scale = ONE / ((ONE - t) * start[2] + t * end[2])
+    difference = by_uv * scale * scale  # d share / dt = z0 z1 scale^2
+    of_start = wp.vec3d(ZERO, ZERO, -(ONE - t) * t * end[2] * difference)
+    of_end = wp.vec3d(ZERO, ZERO, (ONE - t) * t * start[2] * difference)
+    if t > ZERO and t < ONE:
+        # t = (p - p0).d / d.d: its derivatives by p0 and p1 at fixed p.
+        pull = start[2] * end[2] * difference / (x * x + y * y)
+        rx, ry = centre[0] - start[0], centre[1] - start[1]
+        of_start = of_start + pull * wp.vec3d(TWO * t * x - x - rx, TWO * t * y - y - ry, ZERO)
+        of_end = of_end + pull * wp.vec3d(rx - TWO * t * x, ry - TWO * t * y, ZERO)
+    return of_start, of_end
+
+
+@wp.kernel
+def pull_edges(
+    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32), edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d),
+    begins: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3i), shares: wp.array(dtype=wp.vec2d),
+    codes: wp.array3d(dtype=wp.int32), pulls: wp.array3d(dtype=wp.vec3d), on_ends: wp.array3d(dtype=wp.vec3d),
+):  # fmt: skip
+    """Gradients of the ends of each outline edge, in the order of `edge_vertices`. Threads: bodies, edges.
+
+    Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. An edge
+    that lends a pixel its colour is one that crosses it, so those pixels are among the pieces' too.
+    """
+    b, e = wp.tid()
+    of_start, of_end = wp.vec3d(), wp.vec3d()
+    n, beyond = begins[b * edge_vertices.shape[0] + e], begins[b * edge_vertices.shape[0] + e + 1]
+    edge = outline_edge(front, edge_vertices, edge_faces, b, e)
+    if n < beyond:
+        start, end, owner = projected[b, edge[0]], projected[b, edge[1]], edge[2]
+        x, y = end[0] - start[0], end[1] - start[1]
+        across = wp.vec2d()
+        if codes.shape[0] > 0:
+            across = uv[owner, corner_of(faces, owner, edge[1])] - uv[owner, corner_of(faces, owner, edge[0])]
+        for piece in range(n, beyond):
+            at = place[piece]
+            if at[2] > 0:
+                pull, share = pulls[b, at[0], at[1]], shares[piece]
+                swept = pull[0] * wp.vec3d(-y, x, ZERO)
+                of_start = of_start + share[0] * swept
+                of_end = of_end + share[1] * swept
+                if codes.shape[0] > 0:  # noqa: SIM102 (of an "and" Warp would read both sides)
+                    if codes[b, at[0], at[1]] == -1 - e:
+                        centre = wp.vec2d(wp.float64(at[1]) + HALF, wp.float64(at[0]) + HALF)
+                        by_uv = pull[1] * across[0] + pull[2] * across[1]
+                        more_start, more_end = rim_pull(centre, start, end, by_uv)
+                        of_start = of_start + more_start
+                        of_end = of_end + more_end
+    if edge[0] == edge_vertices[e, 0]:
+        on_ends[b, e, 0] = of_start
+        on_ends[b, e, 1] = of_end
+    else:
+        on_ends[b, e, 0] = of_end
+        on_ends[b, e, 1] = of_start
+
+
+@wp.kernel
+def gather(
+    vertices: wp.array3d(dtype=Any), projected: wp.array2d(dtype=wp.vec3d),
+    lenses: wp.array2d(dtype=wp.float64), subframes: wp.int32,
+    corner_begins: wp.array(dtype=wp.int32), corners: wp.array(dtype=wp.int32),
+    end_begins: wp.array(dtype=wp.int32), ends: wp.array(dtype=wp.int32),
+    on_corners: wp.array3d(dtype=wp.vec3d), on_ends: wp.array3d(dtype=wp.vec3d), gradient: wp.array3d(dtype=Any),
+):  # fmt: skip
+    """Gradient of each vertex [1/m] from those of the corners and ends that it is. Threads: bodies, vertices.
+
+    corners: numbers 3 f + k of each vertex's corners, its first at corner_begins; ends: 2 e + k likewise. The chain
+    rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z.
+    """
+    b, i = wp.tid()
+    total, point = wp.vec3d(), projected[b, i]
+    if on_corners.shape[0] > 0:
+        for m in range(corner_begins[i], corner_begins[i + 1]):
+            total = total + on_corners[b, corners[m] / 3, corners[m] % 3]
+    for m in range(end_begins[i], end_begins[i + 1]):
+        total = total + on_ends[b, ends[m] / 2, ends[m] % 2]
+    found = wp.vec3d()
+    if point[2] > ZERO:
+        n = b / subframes
+        gx, gy = total[0] * lenses[n, 0], total[1] * lenses[n, 1]
+        by_inverse = total[2] + gx * wp.float64(vertices[b, i, 0]) + gy * wp.float64(vertices[b, i, 1])
+        found = wp.vec3d(gx * point[2], gy * point[2], -point[2] * point[2] * by_inverse)
+    for k in range(3):
+        gradient[b, i, k] = gradient.dtype(found[k])
+
+
+for _real in (wp.float32, wp.float64):
+    wp.overload(gather, {"vertices": wp.array3d(dtype=_real), "gradient": wp.array3d(dtype=_real)})

@@ -1,0 +1,193 @@
+"""Warp kernels: the texture's colour at each pixel, the pictures' means, and the way back of both to what is seen.
+
+As in `kernels_surface`. The way back gathers: a face collects from the pixels that show it, an outline edge from its
+own pieces (`cuda_kernels_gradient`), so nothing but the texture's gradient is added to by several threads, and that one
+in whole steps.
+"""
+# mypy: ignore-errors
+# (Warp compiles these: its types are not mypy's)
+
+from typing import Any
+
+import warp as wp
+
+from hfb.kernels.warp.screen import HALF, NONE, ONE, ZERO, closest_parameter, outline_edge, twice_area
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def corner_of(faces: wp.array2d(dtype=wp.int32), f: wp.int32, vertex: wp.int32) -> wp.int32:
+    """Which corner (0, 1, 2) of face f the vertex is."""
+    corner = wp.int32(2)
+    if faces[f, 1] == vertex:
+        corner = 1
+    if faces[f, 0] == vertex:
+        corner = 0
+    return corner
+
+
+@wp.func
+def face_weights(centre: wp.vec2d, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> wp.vec3d:
+    """Barycentric coordinates of a position on the screen."""
+    inverse = ONE / twice_area(p, q, r)
+    x, y = centre[0] - p[0], centre[1] - p[1]
+    b_q = (x * (r[1] - p[1]) - y * (r[0] - p[0])) * inverse
+    b_r = (y * (q[0] - p[0]) - x * (q[1] - p[1])) * inverse
+    return wp.vec3d(ONE - b_q - b_r, b_q, b_r)
+
+
+@wp.func
+def point_seen(
+    b: wp.int32, row: wp.int32, column: wp.int32, code: wp.int32,
+    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32), edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d),
+) -> wp.vec2d:  # fmt: skip
+    """Texture coordinates of what a pixel shows: a face's point at its centre, or the point of an outline edge
+    closest to it; perspective-correct."""
+    centre = wp.vec2d(wp.float64(column) + HALF, wp.float64(row) + HALF)
+    found = wp.vec2d()
+    if code >= 0:
+        p, q, r = projected[b, faces[code, 0]], projected[b, faces[code, 1]], projected[b, faces[code, 2]]
+        w = wp.cw_mul(face_weights(centre, p, q, r), wp.vec3d(p[2], q[2], r[2]))
+        found = (w[0] * uv[code, 0] + w[1] * uv[code, 1] + w[2] * uv[code, 2]) / (w[0] + w[1] + w[2])
+    else:
+        edge = outline_edge(front, edge_vertices, edge_faces, b, -1 - code)
+        start, end = projected[b, edge[0]], projected[b, edge[1]]
+        t = closest_parameter(centre, start, end)
+        w0, w1 = (ONE - t) * start[2], t * end[2]
+        i, j = corner_of(faces, edge[2], edge[0]), corner_of(faces, edge[2], edge[1])
+        found = (w0 * uv[edge[2], i] + w1 * uv[edge[2], j]) / (w0 + w1)
+    return found
+
+
+@wp.func
+def texel_position(coordinate: wp.float64, size: wp.int32) -> wp.float64:
+    """In texels from the first one's centre, within the picture of the texture."""
+    return wp.clamp(coordinate * wp.float64(size) - HALF, ZERO, wp.float64(size - 1))
+
+
+@wp.func
+def first_texel(position: wp.float64, size: wp.int32) -> wp.int32:
+    """First texel of the pair around a position."""
+    return wp.min(wp.int32(wp.floor(position)), wp.max(size, 2) - 2)
+
+
+@wp.func
+def texture_of(n: wp.int32, pictures: wp.int32, textures: wp.int32) -> wp.int32:
+    """Which texture picture n has: each belongs to a run of pictures, all runs of one length."""
+    return n / (pictures / textures)
+
+
+@wp.func
+def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, column: wp.int32) -> wp.vec3d:
+    return wp.vec3d(
+        wp.float64(textures[g, row, column, 0]),
+        wp.float64(textures[g, row, column, 1]),
+        wp.float64(textures[g, row, column, 2]),
+    )
+
+
+@wp.kernel
+def shade(
+    alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
+    subframes: wp.int32, pictures: wp.array4d(dtype=Any),
+):  # fmt: skip
+    """Mean of each run of `subframes` bodies: coverage times the texture (bilinear, clamped at its border), and the
+    coverage; of empty textures the coverage alone. Threads: pictures, rows, columns."""
+    n, row, column = wp.tid()
+    size, step = textures.shape[1], wp.min(textures.shape[1] - 1, 1)
+    g = texture_of(n, pictures.shape[0], textures.shape[0])
+    colour, opacity = wp.vec3d(), wp.float64(0.0)
+    for s in range(subframes):
+        b = n * subframes + s
+        share = alpha[b, row, column]
+        if share > ZERO:
+            opacity = opacity + share
+            if size > 0:
+                code = codes[b, row, column]
+                if code != NONE:
+                    at = point_seen(b, row, column, code, projected, front, faces, edge_vertices, edge_faces, uv)
+                    x, y = texel_position(at[0], size), texel_position(at[1], size)
+                    c, r = first_texel(x, size), first_texel(y, size)
+                    right, below = x - wp.float64(c), y - wp.float64(r)
+                    upper = (ONE - right) * colour_at(textures, g, r, c) + right * colour_at(textures, g, r, c + step)
+                    lower = (ONE - right) * colour_at(textures, g, r + step, c)
+                    lower = lower + right * colour_at(textures, g, r + step, c + step)
+                    colour = colour + share * ((ONE - below) * upper + below * lower)
+    scale, last = ONE / wp.float64(subframes), pictures.shape[3] - 1
+    if size > 0:
+        for q in range(3):
+            pictures[n, row, column, q] = pictures.dtype(colour[q] * scale)
+    pictures[n, row, column, last] = pictures.dtype(opacity * scale)
+
+
+@wp.func
+def add_in_steps(
+    value: wp.vec3d, steps: wp.float64, g: wp.int32, row: wp.int32, column: wp.int32,
+    total: wp.array4d(dtype=wp.int64),
+):  # fmt: skip
+    """Add a colour to a texel as whole numbers of steps: a sum whose order does not matter."""
+    for q in range(3):
+        wp.atomic_add(total, g, row, column, q, wp.int64(wp.floor(value[q] * steps + HALF)))
+
+
+@wp.kernel
+def pull_pixels(
+    alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
+    subframes: wp.int32, of_pictures: wp.array4d(dtype=Any), steps: wp.array(dtype=wp.float64),
+    pulls: wp.array3d(dtype=wp.vec3d), of_textures: wp.array4d(dtype=wp.int64),
+):  # fmt: skip
+    """Way back of `shade` to what each pixel shows. Threads: bodies, rows, columns.
+
+    pulls: gradients of its coverage, u and v. of_textures (zeros before): in steps, of which there are `steps` to one;
+    empty ones are left out.
+    """
+    b, row, column = wp.tid()
+    pull, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]
+    if share > ZERO:
+        n, scale = b / subframes, ONE / wp.float64(subframes)
+        g = texture_of(n, of_pictures.shape[0], textures.shape[0])
+        pull = wp.vec3d(wp.float64(of_pictures[n, row, column, of_pictures.shape[3] - 1]) * scale, ZERO, ZERO)
+        if size > 0:
+            code = codes[b, row, column]
+            if code != NONE:
+                given = scale * wp.vec3d(
+                    wp.float64(of_pictures[n, row, column, 0]),
+                    wp.float64(of_pictures[n, row, column, 1]),
+                    wp.float64(of_pictures[n, row, column, 2]),
+                )
+                at = point_seen(b, row, column, code, projected, front, faces, edge_vertices, edge_faces, uv)
+                x, y, step = texel_position(at[0], size), texel_position(at[1], size), wp.min(size - 1, 1)
+                c, r = first_texel(x, size), first_texel(y, size)
+                right, below = x - wp.float64(c), y - wp.float64(r)
+                t00, t01 = (
+                    wp.dot(given, colour_at(textures, g, r, c)),
+                    wp.dot(given, colour_at(textures, g, r, c + step)),
+                )
+                t10 = wp.dot(given, colour_at(textures, g, r + step, c))
+                t11 = wp.dot(given, colour_at(textures, g, r + step, c + step))
+                upper, lower = t00 + right * (t01 - t00), t10 + right * (t11 - t10)
+                slope_u, slope_v, last = ZERO, ZERO, wp.float64(size - 1)
+                if x > ZERO and x < last:
+                    slope_u = share * wp.float64(size) * ((ONE - below) * (t01 - t00) + below * (t11 - t10))
+                if y > ZERO and y < last:
+                    slope_v = share * wp.float64(size) * (lower - upper)
+                pull = wp.vec3d(pull[0] + upper + below * (lower - upper), slope_u, slope_v)
+                if of_textures.shape[1] > 0:
+                    given = share * given
+                    add_in_steps((ONE - below) * (ONE - right) * given, steps[g], g, r, c, of_textures)
+                    add_in_steps((ONE - below) * right * given, steps[g], g, r, c + step, of_textures)
+                    add_in_steps(below * (ONE - right) * given, steps[g], g, r + step, c, of_textures)
+                    add_in_steps(below * right * given, steps[g], g, r + step, c + step, of_textures)
+    pulls[b, row, column] = pull
+
+
+for _real in (wp.float32, wp.float64):
+    _some = {"textures": wp.array4d(dtype=_real)}
+    wp.overload(shade, {**_some, "pictures": wp.array4d(dtype=_real)})
+    wp.overload(pull_pixels, {**_some, "of_pictures": wp.array4d(dtype=_real)})

@@ -1,0 +1,95 @@
+"""motion.npz: the lossless result, readable by numpy alone."""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.io.array_files import read_arrays
+from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.sampled import SampledMotion
+from hfb.typing import Array
+
+_ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
+_OPTIONAL = ("joint_radius_mm",)
+_LARGEST = {
+    "poses": 1e4, "trans": 1e6, "betas": 1e4, "joints": 1e6, "K": 1e9, "times_s": 1e10, "frame_index": 1e6,
+    "joint_radius_mm": 1e9,
+}  # fmt: skip
+"""Beyond what a person in front of a camera can be: numbers that are read as they are would take memory or time."""
+
+_SHORTEST_STEP_S = 1e-12
+
+
+def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
+    """The members of a motion file, by name."""
+    known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
+    return known | {"betas_space": np.array(betas_space)}
+
+
+def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
+    """Write the motion whole or not at all; no pickled member.
+
+    Args:
+        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+    """
+    write_arrays(path, motion_arrays(motion, betas_space))
+
+
+def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
+    """A compressed .npz of plain arrays, whole or not at all."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # its stub confuses them with allow_pickle
+    write_bytes_atomic(path, buffer.getvalue())
+
+
+def load_motion(path: Path) -> tuple[SampledMotion, str]:
+    """Read a motion file; returns the motion and whose betas it holds.
+
+    Raises:
+        InputError: not a motion file, or a damaged one.
+    """
+    try:
+        found = read_arrays(path, (*_ARRAYS, *_OPTIONAL, "betas_space"))
+        _check(found)
+        names = (*_ARRAYS, *(name for name in _OPTIONAL if name in found))
+        return SampledMotion(**{name: found[name] for name in names}), str(found["betas_space"])
+    except FileNotFoundError:
+        raise InputError(f"there is no motion file at {path}") from None
+    except (KeyError, ValueError, OSError) as error:
+        raise InputError(f"{path} is not a motion file of hfb ({error}); make one with `hfb fit`") from None
+
+
+def _check(found: Mapping[str, Array]) -> None:
+    """Raises ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
+    rows = len(found["poses"]) if found["poses"].ndim else 0
+    shapes = {
+        "poses": (rows, 72), "trans": (rows, 3), "betas": (10,), "joints": (rows, 24, 3), "times_s": (rows,),
+        "frame_index": (rows,), "K": (3, 3), "joint_radius_mm": (rows, 24),
+    }  # fmt: skip
+    for name, shape in shapes.items():
+        if name in _OPTIONAL and name not in found:
+            continue
+        array = found[name]
+        if array.shape != shape or array.dtype.kind not in ("iu" if name == "frame_index" else "f"):
+            raise ValueError(f"its {name} is {array.dtype} {array.shape}, not numbers {shape}")
+        if name not in _OPTIONAL and not np.isfinite(array).all():
+            raise ValueError(f"its {name} is not finite")
+    if not rows or found["frame_index"].min() < 0:
+        raise ValueError("it has no instant, or a frame before the first")
+    for name, largest in _LARGEST.items():
+        if name in found and np.nanmax(np.abs(found[name]), initial=0, where=np.isfinite(found[name])) > largest:
+            raise ValueError(f"its {name} has a number beyond {largest:g}")
+    _check_clock(found["times_s"], found["frame_index"])
+
+
+def _check_clock(times_s: Array, frame_index: Array) -> None:
+    """Raises ValueError where instants cannot be those of a recording: everything made of them would be as absurd."""
+    if (frame_index[1:] < frame_index[:-1]).any():
+        raise ValueError("its frames are not in order")
+    steps = np.diff(times_s)[frame_index[1:] == frame_index[:-1]]
+    steps = steps[steps != 0]
+    if len(steps) and np.abs(steps).min() < _SHORTEST_STEP_S:
+        raise ValueError(f"its times_s has two sub-frames within {_SHORTEST_STEP_S:g} s")

@@ -1,0 +1,61 @@
+"""The static body that every fit starts from."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from hfb.errors import InputError
+from hfb.io.array_files import read_arrays
+from hfb.motion.motion_file import write_arrays
+from hfb.typing import Float, Tensor
+
+_NUMBERS = {"pose": (24, 3), "translation": (3,), "betas": (10,)}
+
+
+@dataclass(frozen=True)
+class FirstBody:
+    """One body for one frame, in camera coordinates.
+
+    Attributes:
+        pose: axis-angle per joint [rad], the root first; the root rotates the rest body into the camera's frame.
+        translation: added to the posed vertices, as in SMPL [m].
+        betas: shape coefficients of the body model in use.
+        source: which estimator made it, e.g. ``"mediapipe"`` or ``"matte"``.
+    """
+
+    pose: Float[Tensor, "24 3"]
+    translation: Float[Tensor, "3"]
+    betas: Float[Tensor, "10"]
+    source: str
+
+
+def save_first_body(path: Path, first: FirstBody) -> None:
+    """Write a first body (.npz, no pickle) whole or not at all."""
+    numbers = {name: getattr(first, name).double().numpy() for name in _NUMBERS}
+    write_arrays(path, numbers | {"source": np.array(first.source)})
+
+
+def load_first_body(path: Path) -> FirstBody:
+    """Read a first body.
+
+    Raises:
+        InputError: missing, damaged, or of other shapes.
+    """
+    try:
+        found = read_arrays(path, (*_NUMBERS, "source"))
+        numbers, source = {name: found[name] for name in _NUMBERS}, str(found["source"])
+    except FileNotFoundError:
+        raise InputError(f"there is no first body at {path}") from None
+    except (KeyError, ValueError, OSError) as error:
+        raise InputError(f"{path} is not a first body of hfb ({error})") from None
+    for name, shape in _NUMBERS.items():
+        if (
+            numbers[name].shape != shape
+            or numbers[name].dtype.kind not in "fiu"
+            or not np.isfinite(numbers[name]).all()
+        ):
+            raise InputError(f"{path} is not a first body of hfb: {name} must be {shape} finite numbers")
+    tensors = {name: torch.from_numpy(array).float() for name, array in numbers.items()}
+    return FirstBody(**tensors, source=source)

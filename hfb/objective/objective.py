@@ -1,0 +1,236 @@
+"""The joint loss, eq. (11): the only place that knows weights.
+
+A term with weight zero is not computed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import torch
+
+from hfb.body.model import Body, ShapedBody
+from hfb.config import Weights
+from hfb.evidence.joint_evidence import JointEvidence
+from hfb.geometry.rotations import matrix_to_axis_angle
+from hfb.kernels.dispatch import compiled, constant
+from hfb.kernels.image_losses import Target
+from hfb.kernels.motion_operators import rotation_vectors
+from hfb.motion.clock import next_opening, subframe_clock
+from hfb.motion.trajectory import Trajectory
+from hfb.objective.boundary import boundary_loss
+from hfb.objective.pyramid import image_over_scales, matte_over_scales
+from hfb.objective.regularizers import background_loss, motion_loss, pose_loss, shape_loss, start_loss
+from hfb.objective.texture import TexelNeighbours, texture_smoothness
+from hfb.priors.motion_prior import MotionPrior
+from hfb.priors.pose import PosePrior
+from hfb.rendering.cpu import CpuRasterizer
+from hfb.rendering.observation import Observation
+from hfb.rendering.rasterizer import Rasterizer
+from hfb.typing import Bool, Float, Tensor
+
+
+@dataclass(frozen=True)
+class Objective:
+    """How well a body, its motion and its texture explain an observation.
+
+    Attributes:
+        texels: neighbourhoods for L_S; needed only where its weight is positive.
+        first: rotations of the first bodies, for the term that holds on to them.
+        visible: texels seen in some sub-frame, for L_S; every texel when not given.
+        evidence: where the joint network saw the joints, for the terms that compare with it.
+        across: share of the evidence's word on joints across the view; what it says of their depth counts whole.
+        motion_prior: for L_A, which a single frame alone has: its neighbours know the direction better.
+        settling: before any picture the path counts with the sign that is likelier, and in several frames too. A single
+            frame's picture leaves the sign open; several frames know their paths better from each other.
+        matte_scales, image_scales: at how many scales L_alpha and L_I compare, each half the last.
+    """
+
+    observation: Observation
+    body: Body
+    rasterizer: Rasterizer
+    pose_prior: PosePrior
+    weights: Weights
+    subframes: int
+    first: Float[Tensor, "T 24 3 3"]
+    texels: TexelNeighbours | None = None
+    visible: Bool[Tensor, "A A"] | None = None
+    matte_scales: int = 1
+    image_scales: int = 1
+    evidence: JointEvidence | None = None
+    across: float = 1.0
+    motion_prior: MotionPrior | None = None
+    settling: bool = False
+
+    def terms(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The unweighted terms with a positive weight, named as in `Weights`."""
+        posed, of_body = self._posed(trajectory, betas)
+        # Not split where there is but one frame: the way back of that copies.
+        vertices = posed.split(self.subframes) if len(posed) > self.subframes else (posed,)
+        per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
+        return mean_of_frames(per_frame) | self.surface_terms(texture) | of_body
+
+    def vertices_and_terms(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"]
+    ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
+        """What is to be drawn, camera coordinates [m], and the terms of body and motion."""
+        posed, terms = self._posed(trajectory, betas)
+        return posed.unflatten(0, (-1, self.subframes)), terms
+
+    def _posed(
+        self, trajectory: Trajectory, betas: Float[Tensor, "10"]
+    ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
+        """The body at every sub-frame of every frame in turn, and the terms of body and motion."""
+        shaped = self.body.shape(betas)
+        course = trajectory.at(self._instants(betas.dtype))
+        posed, joints = shaped.pose_frames(*course)
+        return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
+
+    def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
+        """The term of the texture alone."""
+        if self.weights.texture > 0 and self.texels is not None:
+            return {"texture": texture_smoothness(texture, self.texels, self.visible)}
+        return {}
+
+    def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
+        """The sub-frames' times, and last the middle of the exposure."""
+        return _instants(self.subframes, dtype, self.first.device)
+
+    def body_terms(
+        self,
+        trajectory: Trajectory,
+        betas: Float[Tensor, "10"],
+        shaped: ShapedBody,
+        course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"], Float[Tensor, "T S1 24 3"]] | None = None,
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Those terms that no picture is drawn for.
+
+        Args:
+            shaped: the body with these betas. course: the trajectory at `_instants`, and the joints [m] there, where
+                they are known already.
+        """
+        weights, seen = self.weights, self.observation
+        rotations, translations, *known = course or trajectory.at(self._instants(betas.dtype))
+        frames = rotations.shape[0]
+        terms: dict[str, Tensor] = {}
+        whole = weights.path > 0 and (frames == 1 or self.settling)
+        if self.evidence is not None and (weights.joints > 0 or whole):
+            joints = known[0] if known else self._some_joints(shaped, rotations, translations, whole)
+            terms["joints"] = self.evidence.middle_loss(joints, (self.across, self.across, 1.0))
+            if whole:
+                terms["path"] = self.evidence.path_loss(joints, both_ways=not self.settling)
+        if weights.pose > 0:
+            terms["pose"] = pose_loss(self.pose_prior, self._vectors(rotations))
+        if weights.start > 0:
+            terms["start"] = start_loss(rotations, self.first)
+        if weights.height > 0 and self.evidence is not None:
+            terms["height"] = self.evidence.height_loss(self.body, betas)
+        if weights.shape > 0:
+            terms["shape"] = shape_loss(betas)
+        if weights.motion > 0:
+            terms["motion"] = motion_loss(trajectory.rotation, trajectory.translation) / frames
+        if weights.adversarial > 0 and frames == 1 and self.motion_prior is not None:
+            terms["adversarial"] = self.motion_prior(trajectory, shaped)
+        if weights.boundary > 0 and frames > 1:
+            terms["boundary"] = boundary_loss(trajectory, shaped, next_opening(seen.exposure_s, seen.interval_s))
+        return terms
+
+    def _some_joints(
+        self,
+        shaped: ShapedBody,
+        rotations: Float[Tensor, "T S1 24 3 3"],
+        translations: Float[Tensor, "T S1 3"],
+        whole: bool,
+    ) -> Float[Tensor, "T n 24 3"]:
+        """Those that the evidence is about [m]: at opening, closing and middle, or in the middle alone."""
+        some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
+        index = constant(some, torch.long, rotations.device)
+        places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
+        return shaped.joints_of(*places).unflatten(0, (-1, len(some)))
+
+    def _vectors(self, rotations: Float[Tensor, "T S1 24 3 3"]) -> Float[Tensor, "n 23 3"]:
+        """Axis times angle [rad] below the root at every sub-frame."""
+        if compiled(rotations):
+            return rotation_vectors(rotations, self.subframes).flatten(0, 1)
+        return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
+
+    def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
+        """What one frame's picture and matte say: the image, matting and background terms."""
+        weights, seen, mesh = self.weights, self.observation, self.body.mesh
+        if weights.background > 0:  # the only term that needs every sub-frame's own picture
+            pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
+            background = background_loss(seen.plate_linear, pictures)
+            return {"background": background} | self.compared(frame, pictures.mean(0))
+        if weights.image > 0 and isinstance(self.rasterizer, CpuRasterizer) and not torch.compiler.is_compiling():
+            target = self._targets[frame]
+            return self._named(*self.rasterizer.judge_mean(vertices, texture, seen.camera, mesh, target))
+        if weights.image > 0:
+            return self.compared(frame, self.rasterizer.render_mean(vertices, texture, seen.camera, mesh))
+        alpha = self.rasterizer.silhouette_mean(vertices, seen.camera, mesh)
+        return self.compared(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
+
+    def compared(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
+        """The image and matting terms of a frame whose drawing is known: mean colour, premultiplied, and silhouette."""
+        if compiled(mean) and not torch.compiler.is_compiling():
+            return self._named(*self._targets[frame].losses(mean))
+        seen, (image_scales, matte_scales) = self.observation, self._scales
+        plate, picture, matte = seen.plate_linear, seen.frames_linear[frame], seen.mattes[frame]
+        nothing = mean.new_zeros(())
+        return self._named(
+            image_over_scales(mean, plate, picture, matte, image_scales) if image_scales > 0 else nothing,
+            matte_over_scales(mean[..., 3], matte, matte_scales) if matte_scales > 0 else nothing,
+        )
+
+    @property
+    def _scales(self) -> tuple[int, int]:
+        """At how many the image and the matting loss are compared: at none without a weight."""
+        weights = self.weights
+        return self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
+
+    @cached_property
+    def _targets(self) -> tuple[Target, ...]:
+        """What is seen of each frame, for the compiled losses."""
+        seen = self.observation
+        pictures = zip(seen.frames_linear, seen.mattes, strict=True)
+        return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
+
+    def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
+        """The two losses of a picture, those that have a weight."""
+        weights = self.weights
+        return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
+
+    def of_stage(self, seen: Observation, visible: Bool[Tensor, "A A"] | None, image: float) -> "Objective":
+        """What a stage minimises: of the observation at its size, with a factor of w_I."""
+        weights = self.weights.model_copy(update={"image": image * self.weights.image})
+        return replace(self, observation=seen, visible=visible, weights=weights)
+
+    def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
+        """The weighted sum of the terms."""
+        values = torch.stack(tuple(terms.values()))
+        weights = constant(tuple(getattr(self.weights, name) for name in terms), values.dtype, values.device)
+        return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
+
+    def weighed(self, values: dict[str, float]) -> float:
+        """`total` of terms whose values are known."""
+        return sum(getattr(self.weights, name) * value for name, value in values.items())
+
+    def pull(self, terms: dict[str, Float[Tensor, ""]]) -> None:
+        """The way back of `total`, straight from the terms: what is free gets its gradient."""
+        free = {name: term for name, term in terms.items() if term.requires_grad}
+        weights = [constant(getattr(self.weights, name), one.dtype, one.device) for name, one in free.items()]
+        torch.autograd.backward(tuple(free.values()), weights)
+
+
+@lru_cache
+def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
+    """See `Objective._instants`; not to be changed."""
+    return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
+
+
+def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
+    """Every term's mean over the frames."""
+    if len(per_frame) == 1:
+        return per_frame[0]
+    return {name: torch.stack([one[name] for one in per_frame]).mean() for name in per_frame[0]}

@@ -1,0 +1,44 @@
+"""Choose a rasteriser by name; only the chosen back end is imported."""
+
+from importlib.util import find_spec
+from typing import Literal
+
+from hfb.errors import InputError
+from hfb.rendering.rasterizer import Rasterizer
+
+
+def make_rasterizer(
+    silhouette: Literal["coverage", "dibr"] = "coverage",
+    backend: Literal["cpu", "reference", "cuda", "warp"] = "cpu",
+    threads: int = 1,
+) -> Rasterizer:
+    """Choose how silhouettes are drawn.
+
+    silhouette: "coverage" is the exact share of each pixel that the body covers, with gradients from both
+        sides of the edge; "dibr" is DIB-R's soft mask, a halo outside the edge, as in the paper.
+    backend: "cpu" are the compiled kernels, "reference" the readable torch formulas they are tested against, "cuda"
+        the Warp kernels on a CUDA device, "warp" the same on one thread of the processor.
+    threads: of the compiled kernels; the result does not depend on it.
+
+    Raises:
+        InputError: Warp or a CUDA device is missing, or asked for what the Warp kernels do not draw.
+    """
+    if backend == "reference":
+        from hfb.rendering.reference import ReferenceRasterizer
+
+        return ReferenceRasterizer(silhouette)
+    if backend in ("cuda", "warp"):
+        return _make_warp_rasterizer(silhouette, "cuda" if backend == "cuda" else "cpu")
+    from hfb.rendering.cpu import CpuRasterizer
+
+    return CpuRasterizer(silhouette, threads)
+
+
+def _make_warp_rasterizer(silhouette: str, device: str) -> Rasterizer:
+    if silhouette != "coverage":
+        raise InputError(f"the Warp kernels draw exact coverage only: take --fit.rasterizer cpu for {silhouette!r}")
+    if find_spec("warp") is None:
+        raise InputError("the Warp kernels need warp-lang: pip install 'hfb[cuda]', or take --fit.rasterizer cpu")
+    from hfb.rendering.warp import WarpRasterizer
+
+    return WarpRasterizer(device)

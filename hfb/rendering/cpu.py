@@ -1,0 +1,125 @@
+"""The fast rasteriser: compiled kernels, one body at a time, any number of threads, always the same bits."""
+
+from typing import Literal
+
+import torch
+
+from hfb.body.mesh import Mesh
+from hfb.geometry.camera import PinholeCamera
+from hfb.kernels.render_blocks import Setting
+from hfb.kernels.render_operators import Judge, draw, losses_of, pictures
+from hfb.rendering.rasterizer import NEAR_M
+from hfb.rendering.reference_dibr import dibr_constants
+from hfb.rendering.texture import corner_uv
+from hfb.typing import Float, Tensor
+
+
+class CpuRasterizer:
+    """The Protocol of `hfb.rendering.rasterizer` in float32 or float64 (the kernels compute and add in float64)."""
+
+    def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1) -> None:
+        self.silhouette = silhouette
+        self.threads = threads
+        self._tables: tuple[Mesh, Tensor, list[Tensor]] | None = None
+        self._kept: tuple[Mesh, PinholeCamera, bool, Setting] | None = None
+
+    def _of_mesh(self, mesh: Mesh) -> tuple[Tensor, list[Tensor]]:
+        """Texture coordinates of corners, and index tables as narrow as can be: they are read for every body, and what
+        fits into the processor's cache is read faster. Kept for the mesh used last."""
+        tables = self._tables
+        if tables is None or tables[0] is not mesh:
+            index = [mesh.faces, mesh.edge_vertices, mesh.edge_faces]
+            small = max(int(table.max()) for table in index) < 2**16 - 1
+            whole = [table.to(torch.int32).to(torch.int16 if small else torch.int32).contiguous() for table in index]
+            tables = self._tables = (mesh, corner_uv(mesh).contiguous(), whole)
+        return tables[1], tables[2]
+
+    def _same(
+        self, camera: PinholeCamera, mesh: Mesh, mean: bool
+    ) -> tuple[Tensor, list[Tensor], list[float], list[float], bool, int]:
+        """What is the same whatever the bodies and the texture."""
+        lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
+        soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
+        numbers = [float(value) for value in lens], [float(value) for value in soft]
+        return *self._of_mesh(mesh), *numbers, mean, self.threads
+
+    def _setting(self, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Setting:
+        """Kept for the mesh and the camera used last."""
+        kept = self._kept
+        if kept is None or kept[0] is not mesh or kept[1:3] != (camera, mean):
+            kept = self._kept = (mesh, camera, mean, Setting.of(*self._same(camera, mesh, mean)))
+        return kept[3]
+
+    def arguments(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+        mean: bool,
+    ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
+        """What `operators.draw` takes."""
+        return *_whole(vertices, texture), *self._same(camera, mesh, mean)
+
+    def _drawn(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+        mean: bool,
+    ) -> Float[Tensor, "P H W C"]:
+        if torch.compiler.is_compiling():
+            return draw(*self.arguments(vertices, texture, camera, mesh, mean))[0]
+        return pictures(*_whole(vertices, texture), self._setting(camera, mesh, mean))
+
+    def render(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+    ) -> Float[Tensor, "S H W 4"]:
+        """One picture per sub-frame: R_S R_F and R_S."""
+        return _coloured(self._drawn(vertices, texture, camera, mesh, False))
+
+    def render_mean(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+    ) -> Float[Tensor, "H W 4"]:
+        """Mean of `render` over the sub-frames, without holding the single pictures."""
+        # Not indexed: the way back of that fills a picture with zeros and copies.
+        return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
+
+    def judge_mean(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"],
+        camera: PinholeCamera,
+        mesh: Mesh,
+        judge: Judge,
+    ) -> tuple[Float[Tensor, ""], ...]:
+        """What a judge says of `render_mean`: its losses, differentiable in the vertices and the texture."""
+        return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), judge)
+
+    def silhouette_mean(
+        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
+    ) -> Float[Tensor, "H W"]:
+        """Mean of R_S over the sub-frames."""
+        return self._drawn(vertices, None, camera, mesh, True).squeeze((0, -1))
+
+
+def _whole(
+    vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None
+) -> tuple[Float[Tensor, "S V 3"], Float[Tensor, "A A 3"]]:
+    """Both as the operators take them: an empty texture for none."""
+    texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
+    return vertices.contiguous(), texels.contiguous()
+
+
+def _coloured(drawn: Float[Tensor, "P H W C"]) -> Float[Tensor, "P H W 4"]:
+    """A silhouette alone, C = 1, is black."""
+    return drawn if drawn.shape[-1] == 4 else torch.nn.functional.pad(drawn, (3, 0))

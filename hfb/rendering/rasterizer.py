@@ -1,0 +1,46 @@
+"""The one interface through which the forward model sees a body: R_F and R_S of the paper's eq. (1)."""
+
+from typing import Protocol, runtime_checkable
+
+from hfb.body.mesh import Mesh
+from hfb.geometry.camera import PinholeCamera
+from hfb.typing import Float, Tensor
+
+NEAR_M = 0.05
+"""Faces with a corner nearer to the lens than this [m], or behind it, are not drawn."""
+
+
+@runtime_checkable
+class Rasterizer(Protocol):
+    """Draws bodies, one per sub-frame: differentiable in the vertices and in the texture.
+
+    vertices: [m], camera coordinates (OpenCV). texture: linear RGB, row 0 is v = 0; None where only the
+    silhouette is wanted (its colours are then zero). A body outside the picture, behind the lens or of zero
+    size draws nothing and receives zero gradients.
+    """
+
+    def render(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+    ) -> Float[Tensor, "S H W 4"]:
+        """One picture per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1]."""
+        ...
+
+    def render_mean(
+        self,
+        vertices: Float[Tensor, "S V 3"],
+        texture: Float[Tensor, "A A 3"] | None,
+        camera: PinholeCamera,
+        mesh: Mesh,
+    ) -> Float[Tensor, "H W 4"]:
+        """`render(...).mean(0)`, the averages of eq. (1), without holding the single pictures."""
+        ...
+
+    def silhouette_mean(
+        self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
+    ) -> Float[Tensor, "H W"]:
+        """Mean of R_S over the sub-frames: what the matte is compared with. Cheaper than `render_mean`."""
+        ...

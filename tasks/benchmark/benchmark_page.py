@@ -1,0 +1,93 @@
+"""A benchmark as one page that opens anywhere, and ours beside the paper's numbers where that was asked for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hfb.interop.writers.names import REPORT
+from hfb.io.atomic import write_bytes_atomic
+from tasks.benchmark.benchmark_results import ResultsHandle
+from tasks.benchmark.judge_case import JudgedHandle
+from tasks.core.handles import FileHandle
+from tasks.core.task import code_version, task
+from tasks.tracking.environment import environment
+from tasks.tracking.tracking import flatten
+
+if TYPE_CHECKING:
+    from hfb.evaluation.experiments import Experiment
+
+BESIDE, BESIDE_PLOT = "beside_paper.md", "ratio_beside_paper.png"
+
+
+class BesideHandle(FileHandle):
+    """The paper's table beside ours, as markdown; a plot of both where the paper has numbers for it."""
+
+    plot: FileHandle | None = None
+
+
+@task("beside the paper")
+def write_beside(experiment: Experiment, results: ResultsHandle, folder: Path) -> BesideHandle:
+    """Set the paper's numbers beside ours."""
+    from hfb.evaluation.experiments import beside_paper, papers_ratios
+    from hfb.report.plots import ratio_by_blur
+
+    summary = results.content()
+    write_bytes_atomic(folder / BESIDE, beside_paper(experiment, summary).encode())
+    ratios = papers_ratios(experiment, summary)
+    drawn = ratio_by_blur(summary, ratios) if ratios is not None else None
+    plot = None
+    if drawn is not None:
+        write_bytes_atomic(folder / BESIDE_PLOT, drawn)
+        plot = FileHandle.of(folder / BESIDE_PLOT)
+    return BesideHandle.of(folder / BESIDE, plot=plot)
+
+
+@task("report")
+def draw_benchmark_page(
+    judged: tuple[JudgedHandle, ...],
+    results: ResultsHandle,
+    gallery: FileHandle,
+    beside: BesideHandle | None,
+    params: dict[str, Any],
+    methods: dict[str, Any],
+    folder: Path,
+) -> FileHandle:
+    """Everything that a benchmark leaves, in one file; see `hfb.report.benchmark_page`.
+
+    Args:
+        params: what decides the figures. methods: every method's options.
+    """
+    from hfb.report.benchmark_page import Answer, benchmark_page
+
+    answers = [
+        Answer(json.loads(one.path.read_bytes()), one.look.path if one.look is not None else None) for one in judged
+    ]
+    page = benchmark_page(
+        results.content(),
+        results.table.path.read_text(),
+        _plots(results, beside),
+        gallery.path,
+        answers,
+        _made_from(params, methods),
+        beside.path.read_text() if beside is not None else None,
+    )
+    write_bytes_atomic(folder / REPORT, page.encode())
+    return FileHandle.of(folder / REPORT)
+
+
+def _plots(results: ResultsHandle, beside: BesideHandle | None) -> list[Path]:
+    """Every plot; the one with the paper's numbers in the place of the one without."""
+    plots = [one.path for one in results.plots]
+    if beside is None or beside.plot is None:
+        return plots
+    return [beside.plot.path, *(path for path in plots if path.name != "ratio_by_blur.png")]
+
+
+def _made_from(params: Mapping[str, Any], methods: Mapping[str, Any]) -> dict[str, str]:
+    """Set, starts, mattes, methods, versions and machine, in words."""
+    told = {name: value for name, value in flatten(params).items() if value not in ("None", "")}
+    told |= {f"method {name}": json.dumps(options, sort_keys=True) for name, options in methods.items()}
+    return {**told, "code": code_version(), **environment()}

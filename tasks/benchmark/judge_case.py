@@ -1,0 +1,99 @@
+"""One method's answer to one case, and how good it is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from hfb.datasets.case import Case
+from hfb.errors import InputError
+from hfb.evaluation.baselines.method_spec import MethodSpec
+from hfb.io.atomic import write_bytes_atomic
+from tasks.benchmark.cases import ReadyHandle
+from tasks.core.handles import FileHandle
+from tasks.core.scene import load_chosen_body, load_observation
+from tasks.core.task import task
+from tasks.workers.workers import compute, spread
+
+
+class JudgedHandle(FileHandle):
+    """The row of one case and method (a JSON file), and what there is to look at.
+
+    Attributes:
+        motion: the claimed motion; None for a method without poses.
+        alternatives: other directions in which it may have run; None for a method that names none.
+        look: what was seen, claimed and true, side by side.
+    """
+
+    motion: FileHandle | None = None
+    alternatives: FileHandle | None = None
+    look: FileHandle | None = None
+
+
+@task("methods")
+def judge_case(ready: ReadyHandle, method: MethodSpec, body: FileHandle | None, folder: Path) -> JudgedHandle:
+    """Run a method on a case and compare with the truth.
+
+    A method that cannot answer (a fit that diverges, a network that finds nobody) leaves a row that says why.
+    """
+    place = folder / method.name / f"case_{ready.case.number:04d}"
+    # a network or prior of the user's lies on this machine, where its path says
+    run = compute if method.digests else spread
+    return run(_judge, ready, method, body, place)
+
+
+def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder: Path) -> JudgedHandle:
+    from hfb.datasets.truth import load_truth_of
+    from hfb.evaluation.baselines.build import make_method
+    from hfb.evaluation.judge import judge
+    from hfb.fitting.alternatives import save_alternatives
+    from hfb.io.media.pictures import write_png
+    from hfb.motion.motion_file import save_motion
+    from hfb.motion.static_pose import load_first_body
+    from hfb.report.comparison import draw_comparison
+
+    case, model = ready.case.open(), load_chosen_body(body)
+    observation = load_observation(ready.clip, ready.mattes)
+    starts = [load_first_body(start.path) for start in ready.starts]
+    facts: dict = {
+        "case": case.number, "method": spec.name, "set": case.facts["set"], "frames": case.frames,
+        "blur_rate": case.blur_rate, "source": source_of(case),
+    }  # fmt: skip
+    facts |= json.loads(ready.initial.path.read_text())
+    folder.mkdir(parents=True, exist_ok=True)
+    motion = look = alternatives = None
+    try:
+        prediction = make_method(spec, model)(case, observation, starts)
+    except (InputError, FloatingPointError) as error:
+        scores: dict = {"failed": str(error)}
+    else:
+        sharp = _sharp(case)
+        scores = {"failed": None, **judge(prediction, observation, load_truth_of(case.truth), model, sharp)}
+        if prediction.motion is not None:
+            save_motion(folder / "motion.npz", prediction.motion, model.betas_space)
+            motion = FileHandle.of(folder / "motion.npz")
+        if prediction.alternatives is not None:
+            save_alternatives(folder / "alternatives.npz", prediction.alternatives, prediction.joint_features)
+            alternatives = FileHandle.of(folder / "alternatives.npz")
+        if prediction.pictures is not None:
+            write_png(folder / "look.png", draw_comparison(observation, prediction, sharp))
+            look = FileHandle.of(folder / "look.png")
+    write_bytes_atomic(folder / "row.json", json.dumps(facts | scores, allow_nan=False).encode())
+    return JudgedHandle.of(folder / "row.json", motion=motion, alternatives=alternatives, look=look)
+
+
+def source_of(case: Case) -> str:
+    """The recording that a case was made from."""
+    motion = case.facts.get("motion")
+    return str(motion["name"] if isinstance(motion, dict) else case.facts.get("video", ""))
+
+
+def _sharp(case: Case) -> np.ndarray | None:
+    """The true sub-frames; a case of real video need not have them."""
+    from hfb.datasets.sharp import load_sharp
+
+    if not all(path.exists() for path in case.sharp_paths()):
+        return None
+    return np.stack([load_sharp(case, frame) for frame in range(case.frames)])

@@ -1,0 +1,74 @@
+"""A result's folder as its readers see it: result.json, read safely, and whether the result is whole. Light to import.
+
+From the moment that files of an earlier result are replaced until the last new one is there, result.json says
+``unfinished``. A run that is killed meanwhile leaves it so, and every reader says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from hfb.errors import InputError
+from hfb.interop.writers.names import RESULT
+from hfb.io.json_file import read_json
+from hfb.io.safe_folder import check_ordinary, is_regular, read_head
+
+UNFINISHED = "unfinished"
+_HEAD_BYTES = 64
+
+
+def result_content(root: Path, *parts: str) -> dict[str, Any]:
+    """The content of result.json in a folder, or in one below it.
+
+    Raises:
+        InputError: it is missing, damaged or no result's, or it, or a folder below ``root``, is a link or a special
+            file.
+    """
+    check_ordinary(root, *parts, RESULT)
+    path = root.joinpath(*parts, RESULT)
+    content = read_json(path)
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is not a result of hfb: give the folder of one")
+    return content
+
+
+def is_unfinished(root: Path, *parts: str) -> bool:
+    """Return whether a result's files were being replaced when its command was stopped; only a few bytes are read."""
+    try:
+        head = read_head(root, *parts, RESULT, size=_HEAD_BYTES)
+    except (OSError, ValueError):  # NotOrdinary is a ValueError
+        return False
+    return head.lstrip(b"{ \r\n").startswith(f'"{UNFINISHED}"'.encode())
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether a whole result lies there."""
+    return is_regular(folder / RESULT) and not is_unfinished(folder)
+
+
+def unfinished_files(folder: Path) -> set[str]:
+    """What a command left that was stopped while it put the files in place; nothing where none was."""
+    try:
+        return {RESULT, *map(str, result_content(folder)["files"])} if is_unfinished(folder) else set()
+    except (InputError, TypeError, KeyError):
+        return set()
+
+
+def check_result(folder: Path, names: Iterable[str]) -> None:
+    """Check a result's folder before its files are read; a result.json that is missing or damaged passes.
+
+    Args:
+        names: the files that will be read.
+
+    Raises:
+        InputError: the result is unfinished, or one of these files is a link or a special file.
+    """
+    for name in (RESULT, *names):
+        check_ordinary(folder, *Path(name).parts)
+    if is_unfinished(folder):
+        raise InputError(
+            f"the result in {folder} is unfinished, since its command was stopped while it put the files in place: "
+            "run the same command again, which goes on from there"
+        )

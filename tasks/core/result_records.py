@@ -1,0 +1,83 @@
+"""Results of tasks in a folder of their own, and none read that is not exactly of our kind.
+
+Prefect believes a record's own word on how it is to be read, pickle included: whoever hands over a result's folder
+could have code run by the next start in it. Ours are JSON of our own handles.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from prefect.context import FlowRunContext
+from prefect.serializers import JSONSerializer
+from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
+
+from hfb.io.safe_folder import check_tree, open_folder, read_file
+
+_NAME = (
+    "hfb-"  # of a task's record: `tasks.core.task.cache_key`; failures and flows leave others, which nobody reads again
+)
+_OURS = ("tasks.", "hfb.")
+_ASIDE, _LONGEST_NAME = "records-set-aside", 200
+_BYTE_LIMIT = 64 << 20
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def records_in(folder: Path) -> Iterator[None]:
+    """Results of tasks stay with the files that they name: no other folder takes them for its own."""
+    place = folder / "records"
+    drop_foreign(place)
+    with ExitStack() as stack:
+        stack.enter_context(temporary_settings({PREFECT_LOCAL_STORAGE_PATH: place}))
+        if (run := FlowRunContext.get()) is not None:  # a flow hands on the place that was set when it began
+            store = run.result_store.model_copy(update={"result_storage": None})
+            stack.enter_context(run.model_copy(update={"result_store": store}))
+        yield
+
+
+def drop_foreign(place: Path) -> int:
+    """Move every record that is not one of ours out of Prefect's sight; what it stood for is made again.
+
+    Moved and not removed: what hfb did not write is not hfb's to remove. Returns how many there were.
+
+    Raises:
+        NotOrdinary: the folder of records, or a record, is a link or a special file.
+    """
+    check_tree(place.parent, place.name)
+    foreign = [path for path in place.iterdir() if not _is_ours(path)] if place.is_dir() else []
+    if foreign:
+        with open_folder(place.parent, place.name) as here, open_folder(place.parent, _ASIDE, make=True) as aside:
+            for path in foreign:
+                name = f"{path.name[:_LONGEST_NAME]}.{secrets.token_hex(4)}"
+                os.rename(path.name, name, src_dir_fd=here, dst_dir_fd=aside)
+                _log.info("%s: no record of ours, moved to %s", path, _ASIDE)
+    return len(foreign)
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        if not path.name.startswith(_NAME):
+            return False
+        record = json.loads(read_file(path.parent, path.name, limit=_BYTE_LIMIT))
+        if record["metadata"]["serializer"] != JSONSerializer().model_dump(mode="json"):
+            return False
+        json.loads(record["result"], object_hook=_only_handles)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return False
+    return True
+
+
+def _only_handles(content: dict[str, Any]) -> dict[str, Any]:
+    """Raises ValueError for anything that Prefect would make into an object of somebody else's class."""
+    kind = content.get("__class__")
+    if "__exc_type__" in content or (kind is not None and not str(kind).startswith(_OURS)):
+        raise ValueError("not a handle")
+    return content

@@ -1,0 +1,44 @@
+"""How good is it: against the picture always, against the truth where it is known."""
+
+import json
+from pathlib import Path
+
+from hfb.config import FitConfig
+from hfb.datasets.truth import load_truth
+from hfb.evaluation.protocol import at_rest, picture_scores, reblur, truth_scores
+from hfb.io.atomic import write_bytes_atomic
+from hfb.motion.motion_file import load_motion
+from hfb.motion.static_pose import load_first_body
+from hfb.rendering.backends import make_rasterizer
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
+from tasks.core.scene import load_chosen_body, load_observation, load_texture
+from tasks.core.task import task
+
+
+@task("evaluation")
+def evaluate(
+    clip: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    first_bodies: tuple[FirstBodyHandle, ...],
+    fit: FitHandle,
+    body: FileHandle | None,
+    truth: FileHandle | None,
+    config: FitConfig,
+    folder: Path,
+) -> ScoresHandle:
+    """Scores of the fit, and of the first body held still as ``initial_*``; always with the exact silhouette."""
+    observation, model = load_observation(clip, mattes), load_chosen_body(body)
+    rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
+    fitted, _ = load_motion(fit.motion.path)
+    still = at_rest([load_first_body(first.path) for first in first_bodies], fitted, model)
+    texture = load_texture(fit.texture)
+    scores: dict[str, float] = {}
+    known = load_truth(truth.path) if truth else None
+    for prefix, motion in (("initial_", still), ("", fitted)):
+        found = picture_scores(reblur(motion, texture, observation, model, rasterizer), observation)
+        if known is not None:
+            found |= truth_scores(motion, known, model, rasterizer)
+        scores |= {prefix + name: value for name, value in found.items()}
+    path = folder / "scores.json"
+    write_bytes_atomic(path, json.dumps(scores, indent=2).encode())
+    return ScoresHandle.of(path, scores=scores)

@@ -1,0 +1,46 @@
+"""The static body that the fit of a frame starts from."""
+
+from pathlib import Path
+
+from hfb.config import InitConfig
+from hfb.initialization.initializer import make_initializer
+from hfb.motion.static_pose import load_first_body, save_first_body
+from hfb.tracking.clip_bodies import front_doubt
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from tasks.core.scene import load_chosen_body, load_observation
+from tasks.core.task import task
+from tasks.inputs.given_networks import with_pose_network
+
+
+@task("first body")
+def first_body(
+    clip: ClipHandle,
+    index: int,
+    mattes: tuple[FileHandle, ...],
+    body: FileHandle | None,
+    config: InitConfig,
+    networks: tuple[FileHandle, ...],
+    folder: Path,
+) -> FirstBodyHandle:
+    """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
+
+    Args:
+        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+
+    Raises:
+        InputError: no person was found.
+    """
+    alone = clip.model_copy(update={"frames": (clip.frames[index],)})
+    seen, model = load_observation(alone, (mattes[index],)), load_chosen_body(body)
+    found = make_initializer(with_pose_network(config, networks))(
+        seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
+    )
+    doubt = front_doubt(seen, found, model) if len(clip.frames) > 1 else 0.0
+    path = folder / f"first_body_{index}.npz"
+    save_first_body(path, found)
+    return FirstBodyHandle.of(path, source=found.source, doubt=doubt)
+
+
+def given_body(file: FileHandle) -> FirstBodyHandle:
+    """A first body that the caller brought."""
+    return FirstBodyHandle(**file.model_dump(), source=load_first_body(file.path).source)

@@ -1,0 +1,66 @@
+"""The fit: from a static body per frame to the motion during each exposure."""
+
+import json
+from pathlib import Path
+
+from hfb.config import FitConfig
+from hfb.fitting.alternatives import direction_record, save_alternatives
+from hfb.fitting.loop import fit
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.pictures import write_png
+from hfb.motion.motion_file import save_motion, write_arrays
+from hfb.motion.static_pose import load_first_body
+from hfb.priors.load import load_pose_prior
+from hfb.priors.motion_prior import load_motion_prior
+from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
+from tasks.core.scene import load_chosen_body, load_observation
+from tasks.core.task import task
+from tasks.telemetry import progress
+
+
+@task("fit")
+def fit_motion(
+    clip: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    first_bodies: tuple[FirstBodyHandle, ...],
+    body: FileHandle | None,
+    priors: PriorsHandle,
+    config: FitConfig,
+    seed: int,
+    folder: Path,
+) -> FitHandle:
+    """Minimise eq. (11); leaves the motion, the texture and every term's history."""
+    observation, model = load_observation(clip, mattes), load_chosen_body(body)
+    result = fit(
+        observation,
+        [load_first_body(first.path) for first in first_bodies],
+        model,
+        config,
+        seed,
+        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        on_progress=lambda done, total, loss: progress.advance(done, total, f"loss {loss:.4f}"),
+        motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
+    )
+    paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
+    save_motion(paths[0], result.motion, model.betas_space)
+    write_arrays(paths[1], {"texture": result.texture.numpy()})
+    write_png(paths[2], observation.to_srgb(result.texture).numpy())
+    write_bytes_atomic(paths[3], json.dumps(result.history).encode())
+    motion, texture, texture_picture, history = (FileHandle.of(path) for path in paths)
+    alternatives: FileHandle | None = None
+    directions: tuple[dict[str, dict[str, float | None]], ...] = ()
+    if result.alternatives is not None:
+        save_alternatives(folder / "alternatives.npz", result.alternatives, result.joint_features)
+        alternatives = FileHandle.of(folder / "alternatives.npz")
+        directions = tuple(direction_record(result.alternatives))
+    return FitHandle(
+        motion=motion,
+        texture=texture,
+        texture_picture=texture_picture,
+        history=history,
+        alternatives=alternatives,
+        directions=directions,
+        seconds=result.seconds,
+        best_iteration=result.best_iteration,
+        loss=result.loss,
+    )

@@ -1,0 +1,37 @@
+"""The picture strip: input | matte | sub-frames | re-blurred | residual | novel view."""
+
+from pathlib import Path
+
+from hfb.config import FitConfig
+from hfb.fitting.alternatives import what_is_unknown
+from hfb.io.media.pictures import write_png
+from hfb.motion.motion_file import load_motion
+from hfb.rendering.backends import make_rasterizer
+from hfb.report.strip import draw_strip
+from tasks.core.handles import ClipHandle, FileHandle, FitHandle
+from tasks.core.scene import load_chosen_body, load_observation, load_texture
+from tasks.core.task import task
+
+
+@task("strip")
+def strip(
+    clip: ClipHandle,
+    mattes: tuple[FileHandle, ...],
+    fit: FitHandle,
+    body: FileHandle | None,
+    config: FitConfig,
+    folder: Path,
+) -> FileHandle:
+    """One picture that shows what was seen and how it is explained."""
+    motion, _ = load_motion(fit.motion.path)
+    picture = draw_strip(
+        load_observation(clip, mattes),
+        motion,
+        load_texture(fit.texture),
+        load_chosen_body(body),
+        make_rasterizer("coverage", config.rasterizer, config.threads),
+        what_is_unknown(fit.directions) if fit.directions else "",
+    )
+    path = folder / "strip.png"
+    write_png(path, picture)
+    return FileHandle.of(path)

@@ -1,0 +1,100 @@
+"""A user's own networks and results: taken by content beside the configuration, used from where they lie now."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+from hfb.config import InitConfig, MattingConfig, RunConfig
+from hfb.errors import InputError
+from hfb.interop.readers.beside import companions
+from hfb.networks.files import check_network_file
+from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
+from tasks.core.handles import FileHandle, sha256_of
+from tasks.telemetry import progress
+
+_OWN_MATTING = ("bgmv2", "rvm")
+
+
+def matting_file(config: RunConfig) -> Path | None:
+    """The matting network's file, where the method needs one.
+
+    Raises:
+        InputError: it needs one and none is given, one is given that it does not need, or what is given is no network.
+    """
+    own = config.matting.method in _OWN_MATTING
+    if own != (config.matting.weights is not None):
+        raise InputError(
+            f"--matting {config.matting.method} needs the network's file: give it with --matting-weights FILE"
+            if own
+            else f"--matting {config.matting.method} takes no --matting-weights: say bgmv2 or rvm"
+        )
+    weights = config.matting.weights
+    if weights is not None and weights.is_file():
+        check_network_file(weights, weights_too=config.matting.method == "bgmv2")
+    return weights
+
+
+def init_files(config: RunConfig) -> tuple[Path, ...]:
+    """The other system's result and what belongs to it, or METRO's network; nothing for other methods.
+
+    Raises:
+        InputError: the method needs a file and none is given, or one is given that it does not need.
+    """
+    init = config.init
+    if (init.method == "metro") != (init.weights is not None):
+        raise InputError(
+            "--init metro needs the network's file: give it with --init-weights FILE"
+            if init.method == "metro"
+            else f"--init {init.method} takes no --init-weights: say metro"
+        )
+    if init.mesh_sampling is not None and init.method != "metro":
+        raise InputError(f"--init {init.method} takes no --init.mesh-sampling: say metro")
+    if (init.method == "file") != (init.file is not None):
+        raise InputError(
+            "give another system's result with --init FILE"
+            if init.method == "file"
+            else f"init.file does not go with init.method {init.method}: leave one of them out"
+        )
+    if init.weights is not None and init.weights.is_file():
+        check_network_file(init.weights)
+    if init.file is not None:
+        return (init.file, *companions(init.file))
+    return tuple(file for file in (init.weights, init.mesh_sampling) if file is not None)
+
+
+def with_matting_network(config: MattingConfig, file: FileHandle | None) -> MattingConfig:
+    """The options with the network's file where it lies now."""
+    return config if file is None else config.model_copy(update={"weights": file.path})
+
+
+def with_pose_network(config: InitConfig, networks: tuple[FileHandle, ...]) -> InitConfig:
+    """The options with METRO's files where they lie now."""
+    if config.method != "metro":
+        return config
+    sampling = networks[1].path if config.mesh_sampling is not None else None
+    return config.model_copy(update={"weights": networks[0].path, "mesh_sampling": sampling})
+
+
+def tell_networks(networks: tuple[FileHandle, ...]) -> None:
+    """A word where first bodies are found with the lesser landmark network."""
+    if any(file.path.name == LANDMARK_FULL.name for file in networks):
+        progress.say(
+            "hfb: MediaPipe's full landmark network is used: `hfb models fetch` brings the heavy one, which is better"
+        )
+
+
+def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None:
+    """Whoever computes has the same pose networks as who asked: without them the first body would be another.
+
+    Raises:
+        InputError: they are missing here, or others.
+    """
+    if config.method not in ("auto", "mediapipe"):
+        return
+    here = [sha256_of(path) for path in networks_in_use(config.landmarks)]
+    if here != [file.sha256 for file in networks]:
+        raise InputError(
+            f"the pose networks on {socket.gethostname()} are not those of the machine that asked: `hfb models fetch` "
+            "on both, or --init.method matte"
+        )

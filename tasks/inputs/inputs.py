@@ -1,0 +1,209 @@
+"""What a user hands over, taken by content before anything is computed. Light to import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hfb.config import ExposureConfig, Record, RunConfig
+from hfb.errors import InputError
+from hfb.interop.writers.names import check_formats
+from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
+from hfb.io.names import is_text
+from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
+from tasks.core.handles import FileHandle, files_in
+from tasks.inputs.given_networks import init_files, matting_file
+from tasks.inputs.out_place import check_pictures_out
+
+_OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
+"""Entries of clip.toml that say nothing about single pictures, whose plate is given."""
+
+_ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}
+
+
+class Inputs(Record):
+    """Everything a user hands over, as it was when the run began."""
+
+    frames: tuple[FileHandle, ...]
+    background: FileHandle
+    clip: Clip = Clip()
+    body: FileHandle | None = None
+    pose_prior: FileHandle | None = None
+    motion_prior: FileHandle | None = None
+    truth: FileHandle | None = None
+    first_bodies: tuple[FileHandle, ...] = ()
+    networks: tuple[FileHandle, ...] = ()
+    matting: FileHandle | None = None
+    init_files: tuple[FileHandle, ...] = ()
+
+
+def input_file(path: Path) -> FileHandle:
+    """The handle of a user's file.
+
+    Raises:
+        InputError: it is not there, cannot be read, or has a name that servers and records cannot hold.
+    """
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!r} is no name of a file")
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; give the file itself")
+    try:
+        handle = FileHandle.of(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from error
+    if not is_text(handle.path):
+        raise InputError(f"{handle.path} has a name that is not text in UTF-8: rename it, or the folder that it is in")
+    return handle
+
+
+def take_inputs(
+    frames: list[Path],
+    background: Path,
+    config: RunConfig,
+    clip: Path | None = None,
+    truth: Path | None = None,
+    first_bodies: list[Path] | None = None,
+    out: Path | None = None,
+) -> Inputs:
+    """Everything the user names, hashed.
+
+    Args:
+        out: where results go, to be checked.
+
+    Raises:
+        InputError: a file is missing, cannot be read, clip.toml is wrong, or results in ``out`` would be taken for
+            frames.
+    """
+    if out is not None:
+        check_pictures_out(frames, out)
+    if first_bodies and len(first_bodies) != len(frames):
+        raise InputError(f"{len(first_bodies)} first bodies for {len(frames)} frames: give one per frame")
+    check_formats(config.export.formats)
+    return Inputs(
+        frames=tuple(input_file(frame) for frame in frames),
+        background=input_file(background),
+        clip=_clip_of_pictures(clip, frames[0]) if clip else Clip(),
+        body=input_file(config.body.model) if config.body.model else None,
+        pose_prior=input_file(config.prior.pose) if config.prior.pose else None,
+        motion_prior=input_file(config.prior.motion) if config.prior.motion else None,
+        truth=input_file(truth) if truth else None,
+        first_bodies=tuple(input_file(first) for first in first_bodies or ()),
+        networks=pose_networks(config) if not first_bodies else (),
+        matting=optional_file(matting_file(config)),
+        init_files=result_files(config) if not first_bodies else (),
+    )
+
+
+def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
+    """What the user did not say about the recording and what is assumed instead, and what is said in vain."""
+    clip, remarks = inputs.clip, []
+    if config.camera.focal_px is None and clip.camera == ClipCamera():
+        remarks.append(
+            "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
+        )
+    if told_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
+        asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
+        remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
+    used = clip.model_copy(update={"person": clip.person.model_copy(update={"height_m": None})})
+    vain = [name for name in _OF_VIDEOS if getattr(used, name) != getattr(Clip(), name)]
+    vain += ["exposure.position"] if clip.exposure.position != ClipExposure().position else []
+    if vain:
+        remarks.append(f"`hfb fit` does not use what clip.toml says of {', '.join(vain)}: that is for `hfb video`")
+    return remarks
+
+
+def with_height(config: RunConfig, clip: Clip) -> RunConfig:
+    """The options, with the person's height from clip.toml where no option says it."""
+    if config.fit.height_m is not None or clip.person.height_m is None:
+        return config
+    fit = config.fit.model_copy(update={"height_m": clip.person.height_m})
+    return config.model_copy(update={"fit": fit})
+
+
+def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
+    """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
+
+    Args:
+        picture: where clip.toml says ``auto``, its own record counts. interval_s: between frames.
+    """
+    told = config.seconds or exposure.exposure_s(interval_s)
+    if told is None and exposure.auto:
+        from hfb.io.media.pictures import recorded_exposure
+
+        recorded = recorded_exposure(picture)
+        told = recorded[0] if recorded else None
+    return told
+
+
+def _clip_of_pictures(path: Path, picture: Path) -> Clip:
+    """clip.toml with the numbers of its calibration file in the file's place.
+
+    Raises:
+        InputError: clip.toml or the calibration is wrong, or the lens distorts: single pictures are taken as they are.
+    """
+    clip = read_clip(path)
+    if clip.camera.calibration is None:
+        return clip
+    from hfb.io.media.clip_lens import clip_lens
+    from hfb.io.media.pictures import picture_size
+
+    height, width, _ = picture_size(picture)
+    lens = clip_lens(clip.camera, picture.name, height, width)
+    if lens is not None and lens.bends(height, width):
+        raise InputError(
+            f"{clip.camera.calibration}: this lens distorts; undistort the pictures and give K, or use `hfb video`, "
+            "which undistorts by itself"
+        )
+    return clip.model_copy(update={"camera": ClipCamera(K=lens.pinhole() if lens else None)})
+
+
+def optional_file(path: Path | None) -> FileHandle | None:
+    """The handle of a file that need not be given."""
+    return None if path is None else input_file(path)
+
+
+def pose_networks(config: RunConfig) -> tuple[FileHandle, ...]:
+    """The networks that the first bodies depend on.
+
+    Raises:
+        InputError: a file that the method needs is missing.
+    """
+    if config.init.method == "metro":
+        return tuple(input_file(path) for path in init_files(config))
+    return networks_at_hand(config.init.landmarks) if config.init.method in ("auto", "mediapipe") else ()
+
+
+def result_files(config: RunConfig) -> tuple[FileHandle, ...]:
+    """The other system's result that the first bodies are taken from, and what belongs to it.
+
+    Raises:
+        InputError: a file is missing.
+    """
+    files = init_files(config)
+    return tuple(input_file(path) for path in files) if config.init.method == "file" else ()
+
+
+def networks_at_hand(choice: LandmarkChoice = "auto") -> tuple[FileHandle, ...]:
+    """The pose networks that first bodies are found with: with other ones they are estimated again.
+
+    Raises:
+        InputError: as `networks_in_use`.
+    """
+    return tuple(FileHandle.of(path) for path in networks_in_use(choice))
+
+
+def input_files(inputs: Record) -> dict[str, FileHandle]:
+    """What a command was given, file by file: ``frame_0``, ``background``, ..."""
+    files: dict[str, FileHandle] = {}
+    for role in type(inputs).model_fields:
+        given = getattr(inputs, role)
+        for index, file in enumerate(files_in(given)):
+            several = isinstance(given, tuple)
+            files[f"{_ONE_OF.get(role, role)}_{index}" if several else role] = file
+    return files
+
+
+def input_hashes(inputs: Record) -> dict[str, str]:
+    """sha256 per role: ``frame_0``, ``background``, ..."""
+    return {role: file.sha256 for role, file in input_files(inputs).items()}

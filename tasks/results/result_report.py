@@ -1,0 +1,218 @@
+"""report.html: a result's curves, its small film, and the page that holds everything."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hfb.config import FitConfig, Record
+from hfb.errors import InputError
+from hfb.interop.writers.names import CURVES, PAGE_FILM, REPORT
+from tasks.core.handles import ClipHandle, FileHandle, FitHandle
+from tasks.core.task import task
+from tasks.core.video_handles import WindowHandle
+from tasks.results.films import shot_of, watched
+from tasks.telemetry import progress
+from tasks.telemetry.secrets import hidden_in
+from tasks.tracking import tracking
+from tasks.tracking.environment import environment
+from tasks.workers.workers import compute
+
+if TYPE_CHECKING:
+    from hfb.body.model import Body
+    from hfb.fitting.alternatives import Alternatives
+    from hfb.motion.sampled import SampledMotion
+    from hfb.report.slow_motion import Shot
+
+
+_OF_MOTION = ", of the motion "
+
+
+class ReportParts(Record):
+    """The files that a result's page is made of."""
+
+    motion: FileHandle
+    curves: FileHandle
+    body: FileHandle | None = None
+    texture: FileHandle | None = None
+    strip: FileHandle | None = None
+    alternatives: FileHandle | None = None
+    film: FileHandle | None = None
+
+
+@task("curves")
+def fit_curves(fit: FitHandle, folder: Path) -> FileHandle:
+    """curves.json of one problem; see `hfb.report.result_curves`."""
+    return _curves(folder, {"losses": json.loads(fit.history.path.read_text())})
+
+
+@task("curves")
+def clip_curves(
+    windows: tuple[WindowHandle, ...], scores: dict[str, tuple[tuple[int, float], ...]], folder: Path
+) -> FileHandle:
+    """curves.json of a clip.
+
+    Args:
+        scores: figure -> (frame, value) of every frame that has one.
+    """
+    return compute(_clip_curves, windows, scores, folder)
+
+
+@task("report's film")
+def page_film(
+    clip: ClipHandle, motion: FileHandle, texture: FileHandle, body: FileHandle | None, config: FitConfig, folder: Path
+) -> FileHandle:
+    """The small slow-motion film of the page; arguments as in `tasks.results.films.make_films`."""
+    return FileHandle.of(write_page_film(shot_of(clip, motion, texture, body, config), motion.sha256, folder))
+
+
+@task("report", cached=False)
+def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
+    """The page.
+
+    Args:
+        facts: the content of result.json, the run's id among it.
+    """
+    return compute(_write_report, parts, hidden_in(facts), folder)
+
+
+def shows_another_motion(film: Path, motion_sha256: str) -> bool:
+    """Whether the page's film was drawn of another motion; films of older versions do not say, and are believed."""
+    import av
+
+    try:
+        with av.open(str(film)) as container:
+            said = container.metadata.get("comment", "")
+    except (OSError, av.FFmpegError):
+        return True
+    return _OF_MOTION in said and not said.endswith(_OF_MOTION + motion_sha256)
+
+
+def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
+    """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
+    from hfb.io.media.video_writing import VideoWriter
+    from hfb.report import page_film as small
+    from hfb.report.slow_motion import FILM_FPS
+
+    path = folder / PAGE_FILM
+    comment = f"hfb, {small.page_slow_factor(shot.motion):g} times slower{_OF_MOTION}{motion_sha256}"
+    with VideoWriter(path, float(FILM_FPS), comment, small=True) as writer:
+        pictures = ((None, picture) for picture in small.page_pictures(shot))
+        for _, picture in watched("", pictures, small.page_picture_count(shot.motion)):
+            writer.write(picture)
+    return path
+
+
+def write_page(
+    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], path: Path
+) -> None:
+    """Put the page together; whole or not at all. Arguments and errors as in `page_text`."""
+    from hfb.io.atomic import write_bytes_atomic
+
+    write_bytes_atomic(path, page_text(parts, body, facts, versions, path.parent.name).encode())
+
+
+def page_text(
+    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], name: str
+) -> str:
+    """The page.
+
+    Args:
+        body: the model that was fitted, where it is at hand.
+        versions: of the machine that made the result.
+        name: of the result, where the facts do not tell.
+
+    Raises:
+        InputError: a file is not what it should be.
+    """
+    from hfb.io.media.pictures import stored_png
+    from hfb.motion.motion_file import load_motion
+    from hfb.report.page_film import page_slow_factor
+    from hfb.report.result_curves import read_curves
+    from hfb.report.result_page import ResultContents, result_page
+
+    motion, _ = load_motion(parts.motion.path)
+    slow = page_slow_factor(motion)
+    pace = f"{slow:.0f} times slower" if slow >= 1.5 else "at its own pace" if slow > 0.8 else "faster than it was"
+    contents = ResultContents(
+        title=_title(facts, name),
+        facts=facts,
+        motion=motion,
+        body=body,
+        texture_png=stored_png(parts.texture.path) if parts.texture else None,
+        strip=parts.strip.path if parts.strip else None,
+        alternatives=_alternatives_of(motion, parts.alternatives.path) if parts.alternatives else None,
+        curves=read_curves(parts.curves.path),
+        film=parts.film.path.read_bytes() if parts.film else None,
+        film_caption=f"What was seen, and the body at one instant after another, {pace}.",
+        environment=versions,
+        repeat=_repeat(facts),
+    )
+    return result_page(contents)
+
+
+def _alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
+    """The alternatives of a motion. Raises InputError where they are another motion's."""
+    from hfb.fitting.alternatives import load_alternatives
+
+    found = load_alternatives(path)[0]
+    if found.frame_index.tolist() != motion.frame_index.tolist():
+        raise InputError(f"{path} belongs to another motion: make the result again, or move it away")
+    return found
+
+
+def _title(facts: Mapping[str, Any], name: str) -> str:
+    out = facts.get("out")
+    return f"Human from Blur: {(Path(out).name if isinstance(out, str) else '') or name}"
+
+
+def _repeat(facts: Mapping[str, Any]) -> str | None:
+    """The command that repeats the run."""
+    run_id = facts.get("mlflow_run_id")
+    return f"hfb rerun {shlex.quote(run_id)}" if isinstance(run_id, str) else None
+
+
+def _write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
+    from tasks.core.scene import load_chosen_body
+
+    path = folder / REPORT
+    write_page(parts, load_chosen_body(parts.body), facts, environment(), path)
+    return FileHandle.of(path)
+
+
+def _clip_curves(
+    windows: tuple[WindowHandle, ...], scores: dict[str, tuple[tuple[int, float], ...]], folder: Path
+) -> FileHandle:
+    from hfb.fitting.clip.windows import load_window
+
+    found = []
+    for window in windows:
+        total = load_window(window.path).history.get("total", [])
+        found.append({"frames": list(window.frames), "total": [float(f"{value:.5g}") for value in total]})
+    return _curves(folder, {"windows": found, "frames": {name: list(pairs) for name, pairs in scores.items()}})
+
+
+def _curves(folder: Path, content: Mapping[str, Any]) -> FileHandle:
+    from hfb.io.atomic import write_bytes_atomic
+
+    path = folder / CURVES
+    write_bytes_atomic(path, json.dumps(content, separators=(",", ":"), allow_nan=False).encode() + b"\n")
+    return FileHandle.of(path)
+
+
+def add_report(run_id: str | None, report: FileHandle) -> None:
+    """The page beside the other files of a recorded run; a store that is lost costs a sentence.
+
+    It comes last since it names the run, and it is put there again by every repetition of the command: one that was
+    stopped between both is made whole.
+    """
+    if run_id is None:
+        return
+    try:
+        with tracking.store_losses():
+            tracking.log_files(tracking.recorded(run_id), [report.path])
+    except tracking.StoreLost as lost:
+        progress.say(f"report.html is not in MLflow, in the result's folder it is: {lost}")

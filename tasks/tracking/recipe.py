@@ -1,0 +1,151 @@
+"""What a run was made of, kept with its record so that it can be made again: `hfb rerun` reads nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from hfb.config import Record, RunConfig
+from hfb.errors import InputError
+from hfb.io.toml_file import to_record
+from tasks.core.handles import FileHandle
+from tasks.inputs.inputs import input_files
+
+RECIPE = "recipe.json"
+"""The artifact's name."""
+
+COMMAND_TAG = "hfb.command"
+_LIMIT_BYTES = 64 << 20
+Command = Literal["fit", "video"]
+RecordT = TypeVar("RecordT", bound=Record)
+
+
+class GivenFile(Record):
+    """A file as it was handed over."""
+
+    path: Path
+    sha256: str
+    bytes: int
+
+
+class Recipe(Record):
+    """A run's inputs, options and results.
+
+    Attributes:
+        config, inputs, options: plain content: the configuration, the command's own record of what it was given, and
+            whatever else the command was told.
+        files: the files of the inputs by role.
+        results: sha256 of the files that were made, by the name they were published under.
+        code: `tasks.core.task.code_version` then.
+    """
+
+    format: Literal[1] = 1
+    command: Command
+    config: dict[str, Any]
+    inputs: dict[str, Any]
+    options: dict[str, Any]
+    files: dict[str, GivenFile]
+    results: dict[str, str]
+    code: str
+
+
+def recipe(
+    command: Command,
+    config: RunConfig,
+    inputs: Record,
+    results: Mapping[str, FileHandle],
+    code: str,
+    options: Mapping[str, Any] | None = None,
+) -> Recipe:
+    """What there is to know about a run that has just come to its end.
+
+    Args:
+        inputs: a record of handles, such as `tasks.inputs.inputs.Inputs`.
+        results: the files that say what came out; those that differ from run to run, such as timings, left out.
+        code: `tasks.core.task.code_version()`.
+        options: plain values that are neither configuration nor input.
+    """
+    files = {
+        role: GivenFile(path=file.path, sha256=file.sha256, bytes=file.path.stat().st_size)
+        for role, file in input_files(inputs).items()
+    }
+    options_then = config.model_dump(mode="json")
+    return Recipe(
+        command=command,
+        config=_moved(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
+        inputs=inputs.model_dump(mode="json"),
+        options=dict(options or {}),
+        files=files,
+        results={name: file.sha256 for name, file in results.items()},
+        code=code,
+    )
+
+
+def read_recipe(path: Path, run: str) -> Recipe:
+    """The recipe of a run, as it was downloaded.
+
+    Raises:
+        InputError: it is damaged, or of another version of hfb.
+    """
+    try:
+        if path.stat().st_size > _LIMIT_BYTES:
+            raise ValueError("too large")
+        content = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"the recipe of run {run} is damaged ({error}); repeat the run's own command") from None
+    if not isinstance(content, dict) or content.get("format") != 1:
+        raise InputError(f"the recipe of run {run} is of another version of hfb: check that version out to repeat it")
+    return to_record(Recipe, content, f"the recipe of run {run}")
+
+
+def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunConfig:
+    """The run's options, with every file that they name where it lies now.
+
+    Args:
+        places: sha256 -> the file.
+
+    Raises:
+        InputError: this version of hfb does not know one of them.
+    """
+    try:
+        return to_record(RunConfig, _moved(recipe.config, _now(recipe, places)), f"the options of run {run}")
+    except InputError as error:
+        raise InputError(f"{error}; it was made by hfb {recipe.code}: check that version out to repeat it") from None
+
+
+def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path], run: str) -> RecordT:
+    """What the command was given, with every file where it lies now.
+
+    Args:
+        kind: the record that the command takes its inputs into.
+        places: sha256 -> the file.
+
+    Raises:
+        InputError: this version of hfb takes other inputs.
+    """
+    return to_record(kind, _moved(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
+
+
+def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
+    """Where a file was -> where it is."""
+    return {str(file.path): str(places[file.sha256]) for file in recipe.files.values() if file.sha256 in places}
+
+
+def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
+    """Every path in plain content that names one of some files from the current folder -> the file's whole path."""
+    if isinstance(content, dict | list):
+        inner = content.values() if isinstance(content, dict) else content
+        return {name: path for one in inner for name, path in _absolute(one, paths).items()}
+    whole = str(Path(content).resolve()) if isinstance(content, str) and content else ""
+    return {content: whole} if whole in paths else {}
+
+
+def _moved(content: Any, moved: Mapping[str, str]) -> Any:
+    """Plain content with every path that a file was moved from replaced, in handles and options alike."""
+    if isinstance(content, dict):
+        return {name: _moved(value, moved) for name, value in content.items()}
+    if isinstance(content, list):
+        return [_moved(one, moved) for one in content]
+    return moved.get(content, content) if isinstance(content, str) else content

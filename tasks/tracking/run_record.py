@@ -1,0 +1,124 @@
+"""What MLflow keeps of a finished run, as plain content: recorded at once, or later from the result's folder."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from hfb.config import Record
+from hfb.errors import InputError
+from hfb.interop.writers.names import RECORD, RESULT
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.toml_file import to_record
+from tasks.core.handles import FileHandle, sha256_of
+from tasks.telemetry.secrets import hidden_in
+from tasks.tracking import tracking
+from tasks.tracking.recipe import RECIPE
+
+_LIMIT_BYTES = 64 << 20
+_CONTENTS = (RESULT, "config.json", RECIPE)
+_FILE = re.compile(r"[\w-][\w.-]*")
+_TAGS = re.compile(r"hfb\.\w+|version\.[\w.-]+|code|seed|preset|platform|processor|device|mlflow\.parentRunId")
+
+
+class RunHandle(Record):
+    """A recorded run."""
+
+    run_id: str
+    link: str
+
+
+class RecordedFile(Record):
+    """A published file that becomes an artifact, in a folder of the run."""
+
+    sha256: str
+    folder: str | None = None
+
+
+class RunRecord(Record):
+    """A run as it is recorded.
+
+    Attributes:
+        key: decides which run it is; see `tasks.tracking.tracking.recorded_run`.
+        points: values by metric and step.
+        files: published files by name.
+        contents: artifacts of plain values by name.
+    """
+
+    format: Literal[1] = 1
+    name: str
+    key: str
+    params: dict[str, Any]
+    tags: dict[str, str]
+    points: dict[str, dict[int, float]]
+    files: dict[str, RecordedFile]
+    contents: dict[str, dict[str, Any]]
+
+
+def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
+    """Find or create the run, and log everything into it; a finished one stays as it is.
+
+    Args:
+        paths: where the record's files lie, by name.
+
+    Raises:
+        tracking.StoreLost: the store cannot be reached or written.
+    """
+    with tracking.recorded_run(record.name, record.key, record.params, record.tags) as run:
+        if not run.complete:
+            tracking.log_points(run, record.points)
+            for name, file in record.files.items():
+                tracking.log_files(run, [paths[name]], file.folder)
+            for name, content in record.contents.items():
+                tracking.log_dict(run, content, name)
+        return RunHandle(run_id=run.run_id, link=tracking.link(run))
+
+
+def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
+    """Write a record that the store did not take into a file, from which `hfb record` makes the same run."""
+    key, tags = tracking.as_recorded_here(record.key, record.tags)
+    path = folder / RECORD
+    kept = record.model_copy(update={"key": key, "tags": tags})
+    write_bytes_atomic(path, json.dumps(hidden_in(kept.model_dump())).encode() + b"\n")
+    return FileHandle.of(path)
+
+
+def read_kept(result: Path) -> RunRecord:
+    """The record that waits in a result's folder. The folder may be from anybody.
+
+    Raises:
+        InputError: it is damaged, or names anything but files that a result consists of.
+    """
+    path = result / RECORD
+    try:
+        if path.is_symlink() or not path.is_file() or path.stat().st_size > _LIMIT_BYTES:
+            raise ValueError("it is no file of hfb's")
+        content = json.loads(path.read_bytes())
+        if not isinstance(content, dict):
+            raise ValueError("it is no record")
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read ({error}): run the result's own command again") from None
+    record = to_record(RunRecord, content, str(path))
+    foreign = [name for name in record.tags if not _TAGS.fullmatch(name)]
+    foreign += [name for name in record.contents if name not in _CONTENTS]
+    foreign += [name for name in record.files if not _FILE.fullmatch(name)]
+    foreign += [file.folder for file in record.files.values() if file.folder not in (None, "mattes")]
+    if foreign:
+        raise InputError(f"{path} names {foreign[0]!r}, which is no part of a record of hfb's: make the result again")
+    return record
+
+
+def checked_files(record: RunRecord, result: Path) -> dict[str, Path]:
+    """The files of a record in a result's folder, each as it was when the result was made.
+
+    Raises:
+        InputError: one is gone, was changed, or is a link.
+    """
+    paths = {name: result / name for name in record.files}
+    for name, path in paths.items():
+        if path.is_symlink() or not path.is_file() or sha256_of(path) != record.files[name].sha256:
+            raise InputError(f"{path} is not as the result's command left it: run that command again")
+    return paths

@@ -1,0 +1,175 @@
+"""MLflow's client for a store, with bounded waiting, and the check of a store before any work begins."""
+
+from __future__ import annotations
+
+import functools
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from hfb.errors import InputError, NotNow
+from tasks.telemetry.secrets import without_secrets
+from tasks.tracking.patience import Patience
+from tasks.tracking.store_place import make_folder, on_database, on_server, sqlite_file, tracking_uri, upgrade_command
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from sqlalchemy import Engine
+
+# A server that goes away must cost seconds, not MLflow's default of four minutes.
+_HTTP_LIMITS = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1", "MLFLOW_HTTP_REQUEST_TIMEOUT": "14"}
+_CONNECT_LIMITS = dict.fromkeys(("psycopg2", "psycopg", "mysqldb", "pymysql"), "connect_timeout") | {
+    "pysqlite": "timeout"
+}
+_CONNECT_S = 8
+_SLOWEST_UPLOAD_BYTES_S = 250_000
+_MIGRATES_S = 4.0
+_MAKES_TABLES_S = 180.0  # dozens of migrations, on a slow disk or far away
+_SHOWN = 160  # characters of another program's own account, which goes on for lines
+
+
+class StoreLost(Exception):
+    """The tracking store could not be reached or written."""
+
+
+def client() -> MlflowClient:
+    """The client of the store; what it raises, `store_losses` turns into StoreLost."""
+    return client_of(tracking_uri())
+
+
+@functools.cache
+def client_of(uri: str) -> MlflowClient:
+    """The client of a store, whose calls wait no longer than `tasks.tracking.patience` allows.
+
+    Raises:
+        StoreLost: its tables are of another version of MLflow.
+    """
+    for name, value in _HTTP_LIMITS.items():
+        os.environ.setdefault(name, value)
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+    os.environ.setdefault("MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR", "false")  # bars of its own would break ours
+    from mlflow import MlflowClient
+
+    make_folder(uri)
+    if on_database(uri):
+        patience(uri).call(lambda: _check_tables(uri))
+    made = patience(uri).call(lambda: MlflowClient(uri), _MAKES_TABLES_S if on_database(uri) else 0.0)
+    return cast("MlflowClient", _BoundedClient(made, patience(uri)))
+
+
+@functools.cache
+def patience(uri: str) -> Patience:
+    """How long this process still waits for a store."""
+    return Patience()
+
+
+@contextmanager
+def store_losses() -> Iterator[None]:
+    """Whatever a store fails with, as one exception."""
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    try:
+        yield
+    except (MlflowException, SQLAlchemyError, OSError) as error:  # requests' errors are OSErrors
+        raise StoreLost(_first_line(error)) from error
+
+
+@contextmanager
+def usable_store(uri: str) -> Iterator[None]:
+    """Check a store's tables, and say in one sentence what opening it inside fails with.
+
+    Raises:
+        NotNow: the store does not answer, or its tables are of another version of MLflow.
+        InputError: what reads such a store is not installed, or the address is wrong.
+    """
+    import mlflow  # noqa: F401  (takes seconds, which do not count as waiting)
+
+    shown = without_secrets(uri)
+    try:
+        yield
+    except InputError:
+        raise
+    except StoreLost as lost:
+        raise NotNow(str(lost)) from lost
+    except ModuleNotFoundError as error:
+        raise InputError(f"the runs in {shown} need the Python package {error.name}: install it") from None
+    except Exception as error:
+        where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
+        what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
+        raise NotNow(
+            f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
+        ) from error
+
+
+class _BoundedClient:
+    """MlflowClient, each call of which ends in time."""
+
+    def __init__(self, made: MlflowClient, waiting: Patience) -> None:
+        self._made, self._waiting = made, waiting
+
+    def __getattr__(self, name: str) -> Any:
+        member = getattr(self._made, name)
+        if not callable(member) or name == "download_artifacts":  # as long as it takes: the client bounds each read
+            return member
+
+        def bounded(*args: Any, **kwargs: Any) -> Any:
+            least_s = Path(args[1]).stat().st_size / _SLOWEST_UPLOAD_BYTES_S if name == "log_artifact" else 0.0
+            return self._waiting.call(lambda: member(*args, **kwargs), least_s)
+
+        return bounded
+
+
+def _check_tables(uri: str) -> None:
+    """Connect once, without the ten attempts of MLflow, and compare the tables with the installed MLflow.
+
+    MLflow would migrate the tables of an older version silently where they lack a table, and fail at others.
+    """
+    import mlflow
+    from alembic.script import ScriptDirectory
+    from sqlalchemy import create_engine, make_url
+    from sqlalchemy.pool import NullPool
+
+    limit = _CONNECT_LIMITS.get(make_url(uri).get_driver_name())
+    engine = create_engine(uri, poolclass=NullPool, connect_args={limit: _CONNECT_S} if limit else {})
+    migrations = ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations"))
+    head = migrations.get_current_head()
+    found = _settled(lambda: _revision(engine), head)
+    if found in (None, head):
+        return
+    known = {script.revision for script in migrations.walk_revisions()}
+    told = f"the tables of the MLflow store {without_secrets(uri)} are of"
+    if found in known:
+        raise StoreLost(f"{told} an older MLflow: run `{upgrade_command(uri)}`, or set MLFLOW_TRACKING_URI to another")
+    raise StoreLost(
+        f"{told} a newer MLflow than {mlflow.__version__}: set MLFLOW_TRACKING_URI to another store, or install that "
+        f"MLflow into {sys.prefix}"
+    )
+
+
+def _settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
+    """What is read, once it no longer changes: another process may be making the tables."""
+    found, since = read(), time.monotonic()
+    while found not in (None, wanted) and time.monotonic() - since < _MIGRATES_S:
+        time.sleep(0.5)
+        if (now := read()) != found:
+            found, since = now, time.monotonic()
+    return found
+
+
+def _revision(engine: Engine) -> str | None:
+    from alembic.migration import MigrationContext
+
+    with closing(engine.connect()) as connection:
+        return MigrationContext.configure(connection).get_current_revision()
+
+
+def _first_line(error: BaseException) -> str:
+    text = re.sub(r"^\(\w[\w.]*\)\s*", "", str(error).strip())  # SQLAlchemy begins with the driver's class
+    lines = text.splitlines()
+    return without_secrets(lines[0] if lines else type(error).__name__)

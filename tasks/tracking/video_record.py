@@ -1,0 +1,149 @@
+"""A clip's run in MLflow: one run, frames as steps, one point per frame and metric whatever was killed on the way.
+
+It is written while the clip is worked on, so that the frames can be watched coming in. A store that goes away half-way
+costs a sentence: the clip goes on, everything is tried once more at the end, and failing that the same command or
+`hfb record` completes the record later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hfb.config import RunConfig
+from hfb.interop.writers.names import RESULT
+from tasks.core.handles import FileHandle, digest
+from tasks.core.task import code_version
+from tasks.inputs.video_inputs import VideoInputs, video_hashes
+from tasks.telemetry import progress
+from tasks.tracking import tracking
+from tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
+from tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, keep_for_later
+
+_SHOWN = 120  # characters of MLflow's own account, which goes on for lines
+_AT_ONCE = 16  # points that are worth a transaction of their own
+
+
+class ClipRecord:
+    """The record of one clip."""
+
+    def __init__(self, name: str, inputs: VideoInputs, config: RunConfig) -> None:
+        self._name, self._inputs, self._config = name, inputs, config
+        self._params = {
+            **config.model_dump(mode="json"),
+            "input": video_hashes(inputs),
+            "clip": inputs.clip.model_dump(mode="json"),
+        }
+        self._key = digest(["video", self._params, code_version()])
+        self._tags = {
+            "code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video",
+        }  # fmt: skip
+        self._run: tracking.Run | None = None
+        self._points: dict[str, dict[int, float]] = {}
+        self._there: dict[str, set[int]] = {}
+        self._waiting = 0
+        self._reached = True
+        self._unwatch: Callable[[], None] = lambda: None
+        self._try(self._open)
+
+    def frames(self, metric: str, values: Mapping[int, float]) -> None:
+        """Points of some frames, frame -> value; kept until the end in case the store goes away."""
+        self._points.setdefault(metric, {}).update(values)
+        self._waiting += len(values)
+        if self._reached and self._waiting >= _AT_ONCE:
+            self._try(lambda: self._log(self._points))
+
+    def finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> RunHandle | None:
+        """Everything that is still missing, and FINISHED; None where the store does not take it: see `keep`."""
+        self._reached = True
+        self._unwatch()
+        self._try(lambda: self._finish(files, result))
+        if not self._reached or self._run is None:
+            return None
+        return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run))
+
+    def keep(self, files: Mapping[str, FileHandle], result: Mapping[str, Any], folder: Path) -> FileHandle:
+        """Everything in a file, from which `hfb record` records the clip later."""
+        progress.say(f"not recorded in MLflow: `hfb record {result['out']}` records it when MLflow is back")
+        kept = RunRecord(
+            name=self._name,
+            key=self._key,
+            params=self._params,
+            tags=self._tags,
+            points=self._points | _final(result),
+            files={name: RecordedFile(sha256=file.sha256) for name, file in files.items()},
+            contents=self._contents(files, result),
+        )
+        return keep_for_later(kept, folder)
+
+    def stop(self, status: str) -> None:
+        """FAILED or KILLED: the clip is not finished; the same command goes on in the same run."""
+        self._unwatch()
+        run = self._run
+        if run is not None and self._reached:
+            self._try(lambda: tracking.end_run(run, status))
+
+    def place(self) -> RunHandle | None:
+        """Where the run can be watched."""
+        return RunHandle(run_id=self._run.run_id, link=tracking.link(self._run)) if self._run else None
+
+    def _open(self) -> None:
+        self._run = tracking.begin_run(self._name, self._key, self._params, self._tags)
+        self._unwatch = tracking.watch_machine(self._run)
+
+    def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
+        """Points that the run does not have: an earlier start of the same command may have logged them."""
+        run = self._run
+        if run is None or run.complete:
+            return
+        for metric in points.keys() - self._there.keys():
+            self._there[metric] = tracking.logged_steps(run, metric)
+        new = {
+            metric: {step: value for step, value in values.items() if step not in self._there[metric]}
+            for metric, values in points.items()
+        }
+        tracking.log_points(run, new)
+        for metric, values in new.items():
+            self._there[metric] |= values.keys()
+        self._waiting = 0
+
+    def _finish(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> None:
+        if self._run is None:
+            self._open()
+        run = self._run
+        assert run is not None
+        if run.complete:
+            return
+        self._log(self._points)
+        self._log(_final(result))
+        with tracking.store_losses():
+            tracking.log_files(run, _looked_at(files))
+            for name, content in self._contents(files, result).items():
+                tracking.log_dict(run, content, name)
+        tracking.end_run(run, "FINISHED")
+
+    def _contents(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        options = self._config.model_dump(mode="json")
+        return {RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")}
+
+    def _try(self, action: Any) -> None:
+        try:
+            action()
+        except tracking.StoreLost as lost:
+            if self._reached:
+                progress.say(
+                    f"MLflow does not take the record ({str(lost)[:_SHOWN]}): the clip goes on; once MLflow is back, "
+                    "the same command completes the record"
+                )
+            self._reached = False
+
+
+def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
+    final = {f"clip/{name}": {0: float(value)} for name, value in result.items() if isinstance(value, float)}
+    return final | {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
+
+
+def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:
+    return [file.path for _, file in sorted(files.items())]

@@ -1,0 +1,250 @@
+"""The tasks of a clip as a whole: what is known about it, its background, and whom it is about."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hfb.config import CameraConfig, ExposureConfig
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.clip import Clip, PersonChoice
+from tasks.core.handles import FileHandle, unchanged
+from tasks.core.task import task
+from tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
+from tasks.image.prepare import calibration
+from tasks.inputs.video_inputs import VideoInputs
+from tasks.workers.workers import compute
+
+if TYPE_CHECKING:
+    from hfb.io.media.footage import Footage
+    from hfb.io.media.timing import Timing
+    from hfb.tracking.tracks import ClipFrames
+
+
+@task("video")
+def look_at_clip(
+    inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
+) -> FootageHandle:
+    """Decode everything once: how many frames there are, when and how they were taken, and what is wrong with them.
+
+    Raises:
+        InputError: not one frame can be decoded, or what is told about the clip does not fit it.
+    """
+    return compute(_look_at_clip, inputs.video, inputs.clip, inputs.calibration, average, camera, exposure, folder)
+
+
+@task("background")
+def find_background(
+    footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
+) -> PlateHandle:
+    """The view without the person.
+
+    Raises:
+        InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
+            camera or size.
+    """
+    return compute(_find_background, footage, how, given, folder)
+
+
+@task("person's track")
+def find_person(
+    footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
+) -> TrackHandle:
+    """Where the chosen person is in every frame.
+
+    Raises:
+        InputError: the chosen one is not there.
+    """
+    return compute(_find_person, footage, plate, choice, track)
+
+
+@task("everyone's tracks")
+def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
+    """Who is there, each with the choice that takes that one.
+
+    Raises:
+        InputError: nobody is.
+    """
+    return compute(_find_everyone, footage, plate, track)
+
+
+def load_footage(handle: FootageHandle) -> Footage:
+    """What the pictures of a clip are read with."""
+    from hfb.io.media.footage import Footage
+
+    return Footage(**_numbers(_content(handle.path, handle.sha256)["footage"]))
+
+
+@contextmanager
+def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> Iterator[Footage]:
+    """What the pictures of a clip are read with, of which frames `start` to `stop` are wanted.
+
+    Raises:
+        StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
+    """
+    footage = load_footage(handle)
+    given = _content(handle.path, handle.sha256)["given"]
+    if len(given) > 1:
+        last = footage.count if stop is None else stop
+        given = given[footage.first + start * footage.average : footage.first + last * footage.average]
+    with unchanged(tuple(FileHandle(**one) for one in given)):
+        yield footage
+
+
+def load_timing(handle: FootageHandle) -> Timing:
+    """The clock of a clip."""
+    from hfb.io.media.timing import Timing
+
+    return Timing(**_numbers(_content(handle.path, handle.sha256)["timing"]))
+
+
+@functools.lru_cache(maxsize=1)
+def _content(path: Path, sha256: str) -> dict[str, Any]:
+    """Of footage.json; a folder of ten thousand pictures makes it megabytes, which every sixteen frames ask for."""
+    return dict(json.loads(path.read_bytes()))
+
+
+def _look_at_clip(
+    video: tuple[FileHandle, ...],
+    clip: Clip,
+    calibrated: FileHandle | None,
+    average: int,
+    camera: CameraConfig,
+    exposure: ExposureConfig,
+    folder: Path,
+) -> FootageHandle:
+    from hfb.io.media.clip_lens import clip_lens
+    from hfb.io.media.footage import open_footage
+    from hfb.io.media.timing import settle_timing
+
+    paths = [file.path for file in video]
+    footage = open_footage(
+        paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
+        stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
+        scan=clip.scan,
+    )  # fmt: skip
+    given = clip.camera.model_copy(update={"calibration": calibrated.path if calibrated else None})
+    lens = clip_lens(given, paths[0].name, footage.height, footage.width)
+    footage = footage.through(lens)
+    timing = settle_timing(footage, clip.exposure, exposure)
+    given_files = [file.model_dump(mode="json") for file in video]
+    content = {"footage": _plain(footage), "timing": _plain(timing), "given": given_files}
+    path, size = folder / "footage.json", (footage.height, footage.width)
+    write_bytes_atomic(path, json.dumps(content).encode())
+    return FootageHandle.of(
+        path,
+        count=footage.count,
+        height=footage.height,
+        width=footage.width,
+        K=lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size),
+        exposure_s=timing.exposure_s,
+        interval_s=timing.interval_s,
+        transfer=footage.transfer,
+        light=exposure.light,
+        bits=footage.bits,
+        remarks=(*footage.remarks, timing.source),
+    )
+
+
+def _find_background(
+    footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
+) -> PlateHandle:
+    from hfb.io.media.pictures import write_png
+    from hfb.io.media.plate import find_plate
+
+    if given is not None:
+        where: Path | Literal["median", "still"] = given.path
+    else:
+        where = "still" if how == "still" else "median"
+    with reading(footage) as pictures:
+        picture, source = find_plate(pictures, where)
+    path = folder / "plate.png"
+    write_png(path, picture, bits=footage.bits)
+    return PlateHandle.of(path, source=source)
+
+
+def _find_person(
+    footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
+) -> TrackHandle:
+    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
+
+    if track is not None:
+        frames = _clip_frames(footage)
+        found = read_track(track.path, choice.id, frames)
+        others = len(read_track_names(track.path, frames)) - 1
+    else:
+        with reading(footage) as pictures:
+            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
+        found, others = choose_track(tracks, choice), len(tracks) - 1
+    boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
+    return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
+
+
+def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
+    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
+
+    if track is not None:
+        named = PersonChoice(track=Path(track.path.name))
+        frames = _clip_frames(footage)
+        chosen = [
+            (read_track(track.path, name, frames), named.model_copy(update={"id": name}))
+            for name in read_track_names(track.path, frames)
+        ]
+    else:
+        with reading(footage) as pictures:
+            seen = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
+        chosen = list(choose_everyone(seen))
+    people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
+    return PeopleHandle(people=tuple(people))
+
+
+def _clip_frames(footage: FootageHandle) -> ClipFrames:
+    """Which of the video's frames the clip's are."""
+    from hfb.tracking.tracks import ClipFrames
+
+    known = load_footage(footage)
+    return ClipFrames(known.count, known.first, known.average, known.height, known.width)
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    """A frozen record of paths, numbers and rows of numbers as JSON."""
+    return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return {"rows": value.tolist(), "dtype": str(value.dtype)}
+    if is_dataclass(value):
+        return {type(value).__name__: _plain(value)}
+    if isinstance(value, Path):
+        return {"path": str(value)}
+    if isinstance(value, tuple):
+        return {"tuple": [_as_json(one) for one in value]}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _numbers(content: dict[str, Any]) -> dict[str, Any]:
+    return {name: _from_json(value) for name, value in content.items()}
+
+
+def _from_json(value: Any) -> Any:
+    from hfb.io.media.lens import Lens
+    from hfb.io.media.video_index import VideoIndex
+
+    if not isinstance(value, dict):
+        return value
+    ((kind, content), *_) = value.items()
+    if kind == "rows":
+        return np.array(content, dtype=value["dtype"])
+    if kind in ("VideoIndex", "Lens"):
+        return (VideoIndex if kind == "VideoIndex" else Lens)(**_numbers(content))
+    return Path(content) if kind == "path" else tuple(_from_json(one) for one in content)

@@ -1,0 +1,230 @@
+"""Computations on machines that are there already: those of a Dask or a Ray cluster, found at its address.
+
+What travels is a function's name and its handles. Where a store is given the files travel through it: the worker needs
+nothing but the URL, and this machine gets what came out. Whoever may talk to such a cluster may run code on it: see
+SECURITY.md.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import shutil
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from hfb.errors import InputError, NotNow
+from tasks.core.handles import FileHandle, files_in, with_files
+from tasks.core.task import code_version
+from tasks.telemetry.secrets import without_secrets
+from tasks.workers.engine import Engine, WorkerLost
+from tasks.workers.shared_store import shared_store
+
+R = TypeVar("R")
+_log = logging.getLogger(__name__)
+_ANSWER_S = 30
+_RETRIES = 2
+_CACHE_BYTES = 2 << 30
+
+
+class _Members(Protocol):
+    """A cluster's workers, each with one thread."""
+
+    def count(self) -> int: ...
+    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R: ...
+    def close(self) -> None: ...
+
+
+class Cluster:
+    """Runs functions of handles elsewhere, any number at a time.
+
+    Attributes:
+        count: workers when it was found. busy_s: for how long they computed, together.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        """
+        Raises:
+            InputError: the library is missing, nobody answers, or nobody works there.
+        """
+        self._store = engine.store
+        if self._store:
+            shared_store(self._store)
+        self._members: _Members = (_Dask if engine.kind == "dask" else _Ray)(engine.address)
+        self.count, self.busy_s = self._members.count(), 0.0
+        self._lock, self._closed = threading.Lock(), False
+
+    def run(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
+        """The function's result; its files are where they would be if it had run here.
+
+        Raises:
+            WorkerLost: see there.
+            InputError: the worker has another version of hfb, or what the function raises.
+        """
+        if self._store:
+            shared_store(self._store).put(args)
+        value, seconds = self._members.call(_compute_away, (self._store, code_version(), function, args), gpu)
+        with self._lock:
+            self.busy_s += seconds
+        _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
+        folder = _folder_of(args)
+        if self._store and folder is not None:
+            value = shared_store(self._store).take(value, lambda file: folder / file.path)
+        return value
+
+    def close(self) -> None:
+        """Leave it, whatever it still computes for us."""
+        with self._lock:
+            closed, self._closed = self._closed, True
+        if not closed:
+            self._members.close()
+
+
+class _Dask:
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError:
+            raise InputError("a Dask cluster needs its library: pip install 'hfb[dask]'") from None
+        try:
+            self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            place = without_secrets(address)
+            raise NotNow(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
+        self._address, self._running = address, set[Any]()
+
+    def count(self) -> int:
+        try:
+            self._client.wait_for_workers(1, timeout=_ANSWER_S)
+        except TimeoutError:
+            raise NotNow("the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`") from None
+        return sum(self._client.nthreads().values())
+
+    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+
+        needs = {"GPU": 1} if gpu else None
+        future = self._client.submit(function, *args, pure=False, retries=_RETRIES, resources=needs)
+        self._running.add(future)
+        try:
+            result: R = future.result()
+            return result
+        except (KilledWorker, FutureCancelledError) as error:
+            raise WorkerLost(f"the Dask cluster lost what it computed ({type(error).__name__}).") from error
+        finally:
+            self._running.discard(future)
+
+    def close(self) -> None:
+        self._client.cancel(list(self._running), force=True)
+        self._client.close(timeout=5)
+
+
+class _Ray:
+    def __init__(self, address: str) -> None:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        try:
+            import ray
+        except ImportError:
+            raise InputError("a Ray cluster needs its library: pip install 'hfb[ray]'") from None
+        try:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            place = without_secrets(address)
+            raise NotNow(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
+        self._ray: Any = ray
+        self._running: set[Any] = set()
+
+    def count(self) -> int:
+        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
+        errors = self._ray.exceptions
+        distant = self._ray.remote(num_cpus=1, num_gpus=int(gpu), max_retries=_RETRIES)(function)
+        reference = distant.remote(*args)
+        self._running.add(reference)
+        try:
+            result: R = self._ray.get(reference)
+            return result
+        except errors.RayTaskError as error:
+            raise error.cause from None
+        except errors.RayError as error:
+            raise WorkerLost(f"the Ray cluster lost what it computed ({type(error).__name__}).") from error
+        finally:
+            self._running.discard(reference)
+
+    def close(self) -> None:
+        for reference in list(self._running):
+            self._ray.cancel(reference, force=True)
+        self._ray.shutdown()
+
+
+def _folder_of(args: tuple[Any, ...]) -> Path | None:
+    """The folder that a call writes to: the one path among its arguments that belongs to no handle."""
+    folders = [one for one in args if isinstance(one, Path)]
+    assert len(folders) <= 1, "what leaves this machine writes to one folder"
+    return folders[0] if folders else None
+
+
+def _compute_away(store: str | None, code: str, function: Callable[..., R], args: tuple[Any, ...]) -> tuple[R, float]:
+    """On the worker: the result, and how long it took [s].
+
+    Raises:
+        InputError: this is another version of hfb.
+    """
+    import torch
+
+    if code_version() != code:
+        raise NotNow(f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both")
+    torch.set_num_threads(1)
+    began = time.monotonic()
+    if store is None:
+        return function(*args), time.monotonic() - began
+    with _cache as cached, tempfile.TemporaryDirectory(prefix="hfb-") as made:
+        folder = Path(made).resolve()
+        there = shared_store(store)
+        here = there.take(args, lambda file: cached / file.sha256 / file.path.name)
+        value = function(*(folder if isinstance(one, Path) else one for one in here))
+        there.put(value)
+        given = {(file.sha256, file.path.name): file.path for file in files_in(args)}
+        value = with_files(value, lambda file: _as_called_there(file, folder, given))
+    return value, time.monotonic() - began
+
+
+def _as_called_there(file: FileHandle, folder: Path, given: dict[tuple[str, str], Path]) -> FileHandle:
+    """By its place in the folder, or, of a file that was given, by the name that it has where it comes from."""
+    made = file.path.is_relative_to(folder)
+    path = file.path.relative_to(folder) if made else given[file.sha256, file.path.name]
+    return file.model_copy(update={"path": path})
+
+
+class _Cache:
+    """A worker's own copies, by content; thrown away when they are many and nobody uses them."""
+
+    def __init__(self) -> None:
+        self._lock, self._users = threading.Lock(), 0
+        self._folder: Path | None = None
+
+    def __enter__(self) -> Path:
+        with self._lock:
+            if self._folder is None:
+                self._folder = Path(tempfile.mkdtemp(prefix="hfb-cache-"))
+                atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+            self._users += 1
+            return self._folder
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._users -= 1
+            assert self._folder is not None
+            if not self._users and sum(path.stat().st_size for path in self._folder.rglob("*")) > _CACHE_BYTES:
+                shutil.rmtree(self._folder)
+                self._folder.mkdir()
+
+
+_cache = _Cache()

@@ -1,0 +1,60 @@
+"""Where what computes runs: processes or threads of this machine, or a Dask or Ray cluster that is there already."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast, get_args
+
+from hfb.errors import InputError
+
+Kind = Literal["processes", "threads", "dask", "ray"]
+_CLUSTERS = ("dask", "ray")
+
+
+class WorkerLost(Exception):
+    """Whoever computed something died, more than once, or can no longer be reached."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What `--workers` says; it changes no digit.
+
+    Attributes:
+        count: processes or threads of this machine. A cluster has its own workers; this machine then has one for
+            what cannot leave it.
+        address: of the cluster.
+        store: a URL where files lie for workers that do not see this machine's; see tasks/workers/shared_store.py.
+    """
+
+    kind: Kind = "processes"
+    count: int = 1
+    address: str = ""
+    store: str | None = None
+
+    @property
+    def remote(self) -> bool:
+        """Whether others than this machine compute."""
+        return self.kind in _CLUSTERS
+
+
+def engine_of(words: str | int, store: str | None = None) -> Engine:
+    """What a user writes: ``4``, ``threads:4``, ``dask:tcp://host:8786`` or ``ray:auto``; and where files are shared.
+
+    Raises:
+        InputError: it is none of these, or a store is given without a cluster.
+    """
+    kind, _, rest = str(words).partition(":")
+    if kind.isdecimal() and not rest:
+        kind, rest = "processes", kind
+    if kind not in get_args(Kind) or not rest:
+        raise InputError(
+            f"--workers {words}: give a number of processes, threads:NUMBER, dask:ADDRESS (such as "
+            "dask:tcp://host:8786) or ray:ADDRESS (such as ray:auto)"
+        )
+    if kind in _CLUSTERS:
+        return Engine(cast(Kind, kind), 1, rest, store)
+    if store is not None:
+        raise InputError(f"--store is for workers elsewhere: leave it out with --workers {words}")
+    if not rest.isdecimal() or int(rest) < 1:
+        raise InputError(f"--workers {words}: give 1 or more")
+    return Engine(cast(Kind, kind), int(rest))

@@ -1,0 +1,103 @@
+"""Files for workers that do not see each other's disks: each under its own content's hash, behind a URL.
+
+A worker needs nothing but the URL: it takes what a call names, works in a folder of its own, and leaves what came out.
+Any filesystem that Arrow speaks will do (``s3://bucket/prefix?endpoint_override=host:9000``, ``gs://``, ``file:///``);
+credentials come from where that filesystem looks for them, never from the URL.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import secrets
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from hfb.errors import InputError
+from hfb.io.atomic import write_bytes_atomic
+from tasks.core.handles import FileHandle, StaleFile, files_in, sha256_of, with_files
+from tasks.telemetry.secrets import without_secrets
+
+if TYPE_CHECKING:
+    from pyarrow.fs import FileSystem
+
+T = TypeVar("T")
+_BLOCK_BYTES = 1 << 20
+
+
+class SharedStore:
+    """Puts files there and takes them from there; a file that is there is never written again."""
+
+    def __init__(self, url: str) -> None:
+        """
+        Raises:
+            InputError: the URL names no place that can be used, or holds a password.
+        """
+        self._fs, self._root = _opened(url)
+        self._known: set[str] = set()
+
+    def put(self, value: object) -> None:
+        """All files that a handle, or a sequence of handles, names."""
+        for file in files_in(value):
+            if file.sha256 not in self._known:
+                self._put(file)
+                self._known.add(file.sha256)
+
+    def take(self, value: T, place: Callable[[FileHandle], Path]) -> T:
+        """The same handles, of files that now lie where ``place`` says.
+
+        Raises:
+            StaleFile: a file is gone, or is not what its handle says.
+        """
+        return with_files(value, lambda file: self._take(file, place(file)))
+
+    def _put(self, file: FileHandle) -> None:
+        from pyarrow.fs import FileType
+
+        place = self._place(file)
+        if self._fs.get_file_info(place).type == FileType.File:
+            return
+        self._fs.create_dir(place.rpartition("/")[0], recursive=True)
+        part = f"{place}.{secrets.token_hex(4)}.part"
+        with file.path.open("rb") as source, self._fs.open_output_stream(part) as there:
+            shutil.copyfileobj(source, there, _BLOCK_BYTES)
+        self._fs.move(part, place)
+
+    def _take(self, file: FileHandle, path: Path) -> FileHandle:
+        here = file.model_copy(update={"path": path})
+        if path.exists() and sha256_of(path) == file.sha256:
+            return here
+        try:
+            with self._fs.open_input_stream(self._place(file)) as there:
+                data = there.read()
+        except FileNotFoundError as error:
+            raise StaleFile(f"{file.path.name} is no longer in the shared store") from error
+        if hashlib.sha256(data).hexdigest() != file.sha256:
+            raise StaleFile(f"{file.path.name} in the shared store is no longer what it was")
+        write_bytes_atomic(path, data)
+        return here
+
+    def _place(self, file: FileHandle) -> str:
+        return f"{self._root}/{file.sha256[:2]}/{file.sha256}"
+
+
+def _opened(url: str) -> tuple[FileSystem, str]:
+    from pyarrow.fs import FileSystem
+
+    if without_secrets(url) != url:
+        raise InputError("--store: keep the password out of the URL; the store's own environment variables name it")
+    try:
+        fs, root = FileSystem.from_uri(url)
+    except (ValueError, OSError) as error:
+        raise InputError(
+            without_secrets(f"--store {url}: give a place such as s3://bucket/prefix or file:///folder ({error})")
+        ) from None
+    return fs, root.rstrip("/")
+
+
+@functools.cache
+def shared_store(url: str) -> SharedStore:
+    """The store behind a URL, opened once per process."""
+    return SharedStore(url)

@@ -1,0 +1,268 @@
+"""Worker processes for what computes: a fit holds Python's lock too long for two of them to share a process.
+
+Prefect's own process runner costs seconds per flow and 130 ms per task, so its tasks stay threads and hand the
+computation itself, a plain function of handles, to a few processes that live as long as the flow. The result does
+not depend on their number: each computes with one thread, and nothing is shared between two calls.
+"""
+
+from __future__ import annotations
+
+import logging
+import logging.handlers
+import multiprocessing
+import multiprocessing.connection
+import multiprocessing.synchronize
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+
+from tasks.core.stopped import Stopped
+from tasks.telemetry.structured_log import WithIds, about, ids_now
+from tasks.workers.engine import Engine, WorkerLost
+
+if TYPE_CHECKING:
+    from tasks.workers.clusters import Cluster
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_ATTEMPTS = 3
+_log = logging.getLogger(__name__)
+_LAST_WORDS_S = 0.5
+
+
+class _Pool:
+    """Processes that are replaced when one of them dies, by the kernel's hand when memory runs out, say."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._lock = threading.Lock()
+        self._closed = False
+        self.busy_s = 0.0
+        self._executor = self._started()
+
+    def _started(self) -> ProcessPoolExecutor:
+        # spawn: a forked child would inherit locks that threads of the parent hold
+        context = multiprocessing.get_context("spawn")
+        # one per set of processes: a process that is killed while it writes leaves its queue locked
+        self._records = _Records(context)
+        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._records.queue,))
+
+    def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        for _ in range(_ATTEMPTS):
+            executor = self._executor
+            try:
+                result, seconds = executor.submit(_timed, ids_now(), function, args, kwargs).result()
+                with self._lock:
+                    self.busy_s += seconds
+                _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
+                return result
+            except BrokenProcessPool:
+                self._replace(executor)
+            except (CancelledError, RuntimeError):
+                if not self._closed:
+                    raise
+                raise Stopped from None
+        raise WorkerLost(
+            f"a worker process died {_ATTEMPTS} times over this; was there enough memory? Give fewer --workers"
+        )
+
+    def _replace(self, broken: ProcessPoolExecutor) -> None:
+        with self._lock:
+            if self._closed:
+                raise Stopped
+            if self._executor is broken:  # every thread that waited finds out; one of them mends
+                broken.shutdown(wait=False)
+                self._records.close()
+                self._executor = self._started()
+
+    def close(self) -> None:
+        # What still computes has no one to give it to: an interrupted flow must not wait for it.
+        with self._lock:
+            self._closed = True
+            processes = list((self._executor._processes or {}).values())
+            self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        for process in processes:  # gone when this returns: nobody counts them, or their memory, any more
+            multiprocessing.connection.wait([process.sentinel], _LAST_WORDS_S)
+        self._records.close()
+
+
+class _Records:
+    """What workers log, said by this process: its handlers know the log file and the display."""
+
+    def __init__(self, context: multiprocessing.context.SpawnContext) -> None:
+        self._reader, writer = context.Pipe(duplex=False)
+        self._end_reader, self._end = context.Pipe(duplex=False)
+        self.queue = _RecordQueue(writer, context.Lock())
+        self._thread = threading.Thread(target=self._retell, name="hfb-worker-log", daemon=True)
+        self._thread.start()
+
+    def _retell(self) -> None:
+        try:  # what has arrived is told before the end is heard
+            while self._reader in multiprocessing.connection.wait([self._reader, self._end_reader]):
+                record = self._reader.recv()
+                logging.getLogger(record.name).handle(record)
+        except (EOFError, OSError, pickle.UnpicklingError):  # a worker that was killed in the middle of a word
+            return
+        finally:
+            self._reader.close()  # whoever still speaks is told so, and does not wait
+
+    def close(self) -> None:
+        self._end.send(None)
+        self._thread.join(_LAST_WORDS_S)
+
+
+class _RecordQueue:
+    """A worker's end. A record is on its way when `put_nowait` returns, so before the result that it precedes:
+    a queue with a thread of its own loses what a worker said last before it is ended."""
+
+    def __init__(self, writer: multiprocessing.connection.Connection, lock: multiprocessing.synchronize.Lock) -> None:
+        self._writer, self._lock = writer, lock
+
+    def put_nowait(self, record: logging.LogRecord) -> None:
+        with self._lock, suppress(OSError):  # nobody listens any more
+            self._writer.send(record)
+
+
+class _Shared:
+    """How long steps over many inputs took, and how busy the workers were in them."""
+
+    def __init__(self) -> None:
+        self.seconds, self.busy_s = 0.0, 0.0
+
+
+_pool: _Pool | None = None
+_cluster: Cluster | None = None
+_threads = 1
+_shared = _Shared()
+
+
+@contextmanager
+def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
+    """Computations inside run where the engine says; a number is one of processes.
+
+    Args:
+        apart: a single worker is a process too, which can be stopped, and whose memory is not this process's;
+            otherwise one means this process itself.
+
+    Raises:
+        InputError: a cluster cannot be used.
+    """
+    global _pool, _cluster, _threads, _shared
+    engine = Engine(count=engine) if isinstance(engine, int) else engine
+    _shared = _Shared()
+    try:
+        if engine.remote:
+            from tasks.workers.clusters import Cluster
+
+            _cluster = Cluster(engine)
+        if engine.kind == "threads":
+            _threads = engine.count
+        elif engine.count > 1 or apart or engine.remote:
+            _pool = _Pool(engine.count)
+        yield
+    finally:
+        stop_computing()
+        _pool, _cluster, _threads = None, None, 1
+
+
+def worker_count() -> int:
+    """How many compute at a time."""
+    crew = _cluster or _pool
+    return crew.count if crew else _threads
+
+
+@contextmanager
+def shared_out() -> Iterator[None]:
+    """What is computed inside is one step over many inputs, meant to keep every worker busy."""
+    crew = _cluster or _pool
+    if crew is None:
+        yield
+        return
+    began, busy_s = time.monotonic(), crew.busy_s
+    try:
+        yield
+    finally:
+        _shared.seconds += time.monotonic() - began
+        _shared.busy_s += crew.busy_s - busy_s
+
+
+def busy_share() -> float | None:
+    """The share of the workers' time in which they computed, of steps over many inputs; None where there was none.
+
+    What is missing of 1 is the cost of orchestration, and the wait for the last of each step.
+    """
+    return round(_shared.busy_s / (worker_count() * _shared.seconds), 4) if _shared.seconds else None
+
+
+def remote() -> bool:
+    """Whether what is spread goes to a cluster's workers."""
+    return _cluster is not None
+
+
+def stop_computing() -> None:
+    """End what computes right now: a flow that was interrupted must not wait for it. Its tasks fail with Stopped."""
+    if _cluster:
+        _cluster.close()
+    if _pool:
+        _pool.close()
+
+
+def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+    """The function's result, from a worker process of this machine where there are some.
+
+    Raises:
+        WorkerLost: the process that computed it died, three times.
+    """
+    return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
+
+
+def spread(function: Callable[..., R], *args: Any, gpu: bool = False) -> R:
+    """As `compute`, for one of many inputs: from a cluster's worker where there is one.
+
+    Such a function takes handles, plain values and one folder, reads nothing but the handles' files, and names no file
+    but those that it writes into the folder.
+
+    Args:
+        gpu: a worker with a GPU that nobody else uses at the time is needed.
+
+    Raises:
+        WorkerLost: see `compute`; or the cluster can no longer be reached.
+    """
+    return _cluster.run(function, args, gpu) if _cluster else compute(function, *args)
+
+
+def _timed(
+    ids: dict[str, Any], function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> tuple[R, float]:  # fmt: skip
+    began = time.monotonic()
+    with about(ids):
+        return function(*args, **kwargs), time.monotonic() - began
+
+
+def _begin(records: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
+    logging.captureWarnings(True)
+    handler = logging.handlers.QueueHandler(records)
+    handler.addFilter(WithIds())
+    logging.getLogger().addHandler(handler)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _end_with_parent() -> None:
+    """No orphans, at once: a parent that was killed cannot tell its workers, and nobody hears of what they make."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    multiprocessing.connection.wait([parent.sentinel])
+    os._exit(1)

@@ -1,0 +1,192 @@
+"""From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
+
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+import torch
+
+from hfb.body.assets import load_default_body
+from hfb.config import DirectionsConfig, FitConfig, SeveralFrames, Stage, Weights
+from hfb.fitting import comparison, descent, loop
+from hfb.fitting import joint_features as features
+from hfb.fitting.clip_person import ClipPerson
+from hfb.fitting.loop import FitResult, fit
+from hfb.fitting.variables import Variables
+from hfb.priors.anatomy import AnatomicalPrior
+from hfb.rendering.observation import Observation
+from hfb.typing import Array, Float
+from tests.scenes import moving_scene
+
+
+def run(*stages: Stage, patience: int = 0) -> tuple[FitResult, list[tuple[int, int]]]:
+    """A fit from the true middle pose, and the progress it told."""
+    body, told = load_default_body(), []
+    scene = moving_scene(body, size_px=48)
+    config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, patience=patience)
+    result = fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), lambda *one: told.append(one[:2]))
+    return result, told
+
+
+def first_losses(frames: int, iterations: int, settle: int, **options: Any) -> list[float]:
+    """Of a fit that settles and has one stage, from the true middle pose."""
+    body = load_default_body()
+    scene, stage = moving_scene(body, size_px=48, frames=frames), Stage(size_px=48, iterations=iterations)
+    config = FitConfig(stages=(stage,), subframes=3, texture_px=16, settle=settle, **options)
+    return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+
+def test_a_stage_goes_on_where_the_last_one_ended() -> None:
+    """A fresh optimiser would leave it: its first steps are as large as its rate, wherever the gradient is small."""
+    stage = Stage(size_px=48, iterations=25, learning_rate=0.003)
+    losses = run(stage, stage)[0].history["total"]
+    assert losses[24] < 0.7 * losses[0]
+    assert max(losses[25:]) <= 1.01 * min(losses[:25])
+
+
+def test_what_was_asked_before_the_descent_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gradients that somebody left when it begins."""
+    losses, settle = first_losses(1, 3, 5), loop.settle
+
+    def settle_and_leave(variables: Variables, *others: Any) -> None:
+        settle(variables, *others)
+        for leaf in variables.leaves():
+            leaf.grad = torch.ones_like(leaf)
+
+    monkeypatch.setattr(loop, "settle", settle_and_leave)
+    assert first_losses(1, 3, 5) == losses
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> None:
+    """But not in the search for directions afterwards: their odds were measured without."""
+    body = load_default_body()
+    scene = moving_scene(body, size_px=48, frames=frames)
+    coarse, whole = Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
+
+    def result(weight: float, factor: float, *stages: Stage) -> FitResult:
+        config = FitConfig(
+            stages=stages, subframes=3, texture_px=16, several=SeveralFrames(image=factor),
+            weights=Weights(image=weight, boundary=0), directions=DirectionsConfig(search=True, limbs=False, refits=0),
+        )  # fmt: skip
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
+
+    plain, more = (result(2, factor, coarse, whole) for factor in (1, 5))
+    losses = plain.history["total"], more.history["total"]
+    assert losses[0][:3] == losses[1][:3]
+    assert (losses[0][3] == losses[1][3]) == (frames == 1)
+    assert result(2, 5, whole, whole).history == result(2 if frames == 1 else 10, 1, whole, whole).history
+    for one in (plain, more):
+        assert one.alternatives is not None
+        scores = one.alternatives.scores
+        assert scores["loss"] == pytest.approx(2 * scores["image"] + scores["matte"], rel=1e-5)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_the_height_of_several_frames_has_a_factor_of_its_own(frames: int) -> None:
+    def losses(height: float, factor: float) -> list[float]:
+        return first_losses(frames, 2, 2, weights=Weights(height=height), several=SeveralFrames(height=factor))
+
+    more = losses(0.5, 3)
+    assert more == losses(0.5 if frames == 1 else 1.5, 1)
+    assert (more == losses(0.5, 1)) == (frames == 1)
+
+
+def test_a_stage_without_gain_ends_by_its_patience() -> None:
+    still, moving = (Stage(size_px=48, iterations=20, learning_rate=rate) for rate in (1e-9, 0.003))
+    result, told = run(still, moving, patience=4)
+    assert len(result.history["total"]) == len(told) < 40
+    assert told[4] == (5, 40)  # the first loss is a gain, then four are none
+    assert told[5] == (21, 40)
+    assert result.history["total"][result.best_iteration] == min(result.history["total"])
+    assert len(run(still)[0].history["total"]) == 20  # without patience a stage takes its time
+
+
+def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
+    scene = moving_scene(body, size_px=48)
+    weights = Weights(joints=3, height=0.04)
+
+    def losses(compare: float, *stages: Stage) -> list[float]:
+        config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, weights=weights, compare=compare)
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    def first_change(*stages: Stage) -> int | None:
+        both = zip(losses(0, *stages), losses(0.75, *stages), strict=True)
+        return next((number for number, (without, with_it) in enumerate(both) if without != with_it), None)
+
+    assert first_change(stage, coarse, coarse, stage) == 9
+    assert first_change(coarse, stage, stage) == 3
+    assert first_change(stage, stage) == 3
+    assert first_change(stage) is None
+    looks = Mock(side_effect=descent.beside_the_fit)  # the real one, counted
+    monkeypatch.setattr(descent, "beside_the_fit", looks)
+    losses(0.75, coarse, stage, stage, stage)
+    assert looks.call_count == 3
+
+
+def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
+    scene = moving_scene(body, size_px=48)
+    given, found, ends = [], [], []
+
+    def matted_again(blurred: torch.Tensor, before: comparison.Before) -> Observation:
+        again = comparison.matted_again(blurred, before)
+        given.append(before.observation.mattes)
+        found.append(again.mattes)
+        return again
+
+    def descend(*told: Any) -> descent.Descent:
+        ends.append(descent.descend(*told))
+        return ends[-1]
+
+    def losses(again: bool) -> list[float]:
+        stages = (stage, coarse, stage, stage)
+        config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, matte_again=again)
+        return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
+
+    monkeypatch.setattr(descent, "matted_again", matted_again)
+    monkeypatch.setattr(loop, "descend", descend)
+    without = losses(False)
+    assert not given
+    both = zip(without, losses(True), strict=True)
+    assert next(number for number, (one, other) in enumerate(both) if one != other) == 6
+    assert len(given) == 2
+    assert torch.equal(given[0], given[1])
+    assert not torch.equal(found[1], given[1])
+    assert torch.equal(ends[-1].seen.mattes, found[-1])  # what comes after the stages sees them, too
+    assert ends[-1].seen.mattes.shape == ends[0].seen.mattes.shape
+
+
+def test_radii_are_told_by_the_mattes_from_before_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A matte that was found beside the fit agrees with it in its errors: radii would be too narrow."""
+    body, told = load_default_body(), []
+
+    def joint_features(*given: Any) -> dict[str, Float[Array, "R 24"]]:
+        told.append(given[4].observation.mattes)
+        return features.joint_features(*given)
+
+    scene = moving_scene(body, size_px=64, frames=2, instants=5)
+    stage, search = Stage(size_px=48, iterations=2), DirectionsConfig(size_px=64)
+    config = FitConfig(stages=(stage, stage), subframes=3, texture_px=16, matte_again=True, directions=search)
+    person = ClipPerson(scene.middle[0].betas, torch.full((16, 16, 3), 0.4))
+    monkeypatch.setattr(loop, "joint_features", joint_features)
+    fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), person=person)
+    seen = scene.observation
+    assert torch.equal(told[0], seen.cropped(*seen.region()).resized(64).mattes)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_frames_share_what_holds_their_motion(frames: int) -> None:
+    """With w_C shared the motion is held by as much as with a part of it for each, while the skeleton settles, too."""
+
+    def losses(motion: float, shared: bool) -> list[float]:
+        return first_losses(frames, 3, 3, weights=Weights(motion=motion), motion_shared=shared)
+
+    shared = losses(0.5, True)
+    assert shared == losses(0.5 / frames, False)
+    assert (shared == losses(0.5, False)) == (frames == 1)
