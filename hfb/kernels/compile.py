@@ -1,6 +1,6 @@
 """How kernels are compiled: once per machine, whatever the process, and again when any of their sources changes.
 
-All compiled code lives in this room and has one hash: a change in any of its files compiles all kernels again.
+All compiled code lives in this room. Its sources have one hash: a change in any file compiles all kernels again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -34,7 +34,7 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 
 @lru_cache
 def _sources() -> str:
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    files = sorted(Path(__file__).parent.rglob("*.py"))
     return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

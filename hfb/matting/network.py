@@ -12,7 +12,8 @@ from hfb.kernels.determinism import one_torch_thread
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
-from hfb.matting.matting import (
+from hfb.matting.moving_layer import explained_matte
+from hfb.matting.protocol import (
     LEAST_SHARE,
     MOST_SHARE,
     Picture,
@@ -25,7 +26,6 @@ from hfb.matting.matting import (
     scaled_box,
     shrink,
 )
-from hfb.matting.moving_layer import explained_matte
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import linear_to_srgb
