@@ -12,8 +12,8 @@ from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from flows.cli.cli import command_line
 from hfb.config import preset
+from hfb.flows.cli.cli import command_line
 
 _METHOD_OPTIONS = "options of the method"
 

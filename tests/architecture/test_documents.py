@@ -11,7 +11,7 @@ import yaml
 from PIL import Image
 
 import hfb
-from flows.cli.cli import command_line
+from hfb.flows.cli.cli import command_line
 from tests.documents import ROOT, anchors, code_blocks, documents, hfb_commands, links, prose
 
 _README = ROOT / "README.md"

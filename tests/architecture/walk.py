@@ -50,7 +50,7 @@ class Walk:
 
 def walk_of_a_fit() -> Walk:
     """Return the walk of a tiny fit of the embedded example."""
-    from flows.cli.cli import main
+    from hfb.flows.cli.cli import main
     from tests.orchestration import TINY_OPTIONS, tiny_problem
 
     walk = Walk()
