@@ -22,6 +22,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "gener
 myst_heading_anchors = 3
 myst_enable_extensions = ["fieldlist"]
 suppress_warnings = ["myst.header"]  # a document may begin below its title level, as an entry of CHANGELOG.md does
+autodoc_class_signature = "separated"
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False

@@ -91,7 +91,7 @@ def _flag(action: argparse.Action) -> str:
 def _option_pages() -> Iterator[str]:
     best, paper = preset("best"), preset("paper")
     loose = [(name, field) for name, field in type(best).model_fields.items() if not _is_section(best, name)]
-    yield from _table("general", "Of the whole run", loose, best, paper, "")
+    yield from _table("general", "Options of the whole run", loose, best, paper, "")
     for name in type(best).model_fields:
         if _is_section(best, name):
             yield from _section(name, getattr(best, name), getattr(paper, name))

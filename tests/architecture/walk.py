@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 ROOT = Path(__file__).parents[2]
-_OURS = tuple(str(ROOT / name) + "/" for name in ("hfb", "tasks", "flows"))
+_OURS = str(ROOT / "hfb") + "/"
 _SURROUNDINGS = ("telemetry", "tracking/", "runtime", "errors.py", "typing.py", "config.py", "__init__.py")
 """What accompanies a frame without touching it: progress, records, servers, option records."""
 
@@ -32,7 +32,7 @@ class Walk:
             return
         name = frame.f_code.co_filename
         if name not in self._known:
-            self._known[name] = name.removeprefix(f"{ROOT}/") if name.startswith(_OURS) else None
+            self._known[name] = name.removeprefix(_OURS) if name.startswith(_OURS) else None
         file = self._known[name]
         if file is None:
             return
