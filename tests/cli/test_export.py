@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from flows.cli.cli import main
 from hfb.body.assets import load_default_body
+from hfb.flows.cli.cli import main
 from hfb.io.media.pictures import write_png
 from hfb.motion.motion_file import load_motion, save_motion
 from tests.interop.writers.motions import motion_of

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 import torch
 
-import flows.rerun
-import tasks.image.fit_motion
-from flows.fit_image import fit_image
-from flows.rerun import plan_rerun, run_again, with_networks
-from flows.video import run_video
+import hfb.flows.rerun
+import hfb.tasks.image.fit_motion
 from hfb.config import ExportConfig, FitConfig, InitConfig, PriorConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.flows.fit_image import fit_image
+from hfb.flows.rerun import plan_rerun, run_again, with_networks
+from hfb.flows.video import run_video
 from hfb.io.media.pictures import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
-from tasks.core.handles import FileHandle
-from tasks.inputs.inputs import Inputs, input_file
-from tasks.inputs.video_inputs import take_video_inputs
-from tasks.tracking import tracking
-from tasks.tracking.recipe import RECIPE
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.inputs.inputs import Inputs, input_file
+from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.recipe import RECIPE
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import small_clip, small_config
 
@@ -120,7 +120,7 @@ def test_a_difference_is_measured(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that computes otherwise: its fits take steps of another length, and its processor has another name."""
-    original = tasks.image.fit_motion.fit
+    original = hfb.tasks.image.fit_motion.fit
 
     def another_machine(observation: Any, first_bodies: Any, body: Any, config: Any, *rest: Any, **more: Any) -> Any:
         stages = tuple(one.model_copy(update={"learning_rate": 0.011}) for one in config.stages)
@@ -128,7 +128,7 @@ def test_a_difference_is_measured(
             observation, first_bodies, body, config.model_copy(update={"stages": stages}), *rest, **more
         )  # fmt: skip
 
-    monkeypatch.setattr(tasks.image.fit_motion, "fit", another_machine)
+    monkeypatch.setattr(hfb.tasks.image.fit_motion, "fit", another_machine)
     same = again(made["mlflow_run_id"])
     assert not same["bit_equal"]
     assert same["same_environment"]
@@ -136,8 +136,8 @@ def test_a_difference_is_measured(
     assert {"motion.npz", "strip.png"} <= set(same["files_that_differ"])
     assert "matte_0.png" not in same["files_that_differ"]
 
-    now = flows.rerun.environment()
-    monkeypatch.setattr(flows.rerun, "environment", lambda: now | {"processor": "another"})
+    now = hfb.flows.rerun.environment()
+    monkeypatch.setattr(hfb.flows.rerun, "environment", lambda: now | {"processor": "another"})
     other = again(made["mlflow_run_id"])
     assert other["changed"] == [f"processor ({now['processor']} then, another now)"]
     assert not other["same_environment"]
@@ -169,13 +169,13 @@ def test_files_that_options_name_move_too(
 def test_an_interrupted_repetition_goes_on(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import flows.fit_image
+    import hfb.flows.fit_image
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(flows.fit_image, "strip", interrupted)
+        patch.setattr(hfb.flows.fit_image, "strip", interrupted)
         with pytest.raises(KeyboardInterrupt):
             again(made["mlflow_run_id"])
     out = tmp_path / "runs" / f"rerun-{made['mlflow_run_id'][:8]}"
@@ -245,7 +245,7 @@ def test_options_of_another_version(made: dict[str, Any], store: Path, tmp_path:
 def test_pose_networks_of_then(made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there were no networks `auto` meant the matte alone, also once there are; other ones are refused."""
     here: list[FileHandle] = []
-    monkeypatch.setattr(flows.rerun, "networks_at_hand", lambda choice="auto": tuple(here))
+    monkeypatch.setattr(hfb.flows.rerun, "networks_at_hand", lambda choice="auto": tuple(here))
     frame, plate = tmp_path / "pictures" / "frame.png", tmp_path / "pictures" / "background.png"
     auto = RunConfig(init=InitConfig(method="auto"))
     without = Inputs(frames=(input_file(frame),), background=input_file(plate))
