@@ -12,8 +12,7 @@ from hfb.kernels.determinism import one_torch_thread
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
-from hfb.matting.moving_layer import explained_matte
-from hfb.matting.protocol import (
+from hfb.matting.matting_protocol import (
     LEAST_SHARE,
     MOST_SHARE,
     Picture,
@@ -26,6 +25,7 @@ from hfb.matting.protocol import (
     scaled_box,
     shrink,
 )
+from hfb.matting.moving_layer import explained_matte
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import linear_to_srgb

@@ -20,8 +20,8 @@ from hfb.evidence.joint_network import Window, picture_channels
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.matting.matte_network import features
+from hfb.matting.matting_protocol import clean, matte_region
 from hfb.matting.network import shipped_network
-from hfb.matting.protocol import clean, matte_region
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose

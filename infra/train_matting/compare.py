@@ -20,8 +20,8 @@ from plates import read_photos
 
 from hfb.errors import InputError
 from hfb.matting.camera_noise import exposure_gain
+from hfb.matting.matting_protocol import KnownBackground
 from hfb.matting.network import NetworkMatting
-from hfb.matting.protocol import KnownBackground
 from hfb.photometry import linear_to_srgb
 
 Method = Callable[[np.ndarray, np.ndarray], np.ndarray]

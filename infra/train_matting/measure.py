@@ -18,8 +18,8 @@ from scenes import Difficulty, Scene, draw_scene
 
 from hfb.errors import InputError
 from hfb.matting.matte_network import CHANNELS, MatteNetwork
+from hfb.matting.matting_protocol import KnownBackground
 from hfb.matting.network import NetworkMatting
-from hfb.matting.protocol import KnownBackground
 
 _RULES = Difficulty(
     size_px=256, photo_share=0.0, empty_share=0.0, scale=(0.55, 0.95), cut_share=0.0, residual_gain=0.03, hard_share=0.2

@@ -7,8 +7,8 @@ import pytest
 
 from hfb.config import MattingConfig
 from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.matting.matting_protocol import shrink
 from hfb.matting.methods import make_matting
-from hfb.matting.protocol import shrink
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite
 from tests.matting.textures import TEXTURES, slide

@@ -14,8 +14,8 @@ from torch import Tensor
 from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.io.toml_file import to_record
+from hfb.matting.matting_protocol import Matting
 from hfb.matting.methods import make_matting
-from hfb.matting.protocol import Matting
 from hfb.matting.user_networks.bgmv2_network import MattingNetwork
 from hfb.matting.user_networks.external import BackgroundMattingV2, RobustVideoMatting
 from hfb.networks.network_files import check_network_file

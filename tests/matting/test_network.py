@@ -17,9 +17,9 @@ from hfb.errors import InputError
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.io.media.video.video_reading import average_frames, read_frames
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
+from hfb.matting.matting_protocol import KnownBackground, Matting, matte_region, shrink
 from hfb.matting.methods import make_matting
 from hfb.matting.network import BesideFit, NetworkMatting
-from hfb.matting.protocol import KnownBackground, Matting, matte_region, shrink
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import srgb_to_linear

@@ -12,7 +12,7 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.io.media.lens.camera_files import CalibratedCamera
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import gather_evidence, main_change
-from hfb.matting.protocol import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480
