@@ -14,7 +14,6 @@ from hfb.errors import InputError
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workplace import workplace
 from hfb.io.atomic import write_bytes_atomic
-from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.benchmark.cases import listing_of
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
@@ -23,6 +22,7 @@ from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
+from hfb.training.priors.training_spec import MotionTraining, PoseTraining
 
 
 class TrainingPlan(Record):

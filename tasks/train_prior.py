@@ -11,12 +11,12 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
-from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.core.handles import FileHandle, digest
 from hfb.tasks.core.task import code_version, task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.run_record import RunHandle
+from hfb.training.priors.training_spec import MotionTraining, PoseTraining
 
 PARTS = ("trained", "held_out", "tested")
 Training = MotionTraining | PoseTraining
@@ -159,8 +159,8 @@ def record_training(
 def _train_motion(columns: np.ndarray, spec: MotionTraining, seed: int, path: Path) -> tuple[dict[str, Any], int]:
     import torch
 
-    from hfb.priors.motion_training import train_motion_prior
     from hfb.priors.motion_weights import write_networks
+    from hfb.training.priors.motion_training import train_motion_prior
 
     def tell(epoch: int, epochs: int, losses: dict[str, float]) -> None:
         progress.advance(epoch, epochs, f"indicator {losses['indicator']:.3f}, joints {1000 * losses['joints']:.0f} mm")
@@ -173,7 +173,7 @@ def _train_motion(columns: np.ndarray, spec: MotionTraining, seed: int, path: Pa
 
 def _train_pose(poses: np.ndarray, spec: PoseTraining, seed: int, path: Path) -> tuple[dict[str, Any], int]:
     from hfb.priors.mixture import write_mixture
-    from hfb.priors.mixture_training import train_mixture
+    from hfb.training.priors.mixture_training import train_mixture
 
     def tell(iteration: int, iterations: int, likelihood: float) -> None:
         progress.advance(iteration, iterations, f"log likelihood {likelihood:.2f}")
@@ -187,8 +187,8 @@ def _train_pose(poses: np.ndarray, spec: PoseTraining, seed: int, path: Path) ->
 def _measure_motion(path: Path, columns: np.ndarray, exposure_s: np.ndarray, seed: int) -> dict[str, Any]:
     import torch
 
-    from hfb.priors.motion_measures import measure_motion_prior
     from hfb.priors.motion_weights import read_networks
+    from hfb.training.priors.motion_measures import measure_motion_prior
 
     discriminator, corrector = read_networks(path)
     return measure_motion_prior(discriminator.eval(), corrector.eval(), torch.from_numpy(columns), exposure_s, seed)

@@ -140,6 +140,11 @@ def command_line() -> argparse.ArgumentParser:
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, methods=None)
 
+    what = "train a network or another part that hfb ships"
+    programs = commands.add_parser("train", help=what, description=what, allow_abbrev=False)
+    programs.set_defaults(run=_train, command=programs)
+    training.add_program_flags(programs)
+
     train = _command(
         commands, "train-prior", _train_prior, "learn from your motion capture how people move, or stand",
         configured=False, out="FILE",
@@ -282,6 +287,14 @@ def _benchmarked(
         return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
 
     return through_prefect(given, out, load)
+
+
+def _train(given: argparse.Namespace) -> None:
+    kind, is_prior, _ = given.name.partition("-prior")
+    if is_prior:
+        prior = _parsed(["train-prior", "--kind", kind, *given.options])
+        return prior.run(prior)
+    return training.run_program(given)
 
 
 def _train_prior(given: argparse.Namespace) -> None:

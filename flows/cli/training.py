@@ -1,4 +1,4 @@
-"""The command that trains priors: `hfb train-prior`. Light to import."""
+"""The commands that train: `hfb train NAME` and `hfb train-prior`. Light to import."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.io.toml_file import to_record
-from hfb.priors.training_spec import MotionTraining, PoseTraining
+from hfb.training.priors.training_spec import MotionTraining, PoseTraining
+from hfb.training.registry import PRIORS, PROGRAMS
 
 if TYPE_CHECKING:
     from hfb.flows.train_prior import TrainingPlan
@@ -38,6 +39,24 @@ def add_training_flags(parser: argparse.ArgumentParser) -> None:
         "--held-out", nargs="+", default=[], metavar="PATTERN",
         help="names that are measured on for choosing, a person or another studio [every fourth motion]",
     )  # fmt: skip
+
+
+def add_program_flags(parser: argparse.ArgumentParser) -> None:
+    """Which program runs; its own options follow its name."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    listed = {name: entry.summary for name, entry in PROGRAMS.items()} | PRIORS
+    parser.epilog = "\n".join(["programs:", *(f"  {name:<16} {summary}" for name, summary in listed.items())])
+    parser.add_argument("name", choices=listed, metavar="NAME", help="one of the programs below; NAME --help has more")
+    parser.add_argument("options", nargs=argparse.REMAINDER, metavar="OPTION", help="options of the program")
+
+
+def run_program(given: argparse.Namespace) -> None:
+    """Run a program of `hfb.training` with its own options."""
+    program = PROGRAMS[given.name].load()
+    summary = PROGRAMS[given.name].summary
+    parser = type(given.command)(f"hfb train {given.name}", description=summary, allow_abbrev=False)
+    program.add_flags(parser)
+    program.run(parser.parse_args(given.options))
 
 
 def plan_of(given: argparse.Namespace) -> TrainingPlan:

@@ -13,7 +13,7 @@ from safetensors.torch import save
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.motion_networks import Corrector, Discriminator
-from hfb.priors.training_spec import NetworkSizes
+from hfb.priors.network_sizes import NetworkSizes
 
 _KEY = "hfb.motion-prior"
 _AGAIN = "give a file that `hfb train-prior` made, or nothing for the shipped prior"

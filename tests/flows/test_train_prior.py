@@ -14,7 +14,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.priors.load import load_pose_prior
 from hfb.priors.mixture import MixturePrior
 from hfb.priors.motion_prior import load_motion_prior
-from hfb.priors.training_spec import MotionTraining, NetworkSizes, PoseTraining
+from hfb.training.priors.training_spec import MotionTraining, NetworkSizes, PoseTraining
 from tests.orchestration import mlflow_rows
 from tests.priors.motions import moving
 

@@ -20,7 +20,7 @@ from hfb.interop.writers.bvh import write_bvh
 from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.priors.motion_weights import make_networks, write_networks
-from hfb.priors.training_spec import NetworkSizes
+from hfb.training.priors.training_spec import NetworkSizes
 from tests.body.smpl_files import save_npz, save_pickle, smpl_arrays
 from tests.datasets.real.videos import calibration_toml, cameras_json, write_trc
 from tests.evaluation.baselines.networks import (

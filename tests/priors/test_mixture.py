@@ -14,8 +14,8 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior
 from hfb.priors.load import load_pose_prior
 from hfb.priors.mixture import MixturePrior, shipped_mixture, write_mixture
-from hfb.priors.mixture_training import log_densities, mirrored_poses, train_mixture
-from hfb.priors.training_spec import PoseTraining
+from hfb.training.priors.mixture_training import log_densities, mirrored_poses, train_mixture
+from hfb.training.priors.training_spec import PoseTraining
 
 KNEE = 3  # of joints 1 to 23: the left one, which bends about +x
 DATA = Path(hfb.__file__).parent / "priors" / "data"

@@ -20,7 +20,7 @@ from hfb.priors.motion_columns import (
     motion_columns,
     reversed_columns,
 )
-from hfb.priors.motion_corruption import mirrored_columns
+from hfb.training.priors.motion_corruption import mirrored_columns
 from tests.priors.motions import as_axis_angle_at_rest, backwards, from_origin, moving, seen_by_another_camera
 
 EVERYTHING = torch.ones(1, COLUMN_COUNT, dtype=torch.bool)

@@ -17,10 +17,10 @@ from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
 from hfb.kernels.dispatch import readable_formulas
 from hfb.priors.motion_columns import COLUMN_COUNT
-from hfb.priors.motion_measures import measure_motion_prior
 from hfb.priors.motion_prior import MotionPrior, load_motion_prior
 from hfb.priors.motion_weights import make_networks, read_networks, write_networks
-from hfb.priors.training_spec import NetworkSizes
+from hfb.training.priors.motion_measures import measure_motion_prior
+from hfb.training.priors.training_spec import NetworkSizes
 from tests.priors.motions import backwards, moving, seen_by_another_camera
 
 SMALL = NetworkSizes(discriminator_width=16, discriminator_depth=2, corrector_width=16, corrector_depth=2)

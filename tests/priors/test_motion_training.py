@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from hfb.priors.motion_columns import LIMBS, reversed_columns
-from hfb.priors.motion_corruption import corrupt, draw_reversals, with_errors_of_a_fit
-from hfb.priors.motion_measures import measure_motion_prior
-from hfb.priors.motion_training import LOSSES, train_motion_prior
-from hfb.priors.training_spec import MotionTraining, NetworkSizes
+from hfb.training.priors.motion_corruption import corrupt, draw_reversals, with_errors_of_a_fit
+from hfb.training.priors.motion_measures import measure_motion_prior
+from hfb.training.priors.motion_training import LOSSES, train_motion_prior
+from hfb.training.priors.training_spec import MotionTraining, NetworkSizes
 
 SMALL = NetworkSizes(discriminator_width=48, discriminator_depth=2, corrector_width=48, corrector_depth=2)
 

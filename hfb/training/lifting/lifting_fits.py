@@ -1,0 +1,82 @@
+"""Draw fits to learn depth from: `hfb train lifting-fits --mocap DIR --backgrounds DIR --out f1.npz`.
+
+Two frames of a person each, or one, as joints alone: fitted in haste up to before the stages of full size
+(`joint_fits`).
+"""
+
+import argparse
+from typing import Any
+
+import numpy as np
+import torch
+
+from hfb.evidence.joint_evidence import look_for_joints
+from hfb.evidence.lifting_network import bone_lengths, lengths_in_window
+from hfb.fitting.comparison import shown
+from hfb.motion.motion_file import write_arrays
+from hfb.training.flags import add_drawing_flags
+from hfb.training.joints.blurred_people import until_found
+from hfb.training.joints.joint_bank import split
+from hfb.training.joints.joint_fits import Gym, hasty_whole
+from hfb.training.schedule import Counter
+
+_SAVED_EVERY = 100
+
+
+class JointGym(Gym):
+    """A gym that looks at joints alone."""
+
+    def __init__(self, *studio: Any, frames: int, whole: bool) -> None:
+        """See `Studio`.
+
+        Args:
+            frames: one or two of every person. whole: fits go on through their stages of full size.
+        """
+        super().__init__(*studio)
+        self.frames = frames
+        if whole:
+            self.hasty = hasty_whole
+
+    def person(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Of one person in T frames what `lifting_bank` has: joints (T, 24, 3) in mid-exposure, first guesses, units
+        in metres and as tangents (T,), lengths of bones (24,) [m]; the fit's joints, and lengths (T, 24) in units; and
+        what the joint network says about the picture, the scale of its error, and what it says about the fit's own."""
+        watched = until_found(lambda: self._watched(rng, pairs=float(self.frames == 2)))
+        firsts, found = self._fit(watched, rng)
+        claim = look_for_joints(watched.seen, firsts, self.body)
+        again = claim.of(shown(self._drawn(found, watched.seen), watched.seen))
+        turns, places = found.trajectory.at(torch.tensor([0.5]))
+        person, frames = self.body.shape(found.betas), []
+        for number, ((first, last), start) in enumerate(zip(watched.exposures, firsts, strict=True)):
+            window = claim.windows[number]
+            perspective = torch.tensor(window.units_to_tangents())
+            truth, fitted = watched.shot.joints[(first + last) // 2], person.joints_of(turns[number], places[number])[0]
+            frames.append({
+                "joints": window.to_units(truth), "starts": window.to_units(self._guessed(start)),
+                "unit_m": truth[0, 2] * perspective, "perspective": perspective, "lengths": bone_lengths(truth),
+                "fitted": window.to_units(fitted), "fitted_lengths": lengths_in_window(fitted, perspective),
+                "claimed": claim.middle[number], "claimed_scale": claim.scale[number], "shown": again.middle[number],
+            })  # fmt: skip
+        drawn = {name: torch.stack([frame[name] for frame in frames]).detach().numpy() for name in frames[0]}
+        return drawn | {"lengths": drawn["lengths"][0]}
+
+
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_drawing_flags(parser)
+    parser.add_argument("--frames", type=int, choices=(1, 2), default=2, help="of every person [2]")
+    parser.add_argument("--whole", action="store_true", help="go on through the stages of full size")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write what is drawn as one file, now and then."""
+    torch.set_num_threads(1)
+    clips = split(options.mocap, options.split)
+    studio = (options.mocap, options.backgrounds, clips, options.seed, options.frame_px)
+    gym = JointGym(*studio, frames=options.frames, whole=options.whole)
+    people: list[dict[str, np.ndarray]] = []
+    counter = Counter("people", _SAVED_EVERY)
+    while len(people) < options.count:
+        people.append(gym.person(np.random.default_rng([options.seed, len(people)])))
+        if counter.reached(len(people)) or len(people) == options.count:
+            write_arrays(options.out, {name: np.stack([one[name] for one in people]) for name in people[0]})
