@@ -44,6 +44,7 @@ def batch(
     folder: Path | str,
     out: Path | str,
     config: dict[str, Any] | str | None = None,
+    *,
     workers: int | str = 1,
     attempts: int = 3,
     wait_s: float = 60.0,
@@ -80,7 +81,9 @@ def batch(
         end_abandoned_flow_runs()
     with shown_somewhere(), workplace(out) as intermediate:
         summary = BatchSummary(f"Clips of {folder.resolve().name}", out, intermediate / _THUMBNAILS)
-        round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s, summary)
+        round_ = _Rounds(
+            folder, out, options, engine_of(workers, store), attempts=attempts, wait_s=wait_s, summary=summary
+        )
         if again:
             round_.ledger.again()
         while True:
@@ -100,9 +103,16 @@ class _Rounds:
     """A folder, looked through again and again."""
 
     def __init__(
-        self, folder: Path, out: Path, config: RunConfig, engine: Engine, attempts: int, wait_s: float,
+        self,
+        folder: Path,
+        out: Path,
+        config: RunConfig,
+        engine: Engine,
+        *,
+        attempts: int,
+        wait_s: float,
         summary: BatchSummary,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._folder, self._out, self._config = folder, out, config
         self._engine, self._attempts, self._wait_s = engine, attempts, wait_s
         self._options, self._summary = config.model_dump(mode="json"), summary
@@ -192,7 +202,9 @@ class _Rounds:
                 return None
             reason, kind = "it is finished, but MLflow did not take its record: that is tried again", "StoreLost"
         progress.fail(kind)
-        entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
+        entry = self.ledger.failed(
+            place.name, stamp, reason, attempts=self._attempts, wait_s=self._wait_s, hopeless=hopeless
+        )
         progress.say(f"hfb: {place.shown}: {entry.status}: {entry.reason}")
         _log.info("%s: %s: %s", place.shown, entry.status, entry.reason)
         self._summary.show(place.name, _state(entry), entry.reason)

@@ -24,7 +24,7 @@ from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.run_comparison import RunComparison, Words, compare_records
+from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 
@@ -194,7 +194,7 @@ def _result(
     }  # fmt: skip
 
 
-def _plain(every: Sequence[tuple[str, tuple[Any, ...]]]) -> list[dict[str, Any]]:
+def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
     return [
         {"name": name, "a": values[0], "b": values[1], **({"more": list(values[2:])} if len(values) > 2 else {})}
         for name, values in every

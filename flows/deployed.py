@@ -61,6 +61,7 @@ def fit(
     background: Path,
     out: Path,
     clip: Path | None = None,
+    *,
     options: Options = _BEST,
 ) -> dict[str, Any]:
     """Blurred pictures of a static camera to a moving body, as `hfb fit`.
@@ -81,7 +82,7 @@ def fit(
     """
     config = options.config()
     with _on_a_worker(out, config, frames=frames, background=background, clip=clip):
-        return fit_image.fit_image.fn(frames, background, out, config, clip)
+        return fit_image.fit_image.fn(frames, background, out, config, clip=clip)
 
 
 @flow(name="clip", persist_result=False, on_running=[mark_owner])
@@ -90,6 +91,7 @@ def video(
     out: Path,
     background: str | None = None,
     clip: Path | None = None,
+    *,
     everyone: bool = False,
     workers: Workers = 1,
     store: str | None = None,
@@ -117,7 +119,7 @@ def video(
     config = options.config()
     plate = None if background in BACKGROUND_WORDS else background
     with _on_a_worker(out, config, workers, store, source=source, background=plate, clip=clip):
-        inputs = take_video_inputs(source, config, clip, background, None, everyone, out)
+        inputs = take_video_inputs(source, config, clip, background, everyone=everyone, out=out)
         return people.run_clip(inputs, out, config, engine_of(workers, store))
 
 
@@ -125,6 +127,7 @@ def video(
 def batch(
     folder: Path,
     out: Path,
+    *,
     workers: Workers = 1,
     store: str | None = None,
     attempts: Count = 3,
@@ -154,12 +157,15 @@ def batch(
     with _on_a_worker(out, config, workers, store, folder=folder):
         content = config.model_dump(mode="json")
         with notifying(addresses_of(())):  # the worker's own: an address in a form would be recorded
-            return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
+            return every_clip.batch.fn(
+                folder, out, content, workers=workers, attempts=attempts, wait_s=wait_s, again=again, store=store
+            )
 
 
 @flow(name="methods", persist_result=False, on_running=[mark_owner])
 def benchmark(
     out: Path,
+    *,
     set: Literal["bt-amass", "bc-cape", "b-aist"] = "bt-amass",
     count: Count = 20,
     frames: Count = 1,

@@ -31,6 +31,7 @@ def export_result(
     out: Path | None,
     formats: Sequence[MotionFormat],
     meshes: Sequence[MeshFormat],
+    *,
     body: Path | None = None,
     amass_rate: AmassRate = 120,
     films: Sequence[Film] = (),
@@ -67,7 +68,7 @@ def export_result(
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
         names = [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]
         with beside_result(folder, names) as target:
-            written = _draw_films(target, films, place, exported, inputs) if films else []
+            written = _draw_films(target, films, place, exported=exported, inputs=inputs) if films else []
             if formats:
                 with progress.step("motion files"):
                     written = [write_motion_file(target, form, exported) for form in formats] + written
@@ -80,11 +81,11 @@ def export_result(
 
 
 def _draw_films(
-    folder: Path, films: Sequence[Film], place: FoundResult, exported: Exported, inputs: Path | None
+    folder: Path, films: Sequence[Film], place: FoundResult, *, exported: Exported, inputs: Path | None
 ) -> list[Path]:
     """The films; what they need is found before anything is written."""
     from hfb.tasks.results.earlier_result import earlier_shot
-    from hfb.tasks.results.films import write_film
+    from hfb.tasks.results.exports import write_film
 
     assert exported.body is not None
     texture = place.folder / TEXTURE
@@ -93,7 +94,9 @@ def _draw_films(
     with ExitStack() as stack:
         with progress.step("pictures"):
             shot = stack.enter_context(
-                earlier_shot(place.run_words, inputs, exported.motion, exported.body, texture)
+                earlier_shot(
+                    place.run_words, inputs, motion=exported.motion, body=exported.body, texture=texture
+                )
             )  # fmt: skip
         written = []
         for film in films:

@@ -16,7 +16,7 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workplace import mark_unfinished, publish, workplace
 from hfb.flows.video import run_video
 from hfb.io.safe_folder import check_ordinary
-from hfb.tasks.core.task import code_version
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.video_handles import PersonSeen
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.telemetry import progress
@@ -51,7 +51,10 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
         mark_unfinished(out)  # of an earlier result some people would be the old ones, some the new ones
         for number in range(1, len(people) + 1):
             check_ordinary(out, f"person-{number}")
-    told = [_motion_of(one, inputs, out / f"person-{number}", config, engine) for number, one in enumerate(people, 1)]
+    told = [
+        _motion_of(one, inputs, out / f"person-{number}", config=config, engine=engine)
+        for number, one in enumerate(people, 1)
+    ]
     found = [one for one in told if one["error"] is None]
     if not found:
         raise InputError(f"no motion was found of any of {len(told)} people ({told[0]['error']})")
@@ -80,7 +83,9 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 
     # A closure, as in `hfb.flows.video.run_video`.
     def everyone(clip: str) -> tuple[PersonSeen, ...]:
-        footage = look_at_clip(inputs, config.video.average, config.camera, config.exposure, folder)
+        footage = look_at_clip(
+            inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder
+        )
         plate = find_background(footage, inputs.plate, inputs.background, folder)
         return find_everyone(footage, plate, inputs.track).people
 
@@ -89,7 +94,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 
 
 def _motion_of(
-    one: PersonSeen, inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int
+    one: PersonSeen, inputs: VideoInputs, out: Path, *, config: RunConfig, engine: Engine | int
 ) -> dict[str, Any]:
     """What became of one person; whoever cannot be followed does not end the others."""
     progress.say(f"hfb: {one.name} (seen in {one.frames} frames)")

@@ -54,7 +54,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         facts = _facts(place.folder / RESULT)
         motion, space = load_motion(place.motion)
         model = _model(motion, space, body or named_body(place.folder / RESULT))
-        film = _film(place, run, model, inputs, Path(made))
+        film = _film(place, run, model, inputs=inputs, made=Path(made))
         parts = _parts(place, film, Path(made))
         tags = run.tags if run else {}
         versions = {
@@ -63,7 +63,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         if run is not None:
             facts = {**facts, "mlflow_run_id": run.run_id, "mlflow_link": run.link}
         with progress.step("report"), beside_result(folder, [REPORT]) as target:
-            write_page(parts, model, facts, versions, target / REPORT)
+            write_page(parts, model, facts, versions, path=target / REPORT)
     path = (folder / REPORT).resolve()
     return {"report": str(path), "bytes": path.stat().st_size, "film": film is not None, "surface": model is not None}
 
@@ -107,7 +107,7 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
 
 
 def _film(
-    place: FoundResult, run: StoredRun | None, body: Body | None, inputs: Path | None, made: Path
+    place: FoundResult, run: StoredRun | None, body: Body | None, *, inputs: Path | None, made: Path
 ) -> Path | None:  # fmt: skip
     """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
@@ -115,7 +115,7 @@ def _film(
         return drawn
     if run is not None and body is not None and (place.folder / TEXTURE).is_file():
         try:
-            return _drawn_again(place, run, body, inputs, made)
+            return _drawn_again(place, run, body, inputs=inputs, made=made)
         except InputError as error:
             progress.say(f"hfb: no film is drawn: {error}")
     return own if own.is_file() and _fits_a_page(own) else None
@@ -127,12 +127,12 @@ def _fits_a_page(film: Path) -> bool:
         return film.stat().st_size <= _LARGEST_FILM_BYTES and file.read(12)[4:8] == b"ftyp"
 
 
-def _drawn_again(place: FoundResult, run: StoredRun, body: Body, inputs: Path | None, made: Path) -> Path:
+def _drawn_again(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | None, made: Path) -> Path:
     from hfb.tasks.results.earlier_result import earlier_shot
 
     motion, _ = load_motion(place.motion)
     with (
-        earlier_shot(run.run_id, inputs, motion, body, place.folder / TEXTURE) as shot,
+        earlier_shot(run.run_id, inputs, motion=motion, body=body, texture=place.folder / TEXTURE) as shot,
         progress.step("report's film"),
     ):
         return write_page_film(shot, sha256_of(place.motion), made)

@@ -20,10 +20,10 @@ from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
+from hfb.tasks.core.environment import code_version, environment
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.core.repetition import Repetition, repeating
 from hfb.tasks.core.result_folder import unfinished_files
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
 from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
@@ -31,7 +31,6 @@ from hfb.tasks.results.present_files import find_present
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.environment import environment
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
@@ -92,7 +91,7 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
         given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
         places = find_present(given, inputs_folder)
     target = _fresh(out, run.run_id)
-    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run.title, target, workers)
+    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
     return Plan(run, again, target, recipe.results, _changed(run))
 
 
@@ -114,7 +113,7 @@ def run_again(plan: Plan) -> dict[str, Any]:
 
 
 def _chain(
-    recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, out: Path, workers: int
+    recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, out: Path, workers: int
 ) -> Callable[[], dict[str, Any]]:
     """The command's chain with its inputs where they lie now."""
     if recipe.command == "fit":

@@ -16,9 +16,9 @@ from hfb.flows.runtime.workplace import workplace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.benchmark.cases import listing_of
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking

@@ -17,11 +17,9 @@ from hfb.flows.clip_steps import (
     Fitted,
     Scene,
     draw,
-    film,
     find_first_bodies,
     fit_windows,
     join,
-    report,
     score,
     see,
     warn,
@@ -31,13 +29,13 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.trouble import ask_server
 from hfb.flows.runtime.workplace import publish
 from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.task import code_version
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
-from hfb.tasks.results.export_files import export_files
-from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves
+from hfb.tasks.results.exports import export_motion
+from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves, draw_page_film, write_report
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.video.video_look import draw_texture
 from hfb.tasks.workers.engine import Engine
@@ -89,13 +87,14 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             record.frames(f"eval/{name}", values)
         warnings = warn(scene, fitted, joined, scores.get("matte_iou", {}))
         texture = draw_texture(scene.footage.light, fitted.person, folder)
-        exports = export_files(joined.motion, texture, inputs.body, config.export, folder)
+        shot = scene.shot(joined.motion, fitted.person)
+        exports = export_motion(shot, texture, config.export, folder)
         curves = clip_curves(fitted.windows, _pairs(scores), folder)
         files: dict[str, FileHandle] = {
             "motion.npz": joined.motion, CURVES: curves, "edges.json": joined.edges, "texture.png": texture,
-            "strip.png": draw(scene, fitted, joined), **exports.by_name(), **film(scene, fitted, joined).by_name(),
+            "strip.png": draw(scene, fitted, joined), **exports.by_name(),
         }  # fmt: skip
-        result = _result(scene, bodies, fitted, joined, scores, out)
+        result = _result(scene=scene, bodies=bodies, fitted=fitted, joined=joined, scores=scores, out=out)
         result["warnings"] = [one.model_dump(mode="json") for one in warnings]
         result["seconds"] = round(time.perf_counter() - began, 3)
         result["workers_busy"] = busy_share()
@@ -107,9 +106,10 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
             made_of = ReportParts(
-                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"]
-            )
-            files[REPORT] = report(scene, fitted, made_of, result)
+                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"],
+                film=draw_page_film(shot, folder),
+            )  # fmt: skip
+            files[REPORT] = write_report(made_of, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
         return result
@@ -129,6 +129,7 @@ def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
 
 
 def _result(
+    *,
     scene: Scene,
     bodies: ClipBodiesHandle,
     fitted: Fitted,

@@ -184,7 +184,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _command(
-    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True, out: str = "DIR"
+    commands: Any, name: str, run: Any, what: str, *, seeded: bool = False, configured: bool = True, out: str = "DIR"
 ) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
     command.set_defaults(run=run, began=time.perf_counter(), command=command)
@@ -212,7 +212,7 @@ def _fit(given: argparse.Namespace) -> None:
     def load() -> Chain:
         from hfb.flows.fit_image import fit_image
 
-        return when_ready(lambda: fit_image(given.frames, given.background, out, config, given.clip))
+        return when_ready(lambda: fit_image(given.frames, given.background, out, config, clip=given.clip))
 
     result = through_prefect(given, out, load)
     report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)

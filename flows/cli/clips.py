@@ -68,7 +68,9 @@ def video(given: argparse.Namespace) -> None:
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
     out = given.out or default_out(given.source)
-    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone, out)
+    inputs = take_video_inputs(
+        given.source, config, given.clip, given.background, truth=given.truth, everyone=given.everyone, out=out
+    )
 
     def load() -> Chain:
         from hfb.flows.people import run_clip
@@ -96,8 +98,12 @@ def batch(given: argparse.Namespace) -> int:
         from hfb.flows.batch import batch as every_clip
 
         options = config.model_dump(mode="json")
-        pace = (given.attempts, given.wait, given.watch, given.again, given.store)
-        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
+        return when_ready(
+            lambda: every_clip(
+                given.folder, out, options, workers=given.workers, attempts=given.attempts, wait_s=given.wait,
+                watch_s=given.watch, again=given.again, store=given.store,
+            )
+        )  # fmt: skip
 
     with notifying(addresses):
         result = through_prefect(given, out, load)

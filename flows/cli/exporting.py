@@ -37,7 +37,9 @@ def export(given: argparse.Namespace) -> None:
         with libraries():
             from hfb.flows.export import export_result
         rate = given.amass_rate or _RATE
-        result = export_result(given.source, given.out, formats, meshes, given.body, rate, films, given.inputs)
+        result = export_result(
+            given.source, given.out, formats, meshes, body=given.body, amass_rate=rate, films=films, inputs=given.inputs
+        )
     tell(given, result, export_text(result))
 
 

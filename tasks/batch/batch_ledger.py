@@ -78,7 +78,7 @@ class Ledger:
         """Remember that a clip is done."""
         self._keep(name, Entry(stamp=stamp, status="done", link=link))
 
-    def failed(self, name: str, stamp: str, reason: str, attempts: int, wait_s: float, hopeless: bool) -> Entry:
+    def failed(self, name: str, stamp: str, reason: str, *, attempts: int, wait_s: float, hopeless: bool) -> Entry:
         """Remember a failure: tried again after a wait that doubles each time, or set aside.
 
         Args:

@@ -9,8 +9,8 @@ from hfb.io.clip import Clip
 from hfb.io.media.picture_decoding import decode_picture, doubt_depths
 from hfb.photometry import Transfer, as_srgb
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.task import task
 from hfb.tasks.inputs.inputs import told_exposure_s
+from hfb.tasks.task import task
 from hfb.typing import Array, Float
 
 _DEFAULT_FPS = 30.0
@@ -18,11 +18,23 @@ _DEFAULT_FPS = 30.0
 
 @task("pictures")
 def prepare(
-    frames: tuple[FileHandle, ...], background: FileHandle, clip: Clip, camera: CameraConfig, exposure: ExposureConfig
+    *,
+    frames: tuple[FileHandle, ...],
+    background: FileHandle,
+    clip: Clip,
+    camera: CameraConfig,
+    exposure: ExposureConfig,
 ) -> ClipHandle:
     """Check frames and plate against each other, and settle camera and clock.
 
     What an option says wins over clip.toml, which wins over a guess.
+
+    Args:
+        frames: blurred images of one camera.
+        background: the same view without the person.
+        clip: what clip.toml says.
+        camera: options of the camera.
+        exposure: options of the exposure.
 
     Raises:
         InputError: a file is no picture, or its size is not the plate's.

@@ -62,6 +62,7 @@ def take_inputs(
     background: Path,
     config: RunConfig,
     clip: Path | None = None,
+    *,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
     out: Path | None = None,

@@ -47,6 +47,7 @@ def take_video_inputs(
     config: RunConfig,
     clip: Path | None = None,
     background: str | None = None,
+    *,
     truth: Path | None = None,
     everyone: bool = False,
     out: Path | None = None,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 
 from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
-from hfb.tasks.core.handles import ClipHandle
 from hfb.tasks.inputs.inputs import Inputs
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.present_files import find_present
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from hfb.io.media.footage import Footage
     from hfb.motion.sampled import SampledMotion
     from hfb.report.slow_motion import Shot
-    from hfb.tasks.core.video_handles import FootageHandle
     from hfb.typing import Array
 
 _PICTURES = ("frame_", "background", "video", "calibration")
@@ -76,12 +74,12 @@ def pictures_of(run_words: str, inputs_folder: Path | None = None) -> Iterator[P
             {role: file for role, file in recipe.files.items() if role.startswith(_PICTURES)}, inputs_folder
         )
         config = recipe_config(recipe, places, run.title)
-        yield (_of_fit if recipe.command == "fit" else _of_video)(recipe, config, places, run.title, folder)
+        yield (_of_fit if recipe.command == "fit" else _of_video)(recipe, config, places, run=run.title, folder=folder)
 
 
 @contextmanager
 def earlier_shot(
-    run_words: str, inputs_folder: Path | None, motion: SampledMotion, body: Body, texture: Path
+    run_words: str, inputs_folder: Path | None, *, motion: SampledMotion, body: Body, texture: Path
 ) -> Iterator[Shot]:
     """What films of a recorded run are drawn from, for as long as they are.
 
@@ -110,12 +108,15 @@ def earlier_shot(
         )
 
 
-def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, _folder: Path) -> Pictures:
+def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> Pictures:
     from hfb.tasks.core.scene import load_camera, load_picture
     from hfb.tasks.image.prepare import prepare
 
     inputs = recipe_inputs(Inputs, recipe, places, run)
-    clip: ClipHandle = prepare.fn(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
+    clip = prepare.fn(
+        frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
+        exposure=config.exposure,
+    )  # fmt: skip
     return Pictures(
         load_camera(clip),
         load_picture(clip.background, clip),
@@ -124,13 +125,15 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str
     )
 
 
-def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, folder: Path) -> Pictures:
+def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> Pictures:
     from hfb.io.media.pictures import read_picture_srgb
     from hfb.tasks.core.scene import in_light, load_camera
     from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
 
     inputs = recipe_inputs(VideoInputs, recipe, places, run)
-    seen: FootageHandle = look_at_clip.fn(inputs, config.video.average, config.camera, config.exposure, folder)
+    seen = look_at_clip.fn(
+        inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder
+    )
     plate = find_background.fn(seen, inputs.plate, inputs.background, folder)
     frames = _InOrder(load_footage(seen))
     return Pictures(

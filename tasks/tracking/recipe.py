@@ -38,7 +38,7 @@ class Recipe(Record):
             whatever else the command was told.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
-        code: `hfb.tasks.core.task.code_version` then.
+        code: `hfb.tasks.core.environment.code_version` then.
     """
 
     format: Literal[1] = 1
@@ -56,6 +56,7 @@ def recipe(
     config: RunConfig,
     inputs: Record,
     results: Mapping[str, FileHandle],
+    *,
     code: str,
     options: Mapping[str, Any] | None = None,
 ) -> Recipe:
@@ -64,7 +65,7 @@ def recipe(
     Args:
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
-        code: `hfb.tasks.core.task.code_version()`.
+        code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """
     files = {

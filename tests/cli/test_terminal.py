@@ -26,7 +26,7 @@ LOGGING = """
 import logging, sys, threading, time
 from hfb.flows.runtime.surroundings import keep_log
 from hfb.tasks.telemetry import displays, progress
-from hfb.tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import run_local, workers
 
 def warn(words):
     logging.getLogger("hfb.test").warning(words)
@@ -41,7 +41,7 @@ if __name__ == "__main__":
         thread = threading.Thread(target=warn, args=("a line of another thread",))
         thread.start()
         thread.join()
-        compute(warn, "a line of a worker")
+        run_local(warn, "a line of a worker")
         progress.say("a long line " + "0123456789" * 12 + " ends here")
         time.sleep(0.3)
 """

@@ -105,7 +105,7 @@ def _page(**damaged: Path) -> None:
         paths["curves"] = folder / "curves.json"
     facts = read_facts(damaged.get("facts", folder / "result.json"))
     parts = ReportParts(**{part: FileHandle.of(path) for part, path in paths.items()})
-    page_text(parts, _load_body(), facts, {}, "walk").encode()
+    page_text(parts, _load_body(), facts, {}, name="walk").encode()
 
 
 def _batch(path: Path) -> None:

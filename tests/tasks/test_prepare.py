@@ -25,7 +25,10 @@ def picture(tmp_path: Path) -> FileHandle:
 
 def prepared(picture: FileHandle, clip: dict | None = None, focal_px: float | None = None, **exposure) -> ClipHandle:
     camera = CameraConfig(focal_px=focal_px)
-    return prepare.fn((picture,), picture, Clip.model_validate(clip or {}), camera, ExposureConfig(**exposure))
+    known = Clip.model_validate(clip or {})
+    return prepare.fn(
+        frames=(picture,), background=picture, clip=known, camera=camera, exposure=ExposureConfig(**exposure)
+    )
 
 
 def test_guesses(picture: FileHandle) -> None:
@@ -89,10 +92,13 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
     for name, picture in pictures.items():
         write_png(tmp_path / f"{name}.png", linear_to_srgb(picture) if transfer == "srgb" else picture, bits=16)
     files = {name: FileHandle.of(tmp_path / f"{name}.png") for name in pictures}
-    clip, options = Clip.model_validate({"transfer": transfer}), (CameraConfig(), ExposureConfig())
+    clip = Clip.model_validate({"transfer": transfer})
 
     def remarks(*names: str) -> tuple[str, ...]:
-        return prepare.fn(tuple(files[name] for name in names), files["plate"], clip, *options).remarks
+        frames = tuple(files[name] for name in names)
+        return prepare.fn(
+            frames=frames, background=files["plate"], clip=clip, camera=CameraConfig(), exposure=ExposureConfig()
+        ).remarks
 
     assert remarks("right") == ()
     (beside,), (bright,) = remarks("beside"), remarks("bright")

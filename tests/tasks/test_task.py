@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from hfb.config import FitConfig, MattingConfig
-from hfb.tasks.core import task as task_module
+from hfb.tasks.core import environment
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.task import cache_key, code_version
 from hfb.tasks.image.matte import matte
+from hfb.tasks.task import cache_key, code_version
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_an_edit_of_the_method_changes_the_key(
         return cache_key("fit", {"frame": handle})
 
     with monkeypatch.context() as patched:
-        patched.setattr(task_module.hfb, "__file__", str(package / "__init__.py"))
+        patched.setattr(environment.hfb, "__file__", str(package / "__init__.py"))
         before = key()
         (package / "__pycache__").mkdir()
         (package / "__pycache__" / "image.pyc").write_bytes(b"compiled")
