@@ -172,13 +172,12 @@ def read_result(
     from hfb.interop.readers.pose_track import PoseTrack, save_track
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses
-    from hfb.io.media.pictures import read_matte
-    from hfb.tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body, load_matte
 
     model = load_chosen_body(body)
     tracks = read_tracks([file.path for file in files], height, width, ClipPictures(pictures, frames))
     several = len(tracks) > 1
-    mattes = [read_matte(look.matte.path) for look in looks if several]
+    mattes = [load_matte(look.matte).numpy() for look in looks if several]
 
     def shown(track: PoseTrack) -> float:
         in_order = track.frames if len(track) == len(looks) else [-1] * len(looks)
