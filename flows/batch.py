@@ -12,10 +12,10 @@ from typing import Any
 from prefect import flow
 
 from hfb.config import RunConfig
-from hfb.errors import InputError, NotNow, ServerLost, Unavailable
-from hfb.flows.people import run_clip
+from hfb.errors import InfrastructureError, InputError, ServerLost, TemporaryError
+from hfb.flows.everyone import run_clip
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from hfb.flows.runtime.workplace import workplace
+from hfb.flows.runtime.workspace import workspace
 from hfb.interop.writers.names import RESULT
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
@@ -52,7 +52,7 @@ def batch(
     again: bool = False,
     store: str | None = None,
 ) -> dict[str, Any]:
-    """Every clip of a folder through `hfb.flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
+    """Run every clip of a folder through `hfb.flows.everyone.run_clip`, into ``out/NAME``, with ``out/summary.html``.
 
     One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
 
@@ -79,7 +79,7 @@ def batch(
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
-    with shown_somewhere(), workplace(out) as intermediate:
+    with shown_somewhere(), workspace(out) as intermediate:
         summary = BatchSummary(f"Clips of {folder.resolve().name}", out, intermediate / _THUMBNAILS)
         round_ = _Rounds(
             folder, out, options, engine_of(workers, store), attempts=attempts, wait_s=wait_s, summary=summary
@@ -185,7 +185,7 @@ class _Rounds:
             result = run_clip(inputs, target, self._config, self._engine)
         except ServerLost:  # no clip's fault, and nothing can be reported any more: the next look goes on
             raise
-        except (NotNow, Unavailable) as error:
+        except (TemporaryError, InfrastructureError) as error:
             reason, kind = str(error), type(error).__name__
         except InputError as error:
             reason, kind = str(error), "InputError"

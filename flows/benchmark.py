@@ -15,7 +15,7 @@ from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import publish, workplace
+from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.names import REPORT
 from hfb.io.safe_folder import check_tree
 from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
@@ -89,7 +89,7 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     Raises:
         InputError: not one case could be made.
     """
-    with workplace(out) as folder, records_in(folder):
+    with workspace(out) as folder, records_in(folder):
         for number in range(1, count + 1):
             check_tree(out, case_name(number))
         sources, cases, skipped = _made(spec, count, folder, cases_folder=out, out=out)
@@ -117,7 +117,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         InputError: something given cannot be used, or not one case is left.
     """
     spec = plan.spec
-    with workplace(out) as folder, records_in(folder):
+    with workspace(out) as folder, records_in(folder):
         for inner in ("cases", "methods"):
             check_tree(out, inner)
         body = input_file(plan.body) if plan.body else None

@@ -13,7 +13,7 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
-from hfb.flows.runtime.trouble import ServerWatch
+from hfb.flows.runtime.failures import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from hfb.tasks.core.video_handles import (
@@ -31,7 +31,7 @@ from hfb.tasks.results.exports import ShotHandle
 from hfb.tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
 from hfb.tasks.task import Task
 from hfb.tasks.telemetry import progress
-from hfb.tasks.video.given_result import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
+from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
 from hfb.tasks.video.video_clip import find_background, find_person, look_at_clip
 from hfb.tasks.video.video_frames import (
     BetweenCall,
@@ -46,11 +46,11 @@ from hfb.tasks.video.video_frames import (
 from hfb.tasks.video.video_look import ScoreCall, draw_clip, judge_clip, score_frames
 from hfb.tasks.video.video_windows import (
     WindowCall,
+    estimate_identity,
     fill_bodies,
     fit_clip_window,
     join_clip,
     mend_fronts,
-    settle_person,
 )
 from hfb.tracking.clip_bodies import key_frames
 
@@ -125,8 +125,8 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     plate = find_background(footage, inputs.plate, inputs.background, folder)
     progress.say(f"hfb: {plate.source}")
     track = find_person(footage, plate, inputs.clip.person, inputs.track)
-    doubts = _plate_doubts(inputs, plate, track)
-    tell(doubts)
+    plate_faults = _check_plate(inputs, plate, track)
+    tell(plate_faults)
     alone = track.others == 0
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
@@ -148,10 +148,10 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         reason = next((one.reason for one in found.values()), "nobody differs from the background")
         raise InputError(f"nobody is seen in any of the {footage.count} frames ({reason})")
     areas = tuple(found[number].area_px if number in found else 0.0 for number in range(len(frames)))
-    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas, doubts)
+    return Scene(inputs, config, folder, footage, plate, frames, mattes, areas, plate_faults)
 
 
-def _plate_doubts(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
+def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
     """Whether the plate holds the person."""
     if HOLDS_PERSON in plate.source:
         return plate_warnings([f"it seems that {HOLDS_PERSON}"])
@@ -247,7 +247,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
     first_fits = _require_all(fit_clip_window, first_calls, "who it is")
-    person = settle_person(tuple(first_fits), scene.inputs.body, scene.folder)
+    person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
     settled = _settled_frames(windows)
     resumed: set[int] = set()
 

@@ -17,13 +17,14 @@ from pydantic import Field
 
 from hfb.config import RunConfig, preset
 from hfb.flows import batch as every_clip
-from hfb.flows import fit_image, people, train_prior
+from hfb.flows import fit_image, train_prior
 from hfb.flows.benchmark import run_benchmark
 from hfb.flows.cli import judging
+from hfb.flows.everyone import run_clip
 from hfb.flows.runtime import places
+from hfb.flows.runtime.failures import explain_failures
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from hfb.flows.runtime.trouble import told_plainly
-from hfb.flows.runtime.workplace import check_writable
+from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
@@ -78,7 +79,7 @@ def fit(
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or a server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
     with _on_a_worker(out, config, frames=frames, background=background, clip=clip):
@@ -114,13 +115,13 @@ def video(
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or a server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
     plate = None if background in BACKGROUND_WORDS else background
     with _on_a_worker(out, config, workers, store, source=source, background=plate, clip=clip):
         inputs = take_video_inputs(source, config, clip, background, everyone=everyone, out=out)
-        return people.run_clip(inputs, out, config, engine_of(workers, store))
+        return run_clip(inputs, out, config, engine_of(workers, store))
 
 
 @flow(name="batch", persist_result=False, on_running=[mark_owner])
@@ -250,7 +251,7 @@ def _on_a_worker(
     /,
     **files: Path | str | Sequence[Path | str] | None,
 ) -> Iterator[None]:
-    """What `hfb.flows.runtime.running` sets up around a command, after a look at where the parameters point.
+    """What `hfb.flows.runtime.session` sets up around a command, after a look at where the parameters point.
 
     A store that does not answer is told before anything is done.
     """
@@ -265,5 +266,5 @@ def _on_a_worker(
     tracking.open_store()
     with suppress(Exception):  # tidying up after killed runs must not stop this one
         end_abandoned_flow_runs()
-    with served(), shown_somewhere(), told_plainly(folder):
+    with served(), shown_somewhere(), explain_failures(folder):
         yield

@@ -10,7 +10,7 @@ from typing import Any, cast
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
-from hfb.flows.runtime.workplace import beside_result
+from hfb.flows.runtime.workspace import beside_result
 from hfb.interop.writers.files import Exported, write_motion_file
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
@@ -18,8 +18,7 @@ from hfb.io.media.pictures import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
-from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, fitted_body, named_body, resolve_result
 from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"
@@ -53,7 +52,7 @@ def export_result(
             are asked for and the pictures are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
-    with found_result(source, (TEXTURE, RESULT)) as place:
+    with resolve_result(source, (TEXTURE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
         model = fitted_body(motion, space, body or named_body(place.folder / RESULT)) if surface else None
@@ -84,8 +83,8 @@ def _draw_films(
     folder: Path, films: Sequence[Film], place: FoundResult, *, exported: Exported, inputs: Path | None
 ) -> list[Path]:
     """The films; what they need is found before anything is written."""
-    from hfb.tasks.results.earlier_result import earlier_shot
     from hfb.tasks.results.exports import write_film
+    from hfb.tasks.results.reload_inputs import reload_shot
 
     assert exported.body is not None
     texture = place.folder / TEXTURE
@@ -94,7 +93,7 @@ def _draw_films(
     with ExitStack() as stack:
         with progress.step("pictures"):
             shot = stack.enter_context(
-                earlier_shot(
+                reload_shot(
                     place.run_words, inputs, motion=exported.motion, body=exported.body, texture=texture
                 )
             )  # fmt: skip

@@ -1,20 +1,23 @@
-"""One blurred picture, or several of one static camera, to one moving body."""
+"""One blurred image, or several of one static camera, to one moving body; and the embedded example."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from prefect import flow
 
 from hfb.config import RunConfig
+from hfb.datasets.example import write_example
 from hfb.evaluation.warnings import ResultWarning
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import publish, workplace
+from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.io.safe_folder import check_tree
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.core.result_records import records_in
@@ -33,7 +36,7 @@ from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.record import fit_record, record
 from hfb.tasks.tracking.run_record import keep_for_later
-from hfb.tasks.video.given_result import Look, body_of_result, read_result, require
+from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts
 
 
@@ -73,7 +76,7 @@ def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, A
 
 def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config = with_height(config, inputs.clip)
-    with workplace(out) as folder, records_in(folder):
+    with workspace(out) as folder, records_in(folder):
         scene = prepare(
             frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
             exposure=config.exposure,
@@ -199,3 +202,24 @@ def _result(
         "config": config.model_dump(mode="json"),
         "code": code_version(),
     }
+
+
+_EXAMPLE = "example"
+
+
+def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Make the example in ``out/example``, then fit it; the result holds the errors against its truth.
+
+    Args:
+        ready: called before the flow, returns when Prefect's server answers.
+
+    The first body is found from the matte alone, whether or not the pose networks are there: the same figures for
+    everyone, and the networks were never shown a drawn body.
+    """
+    if config.init.method == "auto":
+        config = config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
+    check_tree(out, _EXAMPLE)
+    with progress.step("example"):
+        paths = write_example(out / _EXAMPLE, config.seed)
+    ready()
+    return fit_image([paths.frame], paths.background, out, config, truth=paths.truth)

@@ -9,7 +9,7 @@ from typing import Any
 
 from hfb.body.model import Body
 from hfb.errors import InputError
-from hfb.flows.runtime.workplace import INTERMEDIATE, beside_result, check_writable
+from hfb.flows.runtime.workspace import INTERMEDIATE, beside_result, check_writable
 from hfb.interop.writers.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
@@ -17,8 +17,7 @@ from hfb.motion.motion_file import load_motion
 from hfb.report.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
-from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, fitted_body, named_body, resolve_result
 from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from hfb.tasks.results.stored_runs import StoredRun, find_run
 from hfb.tasks.telemetry import progress
@@ -47,7 +46,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
     Raises:
         InputError: there is no such result, it is damaged, or the page cannot be written.
     """
-    with found_result(source, _FETCHED, _INNER) as place, tempfile.TemporaryDirectory() as made:
+    with resolve_result(source, _FETCHED, _INNER) as place, tempfile.TemporaryDirectory() as made:
         run = place.fetched or _run_of(place.folder)
         folder = out or place.new_folder("report", place.folder)
         check_writable(folder)
@@ -128,11 +127,11 @@ def _fits_a_page(film: Path) -> bool:
 
 
 def _drawn_again(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | None, made: Path) -> Path:
-    from hfb.tasks.results.earlier_result import earlier_shot
+    from hfb.tasks.results.reload_inputs import reload_shot
 
     motion, _ = load_motion(place.motion)
     with (
-        earlier_shot(run.run_id, inputs, motion=motion, body=body, texture=place.folder / TEXTURE) as shot,
+        reload_shot(run.run_id, inputs, motion=motion, body=body, texture=place.folder / TEXTURE) as shot,
         progress.step("report's film"),
     ):
         return write_page_film(shot, sha256_of(place.motion), made)

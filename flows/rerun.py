@@ -15,7 +15,7 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
 from hfb.flows.fit_image import fit_image_again
-from hfb.flows.runtime.workplace import INTERMEDIATE
+from hfb.flows.runtime.workspace import INTERMEDIATE
 from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
@@ -27,7 +27,7 @@ from hfb.tasks.core.result_folder import unfinished_files
 from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
 from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
-from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -89,7 +89,7 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
         given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
-        places = find_present(given, inputs_folder)
+        places = locate_inputs(given, inputs_folder)
     target = _fresh(out, run.run_id)
     again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
     return Plan(run, again, target, recipe.results, _changed(run))

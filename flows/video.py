@@ -1,10 +1,11 @@
-"""A blurred video, or a folder of its pictures, to one continuous motion."""
+"""A blurred video, or a folder of its frames, to one continuous motion."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +25,13 @@ from hfb.flows.clip_steps import (
     see,
     warn,
 )
-from hfb.flows.runtime.clip_place import clip_place
+from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.trouble import ask_server
-from hfb.flows.runtime.workplace import publish
+from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.names import CURVES, RECORD, REPORT
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.result_records import records_in
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
@@ -39,7 +40,7 @@ from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.video.video_look import draw_texture
 from hfb.tasks.workers.engine import Engine
-from hfb.tasks.workers.workers import busy_share, worker_count
+from hfb.tasks.workers.workers import busy_share, worker_count, workers
 
 _SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
 _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
@@ -56,7 +57,7 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or Prefect's server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or Prefect's server went away; what is finished is kept.
     """
 
     config = with_height(config, inputs.clip)
@@ -175,3 +176,20 @@ def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[i
 def _mean(values: Mapping[int, float]) -> float | None:
     finite = [value for value in values.values() if math.isfinite(value)]
     return sum(finite) / len(finite) if finite else None
+
+
+@contextmanager
+def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
+    """The folder for intermediate files, held for this process alone, with the engine's workers at hand.
+
+    Raises:
+        InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.
+        InfrastructureError: see `hfb.flows.runtime.failures.explain_failures`.
+    """
+    with (
+        explain_failures(out),
+        workspace(out) as folder,
+        workers(engine, apart=True),
+        records_in(folder),
+    ):
+        yield folder

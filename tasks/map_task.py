@@ -69,7 +69,7 @@ class Chunk(Generic[C, R]):
         """Return the name of the run."""
         return self._name
 
-    def run(self, task: Task[[C], R]) -> bool:
+    def run(self, task: Task[..., R]) -> bool:
         """Make every result; return whether an earlier run had made them all.
 
         Raises:
@@ -159,12 +159,12 @@ def split_calls(label: str, calls: Sequence[C], n_workers: int, batch_size: int 
         at += count
 
 
-def _batch_size(task: Task[[C], R], calls: Sequence[C]) -> int:
+def _batch_size(task: Task[..., R], calls: Sequence[Call]) -> int:
     """How many calls are computed together; a cluster's worker is given one at a time."""
     return task.batch.size(calls[0]) if task.batch and calls and not remote() else 1
 
 
-def _batched(task: Task[[C], R], calls: Sequence[C]) -> dict[int, R]:
+def _batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
     """Compute together the calls that no earlier run has made; return number of the call -> result, {} without several.
 
     A call that fails takes none with it: each is then made by itself, and its error is its own.
@@ -184,10 +184,10 @@ def _batched(task: Task[[C], R], calls: Sequence[C]) -> dict[int, R]:
         return {}
 
 
-def _chunk_step(task: Task[[C], R]) -> Any:
+def _chunk_step(task: Task[..., R]) -> Any:
     """A task of Prefect's that runs a chunk."""
 
-    def run_chunk(chunk: Chunk[C, R]) -> State[Any] | None:
+    def run_chunk(chunk: Chunk[Any, R]) -> State[Any] | None:
         return Completed(name="Cached") if chunk.run(task) else None
 
     decorate: Any = prefect.task(

@@ -29,7 +29,7 @@ from prefect.results import get_result_store
 
 from hfb.tasks.core import repetition
 from hfb.tasks.core.environment import code_version
-from hfb.tasks.core.handles import StaleFile, digest, files_in, unchanged
+from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, unchanged
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.structured_log import about, ids_of
 from hfb.tasks.workers.workers import run_local, run_remote
@@ -125,8 +125,7 @@ class Task(Generic[P, R]):
                 return self.fn(*args, **kwargs)
             if where == "worker":
                 return run_local(self, *args, **kwargs)
-            (call,) = args  # what leaves this machine is one record
-            return run_remote(self, call, gpu=where == "gpu")
+            return run_remote(self, cast(Call, args[0]), gpu=where == "gpu")  # what leaves this machine is one record
 
     def run_batch(self, calls: Sequence[Any]) -> list[R]:
         """Return the results of several calls, computed together on this machine; raises as `run` does."""
@@ -148,7 +147,7 @@ class Task(Generic[P, R]):
         key, records = self.key(call), get_result_store()
 
         def made() -> R:
-            result = self.run(call) if ahead is None else ahead  # type: ignore[call-arg, arg-type]
+            result = self.run(call) if ahead is None else ahead  # type: ignore[call-arg]
             records.write(result, key=key)
             return result
 

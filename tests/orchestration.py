@@ -40,7 +40,7 @@ def prefect_api() -> str:
     from prefect.context import refresh_global_settings_context
     from prefect.logging.configuration import setup_logging
 
-    from hfb.flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.server import PrefectServer
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away

@@ -42,7 +42,7 @@ def prepare(
         InputError: a file is no picture, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.matting.plate_doubts import doubt_plate
+    from hfb.matting.plate_check import find_plate_mismatch
 
     images = _Images(clip.transfer, exposure.light)
     plate, plate_linear = images.read(background)
@@ -59,7 +59,7 @@ def prepare(
             )
         doubts.append(seems_to_hold_person(image, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
-            told = doubt_plate(image_linear(), plate_linear())
+            told = find_plate_mismatch(image_linear(), plate_linear())
     remarks = images.remarks()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s

@@ -159,7 +159,7 @@ def fit_clip_window(call: WindowCall) -> WindowHandle:
 
 
 @task("person", where="worker")
-def settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
+def estimate_identity(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
     """Find the shape and texture that a few windows agree on.
 
     Args:

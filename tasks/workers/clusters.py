@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import Call, FileHandle, files_in, with_files
 from hfb.tasks.telemetry.secrets import without_secrets
@@ -101,14 +101,16 @@ class _Dask:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
             place = without_secrets(address)
-            raise NotNow(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
+            raise TemporaryError(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
         try:
             self._client.wait_for_workers(1, timeout=_ANSWER_S)
         except TimeoutError:
-            raise NotNow("the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`") from None
+            raise TemporaryError(
+                "the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`"
+            ) from None
         return sum(self._client.nthreads().values())
 
     def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -142,7 +144,7 @@ class _Ray:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:
             place = without_secrets(address)
-            raise NotNow(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
+            raise TemporaryError(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
         self._ray: Any = ray
         self._running: set[Any] = set()
 
@@ -179,7 +181,9 @@ def _compute_away(store: str | None, code: str, function: Callable[[Call], R], c
     import torch
 
     if code_version() != code:
-        raise NotNow(f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both")
+        raise TemporaryError(
+            f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both"
+        )
     torch.set_num_threads(1)
     began = time.monotonic()
     if store is None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from hfb.flows.cli.cli import main
-from hfb.flows.runtime.running import results_alone_on_stdout
+from hfb.flows.runtime.session import results_alone_on_stdout
 from hfb.tasks.telemetry import displays
 from tests.orchestration import TINY_OPTIONS, Problem
 
@@ -24,7 +24,7 @@ _ROOT = Path(__file__).parents[2]
 # Steps, log lines from this thread, another one and a worker process, and a long line, while a bar turns.
 LOGGING = """
 import logging, sys, threading, time
-from hfb.flows.runtime.surroundings import keep_log
+from hfb.flows.runtime.server import keep_log
 from hfb.tasks.telemetry import displays, progress
 from hfb.tasks.workers.workers import run_local, workers
 

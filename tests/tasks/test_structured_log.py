@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.flows.runtime.surroundings import LOG_VARIABLE, keep_log, log_path
+from hfb.flows.runtime.server import LOG_VARIABLE, keep_log, log_path
 from tests.small_clips import run_clip, small_clip
 
 

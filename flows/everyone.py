@@ -11,10 +11,9 @@ from prefect import flow
 
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
-from hfb.flows.runtime.clip_place import clip_place
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import mark_unfinished, publish, workplace
-from hfb.flows.video import run_video
+from hfb.flows.runtime.workspace import mark_unfinished, publish, workspace
+from hfb.flows.video import clip_place, run_video
 from hfb.io.safe_folder import check_ordinary
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.video_handles import PersonSeen
@@ -38,7 +37,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
 
     Raises:
         InputError: something given cannot be used; of everyone: nobody is seen, or nobody's motion was found.
-        Unavailable: see `hfb.flows.video.run_video`.
+        InfrastructureError: see `hfb.flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
         return run_video(inputs, out, config, engine)
@@ -47,7 +46,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
     began = time.perf_counter()
     people = everyone_in(inputs, out, config)
     progress.say(f"hfb: {len(people)} people, one after the other: {', '.join(one.name for one in people)}")
-    with workplace(out):
+    with workspace(out):
         mark_unfinished(out)  # of an earlier result some people would be the old ones, some the new ones
         for number in range(1, len(people) + 1):
             check_ordinary(out, f"person-{number}")
@@ -69,7 +68,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
         "config": config.model_dump(mode="json"),
         "code": code_version(),
     }
-    with workplace(out):
+    with workspace(out):
         publish(out, {}, result)
     return result
 
