@@ -110,9 +110,9 @@ def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
     return _shared_picture(picture, clip).clone()
 
 
-def load_matte(matte: FileHandle) -> Tensor:
-    """Return a matte (H, W)."""
-    return _shared_matte(matte).clone()
+def load_mattes(mattes: Sequence[FileHandle]) -> Tensor:
+    """Return the person's share (T, H, W) of each pixel."""
+    return torch.stack([_shared_matte(matte) for matte in mattes])
 
 
 def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
@@ -146,7 +146,7 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
     return Observation(
         frames_linear=torch.stack([_shared_picture(frame, clip) for frame in clip.frames]),
         plate_linear=load_picture(clip.background, clip),
-        mattes=torch.stack([_shared_matte(matte) for matte in mattes]),
+        mattes=load_mattes(mattes),
         camera=load_camera(clip),
         exposure_s=clip.exposure_s,
         interval_s=clip.interval_s,

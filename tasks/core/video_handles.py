@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
 
 _Row = tuple[float, float, float]
 
@@ -94,6 +95,32 @@ class MatteHandle(Record):
     file: FileHandle | None
     area_px: float = 0.0
     reason: str = ""
+
+
+class FrameCall(Call):
+    """One frame of a clip.
+
+    Attributes:
+        still: the frame as a clip of its own.
+        number: of the frame in the clip.
+        folder: where the result goes.
+    """
+
+    still: ClipHandle
+    number: int
+    folder: Path
+
+
+class SeenFrameCall(FrameCall):
+    """One frame in which the person is seen.
+
+    Attributes:
+        matte: of the frame.
+        body: the user's body model; None for the embedded one.
+    """
+
+    matte: FileHandle
+    body: FileHandle | None
 
 
 class BodyFound(Record):

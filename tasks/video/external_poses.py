@@ -7,8 +7,8 @@ from pathlib import Path
 
 from hfb.config import Record
 from hfb.errors import InputError
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
-from hfb.tasks.core.video_handles import BodyFound, FootageHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.video_handles import BodyFound, FootageHandle, SeenFrameCall
 from hfb.tasks.task import task
 
 _MOST_LOOKS = 8
@@ -115,28 +115,18 @@ def pictures_of(
     return (), known.first + known.count * known.average
 
 
-class GivenBodyCall(Call):
-    """One frame of a clip, whose body another system found.
+class GivenBodyCall(SeenFrameCall):
+    """A frame whose body another system found.
 
     Attributes:
         footage: the clip.
-        still: the frame as a clip of its own.
-        number: of the frame in the clip.
-        matte: of the frame.
         result: the other system's.
         first: number in the result of the clip's first frame; the result's are the video's own where it is None.
-        body: the user's body model; None for the embedded one.
-        folder: where the body goes.
     """
 
     footage: FootageHandle
-    still: ClipHandle
-    number: int
-    matte: FileHandle
     result: ResultHandle
     first: int | None
-    body: FileHandle | None
-    folder: Path
 
 
 @task("other system's result", where="worker")
@@ -172,12 +162,12 @@ def read_result(
     from hfb.interop.readers.pose_track import PoseTrack, save_track
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses
-    from hfb.tasks.core.scene import load_chosen_body, load_matte
+    from hfb.tasks.core.scene import load_chosen_body, load_mattes
 
     model = load_chosen_body(body)
     tracks = read_tracks([file.path for file in files], height, width, ClipPictures(pictures, frames))
     several = len(tracks) > 1
-    mattes = [load_matte(look.matte).numpy() for look in looks if several]
+    mattes = [load_mattes((look.matte,))[0].numpy() for look in looks if several]
 
     def shown(track: PoseTrack) -> float:
         in_order = track.frames if len(track) == len(looks) else [-1] * len(looks)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
-from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FramesHandle, MatteHandle
+from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle
+from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FrameCall, FramesHandle, MatteHandle, SeenFrameCall
 from hfb.tasks.inputs.given_networks import check_networks, with_matting_network, with_pose_network
 from hfb.tasks.task import task
 
@@ -25,68 +25,42 @@ class ExtractCall(Call):
     folder: Path
 
 
-class MatteCall(Call):
-    """One frame of a clip.
+class MatteCall(FrameCall):
+    """A frame whose matte is asked for.
 
     Attributes:
-        still: the frame as a clip of its own.
-        number: of the frame in the clip.
         box: where the person is.
         alone: whether nobody else is seen in the clip.
         config: options of the matte.
         network: the user's own, for methods that need one.
-        folder: where the matte goes.
     """
 
-    still: ClipHandle
-    number: int
     box: tuple[float, float, float, float]
     alone: bool
     config: MattingConfig
     network: FileHandle | None
-    folder: Path
 
 
-class KeyBodyCall(Call):
+class KeyBodyCall(SeenFrameCall):
     """A key frame, whose first body is looked for from nothing.
 
     Attributes:
-        still: the frame as a clip of its own.
-        number: of the frame in the clip.
-        matte: of the frame.
-        body: the user's body model; None for the embedded one.
         config: options of the first body.
         networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
-        folder: where the body goes.
     """
 
-    still: ClipHandle
-    number: int
-    matte: FileHandle
-    body: FileHandle | None
     config: InitConfig
     networks: tuple[FileHandle, ...]
-    folder: Path
 
 
-class BetweenCall(Call):
+class BetweenCall(SeenFrameCall):
     """A frame between key frames.
 
     Attributes:
-        still: the frame as a clip of its own.
-        number: of the frame in the clip.
-        matte: of the frame.
         known: the bodies of the key frames around it, with their numbers.
-        body: the user's body model; None for the embedded one.
-        folder: where the body goes.
     """
 
-    still: ClipHandle
-    number: int
-    matte: FileHandle
     known: tuple[tuple[int, FirstBodyHandle], ...]
-    body: FileHandle | None
-    folder: Path
 
 
 @task("frames", where="worker")

@@ -11,7 +11,7 @@ from hfb.io.clip import Clip
 from hfb.io.media.pictures import write_matte, write_png
 from hfb.tasks.core import scene
 from hfb.tasks.core.handles import ClipHandle, FileHandle, StaleFile
-from hfb.tasks.core.scene import DecodedImages, load_matte, load_observation, load_picture
+from hfb.tasks.core.scene import DecodedImages, load_mattes, load_observation, load_picture
 from hfb.tasks.image.prepare import prepare
 
 
@@ -39,7 +39,7 @@ def test_what_a_task_changes_is_its_own(clip: ClipHandle, tmp_path: Path) -> Non
     for one in (before.frames_linear, before.plate_linear, before.mattes):
         one.zero_()
     load_picture(clip.background, clip).zero_()
-    load_matte(matte).zero_()
+    load_mattes((matte,)).zero_()
     after = load_observation(clip, (matte,))
     for one, other in zip((after.frames_linear, after.plate_linear, after.mattes), kept, strict=True):
         assert torch.equal(one, other)
