@@ -57,11 +57,15 @@ def batch(
     One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
 
     Args:
+        folder: of the clips.
+        out: where the results go.
         config: options as plain content, or the file that holds them.
-        attempts: failures after which a clip is set aside; wait_s: before the second attempt, doubled for each further.
+        workers: see `hfb.tasks.workers.engine.engine_of`.
+        attempts: failures after which a clip is set aside.
+        wait_s: before the second attempt [s], doubled for each further.
         watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
         again: take clips that were set aside once more.
-        workers, store: see `hfb.tasks.workers.engine.engine_of`.
+        store: see `hfb.tasks.workers.engine.engine_of`.
 
     Returns:
         clips, done, set_aside, waiting (numbers), ``out`` and ``page``.

@@ -63,13 +63,26 @@ def run_benchmark(
     """See `_benchmark`; the engine changes nothing but the seconds.
 
     Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+
+    Args:
+        plan: what decides the figures.
+        out: where the results go.
+        engine: what computes.
+        experiment: the paper's table that is set beside the results.
     """
     with workers(engine):
         return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
-    """See `_synthesis`."""
+    """See `_synthesis`.
+
+    Args:
+        spec: the set.
+        count: how many cases.
+        out: where they go.
+        engine: what computes.
+    """
     with workers(engine):
         return _synthesis.with_options(task_runner=_threads())(spec, count, out)
 
@@ -105,10 +118,12 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
 def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
     """Cases, mattes and starts, methods, tables, one page with everything; recorded in MLflow, published in ``out``.
 
-    Args:
-        experiment: the paper's table that is set beside the results.
-
     A case that cannot be made or seen is left out for every method, and named in the summary.
+
+    Args:
+        plan: what decides the figures.
+        out: where the results go.
+        experiment: the paper's table that is set beside the results.
 
     Returns:
         the content of result.json: the summary, and where things are.

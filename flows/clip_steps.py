@@ -65,7 +65,8 @@ class Scene:
     """A clip whose frames are pictures.
 
     Attributes:
-        mattes: of the frames in which somebody is seen; areas: their sums [px], 0 elsewhere.
+        mattes: of the frames in which somebody is seen.
+        areas: their sums [px], 0 elsewhere.
         warnings: of the plate, which are told before the fit.
     """
 
@@ -240,6 +241,8 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     """The person from a few windows, then every window with that person.
 
     Args:
+        scene: the clip.
+        bodies: its first bodies.
         on_fitted: called in order with the frames that a window settles and its loss.
     """
     config = scene.config
@@ -295,7 +298,14 @@ def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[
 
 
 def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[int, float]) -> list[ResultWarning]:
-    """What is wrong with the result, the plate's warnings first."""
+    """What is wrong with the result, the plate's warnings first.
+
+    Args:
+        scene: the clip.
+        fitted: its windows.
+        joined: its motion.
+        matte_iou: by frame, where it is known.
+    """
     shown = looks_over(sorted({frame for window in fitted.windows for frame in window.frames}))
     clip, mattes = scene.of(shown)
     found = look_for_warnings(
@@ -360,7 +370,6 @@ def _require_all(
     on_outcome: Callable[[int, Outcome[R]], None] | None = None,
 ) -> list[R]:
     """All results in order; the first failure ends the rest, for the whole needs every one."""
-
     server = ServerWatch()
 
     def watched(index: int, outcome: Outcome[R]) -> None:

@@ -32,6 +32,12 @@ _KEPT = (
 def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
     """The person whom the clip names, into ``out``; everyone, each into a folder and a run of their own in it.
 
+    Args:
+        inputs: what the user handed over.
+        out: where the results go.
+        config: all options.
+        engine: what computes.
+
     Returns:
         the content of result.json; of everyone: what became of each person, and the sums.
 

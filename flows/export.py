@@ -41,7 +41,11 @@ def export_result(
     Args:
         source: a result's folder, a motion file, or a recorded run's id.
         out: where the files go; ``export`` beside the motion when not given.
+        formats: of motion files.
+        meshes: of a mesh per sub-frame.
         body: the model that was fitted; when not given the one that the result names, or the embedded one.
+        amass_rate: poses per second in amass.npz.
+        films: which.
         inputs: where the pictures lie, for films, if they were moved; they are told by their content.
 
     Returns:

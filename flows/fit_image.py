@@ -54,6 +54,11 @@ def fit_image(
     """Matte, first body, fitted motion, evaluation, strip; recorded in MLflow, published in ``out``.
 
     Args:
+        frames: blurred images, in their order.
+        background: the same view without the person.
+        out: where the results go.
+        config: all options.
+        clip: a clip.toml.
         truth: a synthetic case's truth.npz; adds errors against it to the result.
         first_bodies: one first-body file per frame, instead of estimating them.
 
@@ -211,6 +216,8 @@ def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda
     """Make the example in ``out/example``, then fit it; the result holds the errors against its truth.
 
     Args:
+        out: where the results go.
+        config: all options.
         ready: called before the flow, returns when Prefect's server answers.
 
     The first body is found from the matte alone, whether or not the pose networks are there: the same figures for

@@ -52,6 +52,12 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
     One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
     ``out``: the same call goes on from them, after a kill too. The engine changes nothing but the seconds.
 
+    Args:
+        inputs: what the user handed over.
+        out: where the results go.
+        config: all options.
+        engine: what computes.
+
     Returns:
         the content of result.json.
 
@@ -59,7 +65,6 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
         InputError: something given cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or Prefect's server went away; what is finished is kept.
     """
-
     config = with_height(config, inputs.clip)
 
     # A closure: as parameters Prefect would send a folder's pictures to its server, which takes half a megabyte.

@@ -136,7 +136,14 @@ def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
 def report(
     given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
 ) -> None:
-    """The chosen keys as JSON, or a table of scores, times and places."""
+    """The chosen keys as JSON, or a table of scores, times and places.
+
+    Args:
+        given: the command's arguments.
+        result: the content of result.json.
+        keys: that --json prints.
+        rows: of the table.
+    """
     result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
     if given.json:
         print(json.dumps(hidden_in({key: result.get(key) for key in keys})))

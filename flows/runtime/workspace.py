@@ -130,6 +130,8 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
     What an earlier result had beyond this one is removed, as far as it is what hfb wrote, and nothing else.
 
     Args:
+        out: the run's folder.
+        files: name -> where it lies now.
         result: the content of result.json; it gets ``files``, the names of the others, and their ``sha256``.
 
     Raises:
@@ -213,7 +215,8 @@ class _Published:
     """What hfb's result.json says that it put into a folder.
 
     Attributes:
-        known: there is such a result.json. files: names.
+        known: there is such a result.json.
+        files: names.
         complete: it names every file and its content; results of older versions do not.
         sha256: of these files; several where one was being replaced.
     """

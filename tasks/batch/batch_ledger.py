@@ -82,7 +82,11 @@ class Ledger:
         """Remember a failure: tried again after a wait that doubles each time, or set aside.
 
         Args:
-            attempts: after how many failures it is set aside. wait_s: after the first failure.
+            name: of the clip.
+            stamp: of the clip as it is now.
+            reason: one sentence.
+            attempts: failures after which it is set aside.
+            wait_s: before the second attempt [s].
             hopeless: set aside at once, since only another file can mend it.
         """
         before = self.entry(name, stamp)

@@ -51,7 +51,19 @@ def tabulate(
     notes: tuple[str, ...],
     folder: Path,
 ) -> ResultsHandle:
-    """Gather the rows of all cases and methods."""
+    """Gather the rows of all cases and methods.
+
+    Args:
+        judged: the answers.
+        set_name: the set, as on the command line.
+        frames: blurred frames per case.
+        methods: names, in their order.
+        count: how many cases there are.
+        seed: of the set.
+        skipped: name -> reason, of what was left out.
+        notes: what a reader of the table has to know.
+        folder: where the files go.
+    """
     import pandas
 
     from hfb.datasets.blur_bins import BLUR_BINS, bins_of
@@ -108,6 +120,10 @@ def record_benchmark(
     """A parent run for the set, a child per method; metrics of the bins are steps, in the order of the blur rate.
 
     Args:
+        name: of the run.
+        params: what decides the figures.
+        methods: options of every method.
+        results: tables and plots.
         files: what the benchmark leaves.
 
     Raises:

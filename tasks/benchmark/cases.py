@@ -74,7 +74,9 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
     """Open everything once: what is damaged is known, and named, before a case is drawn.
 
     Args:
+        spec: the set.
         listing: what lies in the folders that the set is made from (`listing_of`); with other files this is done again.
+        folder: where the list goes.
 
     Raises:
         InputError: nothing can be used; the sentence gives the first reasons.

@@ -33,7 +33,8 @@ class DecodedImages:
     """The images that were used last, up to a number of bytes. Any thread may call."""
 
     def __init__(self, limit_bytes: int, always: int) -> None:
-        """
+        """Begin with no image.
+
         Args:
             limit_bytes: of all images together.
             always: how many are kept even if they are larger.

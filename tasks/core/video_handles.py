@@ -159,7 +159,8 @@ class JoinedHandle(Record):
         edges: a JSON file of what happened at every window edge.
         gaps: first and last frame of every stretch without a pose.
         bridged: frames without anybody whose poses were made from their neighbours'.
-        worst_jump_mm, worst_velocity_share: the largest at any edge; None without edges.
+        worst_jump_mm: the largest at any edge; None without edges.
+        worst_velocity_share: the largest at any edge; None without edges.
     """
 
     motion: FileHandle

@@ -114,7 +114,14 @@ class _Images:
 def calibration(
     camera: CameraConfig, clip: Clip, height: int, width: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess."""
+    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess.
+
+    Args:
+        camera: options of the camera.
+        clip: what clip.toml says.
+        height: of the image [px].
+        width: of the image [px].
+    """
     if camera.focal_px is None and clip.camera.K is not None:
         return clip.camera.K
     focal_px = camera.focal_px or clip.camera.focal_px or math.hypot(height, width)

@@ -30,7 +30,8 @@ class ClipPlace:
     """One clip of a folder of clips.
 
     Attributes:
-        source: what `hfb video` would be given. clip: its clip.toml, where it has one.
+        source: what `hfb video` would be given.
+        clip: its clip.toml, where it has one.
         files: everything that its result depends on, as far as the folder tells.
         stray: an entry because of which the clip is not worked on, and why.
         twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
@@ -81,6 +82,7 @@ def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     """The clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
 
     Args:
+        folder: of the clips.
         out: where results go; nothing in it is a clip.
 
     Raises:

@@ -86,6 +86,10 @@ def reload_shot(
     """What films of a recorded run are drawn from, for as long as they are.
 
     Args:
+        run_words: a run's id, the beginning of it, or its result's folder.
+        inputs_folder: where to look for images that were moved.
+        motion: of the result.
+        body: that was fitted.
         texture: the fitted texture's picture.
 
     Raises:
@@ -169,6 +173,7 @@ def locate_inputs(files: Mapping[str, GivenFile], folder: Path | None) -> dict[s
 
     Args:
         files: by role, such as ``frame_0``.
+        folder: where to look for files that were moved; None for their old places alone.
 
     Raises:
         InputError: some are gone or were changed; the sentence names them, and how to point at moved ones.

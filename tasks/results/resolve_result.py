@@ -55,6 +55,8 @@ def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ())
     """The result; of a run those of its files are fetched that are named here, and its motion.
 
     Args:
+        source: a result's folder, its motion file, or a run's id.
+        names: files that are read.
         inner: further files that are read where the result is a folder.
 
     Raises:
@@ -101,7 +103,9 @@ def fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Body:
     """The body model that a motion was fitted with.
 
     Args:
-        space: whose betas the motion has. path: of a SMPL file; None for the embedded body.
+        motion: of the result.
+        space: whose betas the motion has.
+        path: of a SMPL file; None for the embedded body.
 
     Raises:
         InputError: it is a SMPL file that is not given, or another one is.

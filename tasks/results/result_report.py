@@ -125,7 +125,15 @@ def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
 def write_page(
     parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], *, path: Path
 ) -> None:
-    """Put the page together; whole or not at all. Arguments and errors as in `page_text`."""
+    """Put the page together; whole or not at all. Arguments and errors as in `page_text`.
+
+    Args:
+        parts: the files that it is made of.
+        body: the model that was fitted, where it is at hand.
+        facts: the content of result.json.
+        versions: of the machine that made the result.
+        path: where the page goes.
+    """
     from hfb.io.atomic import write_bytes_atomic
 
     write_bytes_atomic(path, page_text(parts, body, facts, versions, name=path.parent.name).encode())
@@ -137,7 +145,9 @@ def page_text(
     """The page.
 
     Args:
+        parts: the files that it is made of.
         body: the model that was fitted, where it is at hand.
+        facts: the content of result.json.
         versions: of the machine that made the result.
         name: of the result, where the facts do not tell.
 

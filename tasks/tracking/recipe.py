@@ -63,6 +63,8 @@ def recipe(
     """What there is to know about a run that has just come to its end.
 
     Args:
+        command: which made the run.
+        config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
         code: `hfb.tasks.core.environment.code_version()`.
@@ -105,7 +107,9 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
     """The run's options, with every file that they name where it lies now.
 
     Args:
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb does not know one of them.
@@ -121,7 +125,9 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
 
     Args:
         kind: the record that the command takes its inputs into.
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb takes other inputs.

@@ -25,6 +25,7 @@ def record(of_run: RunRecord, files: dict[str, FileHandle]) -> RunHandle:
     """Find or create a run, and log everything into it.
 
     Args:
+        of_run: the record.
         files: the files that the run leaves, by name.
 
     Raises:
@@ -45,6 +46,10 @@ def fit_record(
     """The record of a fit, found again by its inputs, its options and the code.
 
     Args:
+        inputs: what the user handed over.
+        config: all options.
+        fit: the motion.
+        scores: how good it is.
         published: the files that the run leaves, by name.
         result: the content of result.json.
     """

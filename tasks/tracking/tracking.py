@@ -64,7 +64,10 @@ def recorded_run(
     A run that is found FINISHED is complete: it holds everything already, and stays as it is.
 
     Args:
+        name: of the run.
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
+        params: what went in.
+        tags: besides versions and machine.
         parent: the run under which this one is shown.
 
     Raises:
@@ -89,6 +92,12 @@ def recorded_run(
 
 def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Run:
     """Find or create the run of a long problem, which is recorded while it works; `end_run` ends it.
+
+    Args:
+        name: of the run.
+        key: as of `recorded_run`.
+        params: what went in.
+        tags: besides versions and machine.
 
     Raises:
         StoreLost: the store cannot be reached or written.

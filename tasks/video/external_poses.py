@@ -18,7 +18,8 @@ class ResultHandle(FileHandle):
     """One person of another system's result, in hfb's conventions (`hfb.interop.readers.pose_track`).
 
     Attributes:
-        system: whose result it is. frames: numbers of the frames in which it saw the person.
+        system: whose result it is.
+        frames: numbers of the frames in which it saw the person.
         person: the system's name for them. others: of everybody else in it.
         rate_hz: of a motion with a clock of its own, see `PoseTrack`.
     """
@@ -42,11 +43,16 @@ class ResultHandle(FileHandle):
     def number_in_clip(
         self, number: int, first: int | None, *, began: int, average: int, video_hz: float | None = None
     ) -> int:
-        """Which frame of the result a clip's frame is; a motion of our own counts the clip's, one with a clock of its
-        own the rows of its time, all others the video's.
+        """Return which frame of the result a clip's frame is.
+
+        A motion of our own counts the clip's frames, one with a clock of its own the rows of its time, all others the
+        video's frames.
 
         Args:
-            first: of the result, where it is told. began, average: of the clip, see `hfb.io.media.footage.Footage`.
+            number: of the frame in the clip.
+            first: of the result, where it is told.
+            began: first frame of the clip in the video.
+            average: how many frames of the video are one of the clip.
             video_hz: frames per second of the video, before they are averaged.
         """
         from hfb.interop.readers import own
@@ -87,7 +93,9 @@ def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: in
     """Some of a clip's frames, by which one tells whom of a result's several people it is about.
 
     Args:
-        mattes: by the clip's numbers. first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
+        footage: the clip.
+        mattes: by the clip's numbers.
+        first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
     """
     from hfb.tasks.video.video_clip import load_footage
 
@@ -103,7 +111,9 @@ def pictures_of(
     """(names of a clip's pictures, frames of a video), by which a result's pictures are found in the clip.
 
     Args:
-        files: of the clip. first: where --init.frame tells the numbers, names tell nothing.
+        footage: the clip.
+        files: of the clip.
+        first: where --init.frame tells the numbers, names tell nothing.
     """
     from hfb.tasks.video.video_clip import load_footage
 

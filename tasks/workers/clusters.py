@@ -45,11 +45,13 @@ class Cluster:
     """Runs functions of handles elsewhere, any number at a time.
 
     Attributes:
-        count: workers when it was found. busy_s: for how long they computed, together.
+        count: workers when it was found.
+        busy_s: for how long they computed, together.
     """
 
     def __init__(self, engine: Engine) -> None:
-        """
+        """Find the cluster.
+
         Raises:
             InputError: the library is missing, nobody answers, or nobody works there.
         """
