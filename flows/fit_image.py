@@ -110,14 +110,14 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         tell(found)
         image = strip(clip=scene, mattes=mattes, fit=fitted, body=body, config=config.fit, folder=folder)
         shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
-        exports = export_motion(shot, fitted.texture_picture, config.export, folder)
+        exports = export_motion(shot, fitted.texture_image, config.export, folder)
         warnings = (*plate_warnings(scene.remarks), *found)
         result = _result(
             out=out, config=config, inputs=inputs, firsts=firsts, fitted=fitted, scores=scores, warnings=warnings
         )
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
-            "texture.png": fitted.texture_picture, "strip.png": image, CURVES: fit_curves(fitted, folder),
+            "texture.png": fitted.texture_image, "strip.png": image, CURVES: fit_curves(fitted, folder),
             **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
         }  # fmt: skip
         of_run = fit_record(inputs=inputs, config=config, fit=fitted, scores=scores, published=files, result=result)
@@ -132,7 +132,7 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             )
         if config.export.report:
             parts = ReportParts(
-                motion=fitted.motion, curves=files[CURVES], body=body, texture=fitted.texture_picture, strip=image,
+                motion=fitted.motion, curves=files[CURVES], body=body, texture=fitted.texture_image, strip=image,
                 alternatives=fitted.alternatives, film=draw_page_film(shot, folder),
             )  # fmt: skip
             files[REPORT] = write_report(parts, result, folder)

@@ -126,7 +126,7 @@ class FitHandle(Record):
 
     motion: FileHandle
     texture: FileHandle
-    texture_picture: FileHandle
+    texture_image: FileHandle
     history: FileHandle
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()

@@ -80,7 +80,7 @@ _kept = DecodedImages(_LIMIT_BYTES, _ALWAYS)
 
 
 def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Picture, Tensor]:
-    """Decode a user's image with all that its file says; `load_picture` need not decode it again.
+    """Decode a user's image with all that its file says; `load_image` need not decode it again.
 
     Args:
         file: the image.
@@ -101,14 +101,14 @@ def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Pic
     return found, image
 
 
-def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
+def load_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
     """Return an image (H, W, 3) in the light in which the clip's blur is an average.
 
     Args:
         picture: one of the clip's frames, or its background.
         clip: how light is stored, and in which it is averaged.
     """
-    return _shared_picture(picture, clip).clone()
+    return _shared_image(picture, clip).clone()
 
 
 def load_mattes(mattes: Sequence[FileHandle]) -> Tensor:
@@ -145,8 +145,8 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
         mattes: of all its frames.
     """
     return Observation(
-        frames_linear=torch.stack([_shared_picture(frame, clip) for frame in clip.frames]),
-        plate_linear=load_picture(clip.background, clip),
+        frames_linear=torch.stack([_shared_image(frame, clip) for frame in clip.frames]),
+        plate_linear=load_image(clip.background, clip),
         mattes=load_mattes(mattes),
         camera=load_camera(clip),
         exposure_s=clip.exposure_s,
@@ -166,7 +166,7 @@ def load_texture(texture: FileHandle) -> Tensor:
         return torch.from_numpy(file["texture"])
 
 
-def _shared_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
+def _shared_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
     def decode() -> Tensor:
         return decode_once(picture, clip.transfer, clip.light)[1]
 

@@ -58,7 +58,7 @@ def fit_motion(
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())
-    motion, texture, texture_picture, history = (FileHandle.of(path) for path in paths)
+    motion, texture, texture_image, history = (FileHandle.of(path) for path in paths)
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
     if result.alternatives is not None:
@@ -68,7 +68,7 @@ def fit_motion(
     return FitHandle(
         motion=motion,
         texture=texture,
-        texture_picture=texture_picture,
+        texture_image=texture_image,
         history=history,
         alternatives=alternatives,
         directions=directions,

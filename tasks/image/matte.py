@@ -6,7 +6,7 @@ from hfb.config import MattingConfig
 from hfb.io.media.pictures import write_matte
 from hfb.matting.methods import make_matting
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.scene import load_picture
+from hfb.tasks.core.scene import load_image
 from hfb.tasks.inputs.given_networks import with_matting_network
 from hfb.tasks.task import task
 
@@ -27,7 +27,7 @@ def matte(
     Raises:
         InputError: nothing differs from the background.
     """
-    frame, plate = load_picture(clip.frames[index], clip), load_picture(clip.background, clip)
+    frame, plate = load_image(clip.frames[index], clip), load_image(clip.background, clip)
     alpha = make_matting(with_matting_network(config, network))(frame.numpy(), plate.numpy())
     path = folder / f"matte_{index}.png"
     write_matte(path, alpha)

@@ -60,7 +60,7 @@ class ShotHandle(Record):
         from hfb.motion.motion_file import load_motion
         from hfb.rendering.backends import make_rasterizer
         from hfb.report.slow_motion import Shot
-        from hfb.tasks.core.scene import load_camera, load_chosen_body, load_picture, load_texture
+        from hfb.tasks.core.scene import load_camera, load_chosen_body, load_image, load_texture
 
         clip = self.clip
         return Shot(
@@ -69,8 +69,8 @@ class ShotHandle(Record):
             texture=load_texture(self.texture),
             rasterizer=make_rasterizer("coverage", self.config.rasterizer, self.config.threads),
             camera=load_camera(clip),
-            plate_linear=load_picture(clip.background, clip),
-            frame_linear=lambda number: load_picture(clip.frames[number], clip),
+            plate_linear=load_image(clip.background, clip),
+            frame_linear=lambda number: load_image(clip.frames[number], clip),
             light=clip.light,
         )
 

@@ -36,7 +36,7 @@ _FAR = 60
 
 
 @dataclass(frozen=True)
-class Pictures:
+class SeenImages:
     """What was seen.
 
     Attributes:
@@ -51,7 +51,7 @@ class Pictures:
 
 
 @contextmanager
-def pictures_of(run_words: str, inputs_folder: Path | None = None) -> Iterator[Pictures]:
+def reload_images(run_words: str, inputs_folder: Path | None = None) -> Iterator[SeenImages]:
     """The pictures of a recorded run, for as long as they are needed.
 
     Args:
@@ -93,7 +93,7 @@ def reload_shot(
         texture: the fitted texture's picture.
 
     Raises:
-        InputError: see `pictures_of`.
+        InputError: see `reload_images`.
     """
     from hfb.io.media.pictures import read_picture_srgb
     from hfb.rendering.backends import make_rasterizer
@@ -101,7 +101,7 @@ def reload_shot(
     from hfb.tasks.core.scene import in_light
 
     drawing = FitConfig()  # wherever the result was computed, this machine has the default
-    with pictures_of(run_words, inputs_folder) as seen:
+    with reload_images(run_words, inputs_folder) as seen:
         yield Shot(
             motion=motion,
             body=body,
@@ -114,8 +114,8 @@ def reload_shot(
         )
 
 
-def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> Pictures:
-    from hfb.tasks.core.scene import load_camera, load_picture
+def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> SeenImages:
+    from hfb.tasks.core.scene import load_camera, load_image
     from hfb.tasks.image.prepare import prepare
 
     inputs = recipe_inputs(Inputs, recipe, places, run)
@@ -123,15 +123,15 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: 
         frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
         exposure=config.exposure,
     )  # fmt: skip
-    return Pictures(
+    return SeenImages(
         load_camera(clip),
-        load_picture(clip.background, clip),
-        lambda number: load_picture(clip.frames[number], clip),
+        load_image(clip.background, clip),
+        lambda number: load_image(clip.frames[number], clip),
         clip.light,
     )
 
 
-def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> Pictures:
+def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> SeenImages:
     from hfb.io.media.pictures import read_picture_srgb
     from hfb.tasks.core.scene import in_light, load_camera
     from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
@@ -142,7 +142,7 @@ def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run
     )
     plate = find_background.fn(seen, inputs.plate, inputs.background, folder)
     frames = _InOrder(load_footage(seen))
-    return Pictures(
+    return SeenImages(
         load_camera(seen.clip((), plate)),
         in_light(read_picture_srgb(plate.path), seen.transfer, seen.light),
         lambda number: in_light(frames.picture(number), seen.transfer, seen.light),

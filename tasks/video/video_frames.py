@@ -89,10 +89,10 @@ def find_matte(call: MatteCall) -> MatteHandle:
 
     from hfb.io.media.pictures import write_matte
     from hfb.matting.methods import make_matting
-    from hfb.tasks.core.scene import load_picture
+    from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings
 
-    frame, plate = (load_picture(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
+    frame, plate = (load_image(one, call.still).numpy() for one in (call.still.frames[0], call.still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
     near = np.s_[:, :] if call.alone else surroundings(np.asarray(call.box), *frame.shape[:2])
     alpha = np.zeros(frame.shape[:2], np.float32)

@@ -12,7 +12,7 @@ from hfb.io.clip import Clip
 from hfb.io.media.pictures import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.scene import load_camera, load_picture
+from hfb.tasks.core.scene import load_camera, load_image
 from hfb.tasks.image.prepare import prepare
 from tests.matting.silhouettes import composite, generated_plate
 
@@ -77,7 +77,7 @@ def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, pictur
 def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None:
     clip = prepared(picture, {"transfer": transfer}, light=light)
     torch.testing.assert_close(
-        load_picture(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
+        load_image(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
     )  # fmt: skip
 
 

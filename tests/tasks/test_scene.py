@@ -11,7 +11,7 @@ from hfb.io.clip import Clip
 from hfb.io.media.pictures import write_matte, write_png
 from hfb.tasks.core import scene
 from hfb.tasks.core.handles import ClipHandle, FileHandle, StaleFile
-from hfb.tasks.core.scene import DecodedImages, load_mattes, load_observation, load_picture
+from hfb.tasks.core.scene import DecodedImages, load_image, load_mattes, load_observation
 from hfb.tasks.image.prepare import prepare
 
 
@@ -26,9 +26,9 @@ def clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClipHandle:
 
 
 def test_what_was_decoded_needs_its_file_no_more(clip: ClipHandle) -> None:
-    before = load_picture(clip.frames[0], clip)
+    before = load_image(clip.frames[0], clip)
     clip.frames[0].path.unlink()  # a task checks its files: see hfb.tasks.task
-    assert torch.equal(load_picture(clip.frames[0], clip), before)
+    assert torch.equal(load_image(clip.frames[0], clip), before)
 
 
 def test_what_a_task_changes_is_its_own(clip: ClipHandle, tmp_path: Path) -> None:
@@ -38,17 +38,17 @@ def test_what_a_task_changes_is_its_own(clip: ClipHandle, tmp_path: Path) -> Non
     kept = [one.clone() for one in (before.frames_linear, before.plate_linear, before.mattes)]
     for one in (before.frames_linear, before.plate_linear, before.mattes):
         one.zero_()
-    load_picture(clip.background, clip).zero_()
+    load_image(clip.background, clip).zero_()
     load_mattes((matte,)).zero_()
     after = load_observation(clip, (matte,))
     for one, other in zip((after.frames_linear, after.plate_linear, after.mattes), kept, strict=True):
         assert torch.equal(one, other)
-    assert torch.equal(load_picture(clip.frames[0], clip), kept[0][0])
+    assert torch.equal(load_image(clip.frames[0], clip), kept[0][0])
 
 
 def test_another_light_is_another_image(clip: ClipHandle) -> None:
     as_stored = clip.model_copy(update={"light": "srgb"})
-    assert not torch.equal(load_picture(clip.background, clip), load_picture(clip.background, as_stored))
+    assert not torch.equal(load_image(clip.background, clip), load_image(clip.background, as_stored))
 
 
 def test_nothing_is_kept_of_a_file_that_is_not_what_it_was(clip: ClipHandle, tmp_path: Path) -> None:
@@ -57,9 +57,9 @@ def test_nothing_is_kept_of_a_file_that_is_not_what_it_was(clip: ClipHandle, tmp
     right = FileHandle.of(tmp_path / "new.png")
     write_png(tmp_path / "new.png", np.ones((20, 30, 3), np.float32))
     with pytest.raises(StaleFile):
-        load_picture(right, clip)
+        load_image(right, clip)
     write_png(tmp_path / "new.png", np.zeros((20, 30, 3), np.float32))
-    assert load_picture(right, clip).max() == 0
+    assert load_image(right, clip).max() == 0
 
 
 def test_so_many_bytes_and_at_least_three() -> None:
