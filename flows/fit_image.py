@@ -16,7 +16,7 @@ from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.io.safe_folder import check_tree
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle

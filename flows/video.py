@@ -28,7 +28,7 @@ from hfb.flows.clip_steps import (
 from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in

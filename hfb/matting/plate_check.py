@@ -9,7 +9,7 @@ import numpy as np
 
 from hfb.matting.alignment import MOST_PX, find_movement, moved_plate
 from hfb.matting.camera_noise import GAINS, exposure_gain
-from hfb.matting.matting import clean, shrink
+from hfb.matting.matting_protocol import clean, shrink
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Bool, Float
 

@@ -16,8 +16,8 @@ from torch import Tensor
 from hfb.body.assets import load_body
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
-from hfb.io.media.picture_decoding import Picture, decode_picture
-from hfb.io.media.pictures import read_matte
+from hfb.io.media.images.image_decoding import Picture, decode_picture
+from hfb.io.media.images.image_io import read_matte
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
 from hfb.tasks.core.handles import ClipHandle, FileHandle, unchanged

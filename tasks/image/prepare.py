@@ -7,7 +7,7 @@ from pathlib import Path
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
-from hfb.io.media.picture_decoding import doubt_depths
+from hfb.io.media.images.image_decoding import doubt_depths
 from hfb.photometry import Transfer, as_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import Light, decode_once

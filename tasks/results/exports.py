@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 from hfb.config import ExportConfig, Film, FitConfig, Record
 from hfb.errors import InputError
-from hfb.interop.writers.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
@@ -88,7 +88,7 @@ def write_motion_files(
         config: which formats.
         folder: where the files go.
     """
-    from hfb.interop.writers.files import Exported, write_motion_file
+    from hfb.interop.writers.exports import Exported, write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
 
@@ -147,7 +147,7 @@ def write_film(film: Film, shot: Shot, folder: Path) -> Path:
         shot: what it is drawn from.
         folder: where it goes.
     """
-    from hfb.io.media.video_writing import VideoWriter
+    from hfb.io.media.video.video_writing import VideoWriter
     from hfb.report import slow_motion
 
     path = folder / FILM_NAMES[film]

@@ -95,7 +95,7 @@ def reload_shot(
     Raises:
         InputError: see `reload_images`.
     """
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.slow_motion import Shot
     from hfb.tasks.core.scene import in_light
@@ -132,7 +132,7 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: 
 
 
 def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> SeenImages:
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tasks.core.scene import in_light, load_camera
     from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
 

@@ -55,7 +55,7 @@ class ResultHandle(FileHandle):
             average: how many frames of the video are one of the clip.
             video_hz: frames per second of the video, before they are averaged.
         """
-        from hfb.interop.readers import own
+        from hfb.interop.readers.systems import own
 
         if self.system == own.SYSTEM:
             return (first or 0) + number
@@ -168,7 +168,7 @@ def read_result(
     Raises:
         InputError: it cannot be read, is about other pictures, or has no such person.
     """
-    from hfb.interop.readers.picture_names import ClipPictures
+    from hfb.interop.readers.image_names import ClipPictures
     from hfb.interop.readers.pose_track import PoseTrack, save_track
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses

@@ -43,8 +43,8 @@ def look_at_clip(
     Raises:
         InputError: not one frame can be decoded, or what is told about the clip does not fit it.
     """
-    from hfb.io.media.clip_lens import clip_lens
     from hfb.io.media.footage import open_footage
+    from hfb.io.media.lens.clip_lens import clip_lens
     from hfb.io.media.timing import settle_timing
 
     clip = inputs.clip
@@ -93,7 +93,7 @@ def find_background(
         InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
             camera or size.
     """
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.io.media.plate import find_plate
 
     if given is not None:
@@ -122,7 +122,7 @@ def find_person(
     Raises:
         InputError: the chosen one is not there.
     """
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -149,7 +149,7 @@ def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle 
     Raises:
         InputError: nobody is.
     """
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -233,8 +233,8 @@ def _numbers(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _from_json(value: Any) -> Any:
-    from hfb.io.media.lens import Lens
-    from hfb.io.media.video_index import VideoIndex
+    from hfb.io.media.lens.lens import Lens
+    from hfb.io.media.video.video_index import VideoIndex
 
     if not isinstance(value, dict):
         return value

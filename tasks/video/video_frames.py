@@ -66,7 +66,7 @@ class BetweenCall(SeenFrameCall):
 @task("frames", where="worker")
 def extract_frames(call: ExtractCall) -> FramesHandle:
     """Write some frames as images, so that no later step has to read the video."""
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.tasks.video.video_clip import reading
 
     start, stop, bits = call.start, call.stop, call.footage.bits
@@ -87,7 +87,7 @@ def find_matte(call: MatteCall) -> MatteHandle:
     """Estimate the matte of one frame; a frame without anybody is a gap, and no failure."""
     import numpy as np
 
-    from hfb.io.media.pictures import write_matte
+    from hfb.io.media.images.image_io import write_matte
     from hfb.matting.methods import make_matting
     from hfb.tasks.core.scene import load_image
     from hfb.tracking.tracks import keep_person, surroundings

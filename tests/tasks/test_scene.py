@@ -8,7 +8,7 @@ import torch
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.clip import Clip
-from hfb.io.media.pictures import write_matte, write_png
+from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.tasks.core import scene
 from hfb.tasks.core.handles import ClipHandle, FileHandle, StaleFile
 from hfb.tasks.core.scene import DecodedImages, load_image, load_mattes, load_observation

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.interop.readers import amass, gvhmr, hybrik, joints, keypoints, own, phalp, pymaf, sam3d, tram, wham
+from hfb.interop.readers.image_names import ClipPictures, by_pictures
 from hfb.interop.readers.joining import JOINT, joined
-from hfb.interop.readers.picture_names import ClipPictures, by_pictures
 from hfb.interop.readers.pose_track import PoseTrack, tidy
+from hfb.interop.readers.systems import amass, gvhmr, hybrik, keypoints, own, phalp, pymaf, sam3d, tram, wham
+from hfb.interop.readers.systems import joint_files as joints
 from hfb.io.safe.contents import named, read_contents
 
 _ANY_CLIP = ClipPictures()

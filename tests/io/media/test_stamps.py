@@ -7,9 +7,9 @@ import av
 import numpy as np
 import pytest
 
-from hfb.io.media import video_index
 from hfb.io.media.footage import Footage, open_footage
-from hfb.io.media.video_file import open_video
+from hfb.io.media.video import video_index
+from hfb.io.media.video.video_file import open_video
 from tests.io.media.videos import numbers_in, picture, write_video
 
 FRAMES = [picture(number) for number in range(60)]
