@@ -7,7 +7,6 @@ package that was moved, finds the kernels of the same sources; a change in any f
 # (numba compiles these: its types are not mypy's)
 
 import atexit
-import inspect
 import logging
 import os
 import pickle

@@ -290,6 +290,7 @@ def test_half_precision_is_near_whole(tmp_path: Path) -> None:
     np.testing.assert_array_equal(weights(frame, plate), found)
 
 
+@pytest.mark.integration
 def test_what_is_no_network_is_told_by_the_file_alone(tmp_path: Path) -> None:
     """Before torch is loaded: options are checked within half a second."""
     for name in ("text.pth", "text.onnx"):
@@ -341,6 +342,7 @@ print("alpha", given.arrays[0].mean())
 """
 
 
+@pytest.mark.integration
 def test_a_script_that_names_an_operator_of_torchvision(tmp_path: Path) -> None:
     """As BackgroundMattingV2's does; torch alone refuses to open it."""
     path = str(tmp_path / "names.pth")
