@@ -17,6 +17,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import platformdirs
 import pytest
 from hypothesis import settings
+from hypothesis.configuration import set_hypothesis_home_dir
 from jaxtyping import install_import_hook
 
 import hfb
@@ -42,8 +43,9 @@ _LEAVES = [
 if not os.environ.get("HFB_BENCH"):  # what is timed is what users run, without the checks
     install_import_hook(_LEAVES, "tests.typechecking.checked")
 
+set_hypothesis_home_dir(platformdirs.user_cache_path("hfb") / "hypothesis")  # and nothing into the checkout
 # A first call compiles kernels or waits for a busy machine: how long a case takes is no matter of right or wrong.
-settings.register_profile("hfb", deadline=None, derandomize=True)
+settings.register_profile("hfb", deadline=None, derandomize=True, database=None)
 settings.load_profile("hfb")
 
 
