@@ -26,6 +26,7 @@ _FOLDERS = {
 }  # fmt: skip
 _FIXTURES = {"here": "team", "store": "integration"}
 _PROCESSES = {"os.exec", "os.fork", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"}
+_FIRST = "test_compilation.py"  # compiles all kernels, where nobody has yet, for the tests after it
 _started: list[str] = []
 
 
@@ -53,7 +54,7 @@ def mark(items: list[pytest.Item], folder: PurePath) -> None:
         if kind not in marks:
             item.add_marker(kind)
         first[item.path] = min(order.index(kind), first.get(item.path, len(order)))
-    items.sort(key=lambda item: first[item.path])
+    items.sort(key=lambda item: -1 if item.path.name == _FIRST else first[item.path])
 
 
 def shared_by(nodeid: str) -> str:
