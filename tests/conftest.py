@@ -80,3 +80,12 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
     """The embedded example, small."""
     return tiny_problem(tmp_path_factory.mktemp("problem"))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Real pictures beside the project; tests that need them are skipped elsewhere."""
+    folder = Path(os.environ.get("HFB_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no shared data in {folder} (set HFB_SHARED_DATA)")
+    return folder
