@@ -49,12 +49,14 @@ def mark(items: list[pytest.Item], folder: PurePath) -> None:
     first: dict[PurePath, int] = {}
     order = list(KINDS)
     for item in items:
+        if folder not in item.path.parents:
+            continue
         marks = {one.name for one in item.iter_markers()}
         kind = kind_of(item.path.relative_to(folder), tuple(getattr(item, "fixturenames", ())), marks)
         if kind not in marks:
             item.add_marker(kind)
         first[item.path] = min(order.index(kind), first.get(item.path, len(order)))
-    items.sort(key=lambda item: -1 if item.path.name == _FIRST else first[item.path])
+    items.sort(key=lambda item: -1 if item.path.name == _FIRST else first.get(item.path, len(order)))
 
 
 def shared_by(nodeid: str) -> str:
