@@ -140,7 +140,15 @@ def children(process: int) -> list[int]:
 
 def computing(process: int) -> list[int]:
     """The worker processes of a command."""
-    return [one for one in children(process) if b"spawn_main" in (Path("/proc") / str(one) / "cmdline").read_bytes()]
+    return [worker for one in children(process) if b"forkserver" in command_line(one) for worker in children(one)]
+
+
+def command_line(process: int) -> bytes:
+    """Of a process; nothing where it has ended meanwhile."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def assert_every_frame_once(store: Path, frames: Sequence[int] = range(FRAMES)) -> None:

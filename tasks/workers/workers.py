@@ -15,6 +15,7 @@ import multiprocessing.synchronize
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -35,6 +36,8 @@ R = TypeVar("R")
 _ATTEMPTS = 3
 _log = logging.getLogger(__name__)
 _LAST_WORDS_S = 0.5
+_PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
+"""Modules that no worker needs, or that start threads when they are imported."""
 
 
 class _Pool:
@@ -48,11 +51,11 @@ class _Pool:
         self._executor = self._started()
 
     def _started(self) -> ProcessPoolExecutor:
-        # spawn: a forked child would inherit locks that threads of the parent hold
-        context = multiprocessing.get_context("spawn")
+        context = _fork_server()
         # one per set of processes: a process that is killed while it writes leaves its queue locked
         self._records = _Records(context)
-        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._records.queue,))
+        begin = (self._records.queue, dict(os.environ))
+        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=begin)
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         for _ in range(_ATTEMPTS):
@@ -95,10 +98,21 @@ class _Pool:
         self._records.close()
 
 
+def _fork_server() -> multiprocessing.context.ForkServerContext:
+    """Start workers as forks of a process that has imported what computes and has no threads.
+
+    A fork of this process would inherit locks that its threads hold; a fresh process takes seconds to import torch.
+    """
+    context = multiprocessing.get_context("forkserver")
+    ours = [name for name in sys.modules if name.startswith("hfb.") and not name.startswith(_PARENT_ONLY)]
+    context.set_forkserver_preload(["torch", *ours])
+    return context
+
+
 class _Records:
     """What workers log, said by this process: its handlers know the log file and the display."""
 
-    def __init__(self, context: multiprocessing.context.SpawnContext) -> None:
+    def __init__(self, context: multiprocessing.context.ForkServerContext) -> None:
         self._reader, writer = context.Pipe(duplex=False)
         self._end_reader, self._end = context.Pipe(duplex=False)
         self.queue = _RecordQueue(writer, context.Lock())
@@ -254,7 +268,9 @@ def _timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kw
         return bare(function)(*args, **kwargs), time.monotonic() - began
 
 
-def _begin(records: Any) -> None:
+def _begin(records: Any, environment: dict[str, str]) -> None:
+    os.environ.clear()
+    os.environ.update(environment)  # the fork server has the one of its own start
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     logging.captureWarnings(True)
     handler = logging.handlers.QueueHandler(records)

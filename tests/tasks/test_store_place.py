@@ -178,6 +178,7 @@ def said(script: str, *words: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.integration
 def test_a_full_disk_is_told_before_work_begins(tmp_path: Path) -> None:
     told = said(FULL, f"sqlite:///{tmp_path}/mlflow.db")
     assert "cannot be recorded" in told
@@ -185,6 +186,7 @@ def test_a_full_disk_is_told_before_work_begins(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_what_belongs_to_somebody_else(kind: str, tmp_path: Path) -> None:

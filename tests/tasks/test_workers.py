@@ -14,6 +14,8 @@ import pytest
 from hfb.tasks.workers.engine import Stopped
 from hfb.tasks.workers.workers import WorkerLost, busy_share, measure_utilisation, run_local, stop_computing, workers
 
+pytestmark = pytest.mark.integration
+
 
 def process_id(_: int) -> int:
     time.sleep(0.05)
