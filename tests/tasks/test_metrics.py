@@ -70,6 +70,7 @@ def test_the_dashboard_asks_for_what_is_served(port: int) -> None:
     assert len(plain) == 9
 
 
+@pytest.mark.integration
 def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the driver's program tells of them; there is no GPU where these tests run."""
     program = tmp_path / "nvidia-smi"
