@@ -16,7 +16,7 @@ from hfb.errors import InputError, NotNow, ServerLost, Unavailable
 from hfb.flows.people import run_clip
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
 from hfb.flows.runtime.workplace import workplace
-from hfb.interop.writers.names import RESULT
+from hfb.interop.writers.export_names import RESULT
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
 from hfb.io.toml_file import read_toml, to_record

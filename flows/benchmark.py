@@ -16,7 +16,7 @@ from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workplace import publish, workplace
-from hfb.interop.writers.names import REPORT
+from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
 from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate

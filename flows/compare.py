@@ -14,7 +14,7 @@ from hfb.evaluation.motion_difference import MotionDifference, motion_difference
 from hfb.flows.runtime.summary import number_text
 from hfb.flows.runtime.workplace import check_writable
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.pictures import read_picture_srgb, stored_png
+from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion

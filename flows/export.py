@@ -11,10 +11,10 @@ from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.flows.runtime.workplace import beside_result
-from hfb.interop.writers.files import Exported, write_motion_file
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.interop.writers.exports import Exported, write_motion_file
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
-from hfb.interop.writers.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
-from hfb.io.media.pictures import stored_png
+from hfb.io.media.images.image_io import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip

@@ -14,7 +14,7 @@ from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workplace import publish, workplace
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.core.task import code_version

@@ -8,7 +8,7 @@ from typing import Any
 
 from hfb.errors import InputError, NotNow
 from hfb.flows.runtime.workplace import workplace
-from hfb.interop.writers.names import RECORD, RESULT
+from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.footage_names import natural_order
 from hfb.tasks.results.stored_runs import find_run, result_facts

@@ -10,7 +10,7 @@ from typing import Any
 from hfb.body.model import Body
 from hfb.errors import InputError
 from hfb.flows.runtime.workplace import INTERMEDIATE, beside_result, check_writable
-from hfb.interop.writers.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
+from hfb.interop.writers.export_names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.motion.motion_file import load_motion

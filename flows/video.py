@@ -30,7 +30,7 @@ from hfb.flows.runtime.clip_place import clip_place
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.trouble import ask_server
 from hfb.flows.runtime.workplace import publish
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.task import code_version
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle

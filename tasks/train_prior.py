@@ -71,7 +71,7 @@ def gather(
     Raises:
         InputError: no motion to learn from.
     """
-    from hfb.datasets.motion_windows import draw_columns, split_motions, take_poses
+    from hfb.datasets.motions.motion_windows import draw_columns, split_motions, take_poses
     from hfb.datasets.motions.sources import open_motions
     from hfb.motion.motion_file import write_arrays
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from hfb.config import RunConfig
-from hfb.datasets.clip_making import MadeClip, make_clip
+from hfb.datasets.synthetic.clip_making import MadeClip, make_clip
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.tasks.workers.engine import Engine
 from tests.orchestration import _session_folder, mlflow_rows, orchestrated

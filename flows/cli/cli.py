@@ -136,7 +136,7 @@ def command_line() -> argparse.ArgumentParser:
     reproduce = _command(
         commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
     )
-    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a file of infra/experiments, by name")
+    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a table of the paper")
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, methods=None)
 
@@ -257,7 +257,9 @@ def _benchmark(given: argparse.Namespace) -> None:
 
 
 def _reproduce(given: argparse.Namespace) -> None:
-    experiment = judging.experiment_of(given.experiment)
+    from hfb.evaluation.experiments import find_experiment
+
+    experiment = find_experiment(given.experiment)
     given.set, given.fill = experiment.set, experiment.fill
     given.count = given.count or experiment.count
     given.methods = given.methods or ",".join(experiment.methods)

@@ -119,7 +119,7 @@ def synth_clip(given: argparse.Namespace) -> None:
         from hfb.tasks.telemetry import progress
 
         with progress.step("libraries"):
-            from hfb.datasets.clip_making import make_clip
+            from hfb.datasets.synthetic.clip_making import make_clip
         wide = 640 if given.size is None else given.size
         even = 2 if given.mp4 else 1  # H.264 takes no odd number of pixels
         height, width = (even * round(side / even) for side in (0.75 * wide, wide))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError, NotNow
-from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
+from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind

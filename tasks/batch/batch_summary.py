@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.errors import InputError
-from hfb.interop.writers.names import REPORT, RESULT
+from hfb.interop.writers.export_names import REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
@@ -206,7 +206,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 def _is_thumbnail(path: Path) -> bool:
     """Whether it is a small JPEG: the folder may be from somebody else."""
-    from hfb.io.media.pictures import picture_size
+    from hfb.io.media.images.image_io import picture_size
 
     try:
         if path.is_symlink() or path.stat().st_size > _THUMBNAIL_BYTES:

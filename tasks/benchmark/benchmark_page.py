@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.interop.writers.names import REPORT
+from hfb.interop.writers.export_names import REPORT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.benchmark.benchmark_results import ResultsHandle
 from hfb.tasks.benchmark.judge_case import JudgedHandle

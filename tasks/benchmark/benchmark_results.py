@@ -76,7 +76,7 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 
     Shown are the cases at fixed ranks of fitted over initial error, so that nobody chooses what is seen.
     """
-    from hfb.io.media.pictures import read_picture_srgb, write_png
+    from hfb.io.media.images.image_io import read_picture_srgb, write_png
     from hfb.report.strip import captioned
 
     rows = [(json.loads(one.path.read_text()), one) for one in judged]

@@ -81,7 +81,7 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
         InputError: nothing can be used; the sentence gives the first reasons.
     """
     if isinstance(spec, RealSpec):
-        from hfb.datasets.real.windows import real_windows
+        from hfb.datasets.real.case_windows import real_windows
 
         windows, refused = real_windows(spec)
         usable: Sequence[int] = range(len(windows))
@@ -157,7 +157,7 @@ def _make(spec: Spec, number: int, usable: Sequence[int], folder: Path) -> CaseH
 
         make_numbered_real_case(spec, number, folder)
     else:
-        from hfb.datasets.synthesis import make_case as make
+        from hfb.datasets.synthetic.synthesis import make_case as make
 
         make(spec, number, usable, folder)
     files = sorted(path for path in folder.iterdir() if path.is_file())

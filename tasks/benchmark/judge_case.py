@@ -49,7 +49,7 @@ def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder
     from hfb.evaluation.baselines.build import make_method
     from hfb.evaluation.judge import judge
     from hfb.fitting.alternatives import save_alternatives
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import save_motion
     from hfb.motion.static_pose import load_first_body
     from hfb.report.comparison import draw_comparison
@@ -92,7 +92,7 @@ def source_of(case: Case) -> str:
 
 def _sharp(case: Case) -> np.ndarray | None:
     """The true sub-frames; a case of real video need not have them."""
-    from hfb.datasets.sharp import load_sharp
+    from hfb.datasets.synthetic.sharp import load_sharp
 
     if not all(path.exists() for path in case.sharp_paths()):
         return None

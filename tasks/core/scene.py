@@ -10,7 +10,7 @@ from torch import Tensor
 from hfb.body.assets import load_body
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
-from hfb.io.media.pictures import read_matte, read_picture_srgb
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
 from hfb.tasks.core.handles import ClipHandle, FileHandle

@@ -7,7 +7,7 @@ from hfb.config import FitConfig
 from hfb.fitting.alternatives import direction_record, save_alternatives
 from hfb.fitting.loop import fit
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.priors.load import load_pose_prior

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from hfb.config import MattingConfig
-from hfb.io.media.pictures import write_matte
+from hfb.io.media.images.image_io import write_matte
 from hfb.matting.methods import make_matting
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_picture

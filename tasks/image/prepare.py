@@ -6,7 +6,7 @@ from pathlib import Path
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
-from hfb.io.media.picture_decoding import decode_picture, doubt_depths
+from hfb.io.media.images.image_decoding import decode_picture, doubt_depths
 from hfb.photometry import Transfer, as_srgb
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.task import task
@@ -28,7 +28,7 @@ def prepare(
         InputError: a file is no picture, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.matting.plate_doubts import doubt_plate
+    from hfb.matting.plate_check import doubt_plate
     from hfb.photometry import srgb_to_linear
 
     pictures = _Pictures(clip.transfer)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.fitting.alternatives import what_is_unknown
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion
 from hfb.rendering.backends import make_rasterizer
 from hfb.report.strip import draw_strip

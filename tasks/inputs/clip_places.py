@@ -271,7 +271,7 @@ def _inside(folder: Path) -> tuple[Path, ...]:
     frames = tuple(path for path in pictures_in(place) if not is_plate(path))
     if not frames:
         for other in others_in(place):
-            from hfb.io.media.picture_access import no_picture
+            from hfb.io.media.images.image_access import no_picture
 
             raise no_picture(other)
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")

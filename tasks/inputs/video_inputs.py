@@ -7,7 +7,7 @@ from typing import Literal
 
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
-from hfb.interop.writers.names import check_formats
+from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, PersonChoice, read_clip
 from hfb.tasks.core.handles import FileHandle, digest
 from hfb.tasks.inputs.clip_places import plate_beside, resolve_source

@@ -91,7 +91,7 @@ def earlier_shot(
     Raises:
         InputError: see `pictures_of`.
     """
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.slow_motion import Shot
     from hfb.tasks.core.scene import in_light
@@ -125,7 +125,7 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str
 
 
 def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, folder: Path) -> Pictures:
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tasks.core.scene import in_light, load_camera
     from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 from hfb.config import ExportConfig, Record
 from hfb.errors import InputError
-from hfb.interop.writers.names import FILE_NAMES, NEEDS_BODY
+from hfb.interop.writers.export_names import FILE_NAMES, NEEDS_BODY
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.task import task
 from hfb.tasks.telemetry import progress
@@ -49,7 +49,7 @@ def export_files(
 def _export_files(
     motion: FileHandle, texture: FileHandle | None, body: FileHandle | None, config: ExportConfig, folder: Path
 ) -> ExportsHandle:
-    from hfb.interop.writers.files import Exported, write_motion_file
+    from hfb.interop.writers.exports import Exported, write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.config import Film, FitConfig, RunConfig
-from hfb.interop.writers.names import FILM_NAMES
+from hfb.interop.writers.export_names import FILM_NAMES
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.task import task
 from hfb.tasks.results.export_files import ExportsHandle
@@ -63,7 +63,7 @@ def draw_film(
 
 def write_film(film: Film, shot: Shot, folder: Path) -> Path:
     """Draw one film of a shot into a folder; says how far it is."""
-    from hfb.io.media.video_writing import VideoWriter
+    from hfb.io.media.video.video_writing import VideoWriter
     from hfb.report import slow_motion
 
     path = folder / FILM_NAMES[film]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hfb.config import FitConfig, Record
 from hfb.errors import InputError
-from hfb.interop.writers.names import CURVES, PAGE_FILM, REPORT
+from hfb.interop.writers.export_names import CURVES, PAGE_FILM, REPORT
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
 from hfb.tasks.core.task import task
 from hfb.tasks.core.video_handles import WindowHandle
@@ -93,7 +93,7 @@ def shows_another_motion(film: Path, motion_sha256: str) -> bool:
 
 def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
     """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
-    from hfb.io.media.video_writing import VideoWriter
+    from hfb.io.media.video.video_writing import VideoWriter
     from hfb.report import page_film as small
     from hfb.report.slow_motion import FILM_FPS
 
@@ -128,7 +128,7 @@ def page_text(
     Raises:
         InputError: a file is not what it should be.
     """
-    from hfb.io.media.pictures import stored_png
+    from hfb.io.media.images.image_io import stored_png
     from hfb.motion.motion_file import load_motion
     from hfb.report.page_film import page_slow_factor
     from hfb.report.result_curves import read_curves

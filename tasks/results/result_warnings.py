@@ -70,7 +70,7 @@ def _look_for_warnings(
 
     from hfb.evaluation.metrics import soft_iou
     from hfb.evaluation.protocol import pose_rows
-    from hfb.matting.matting import shrink
+    from hfb.matting.matting_protocol import shrink
     from hfb.motion.motion_file import load_motion
     from hfb.photometry import linear_to_srgb
     from hfb.rendering.backends import make_rasterizer

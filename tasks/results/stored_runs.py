@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.interop.writers.names import RECORD, RESULT
+from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.json_file import read_json
 from hfb.io.media.footage_names import natural_order
 from hfb.io.safe_folder import special_kind

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
-from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RESULT
+from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RESULT
 from hfb.tasks.core.handles import FileHandle, FitHandle, ScoresHandle, digest
 from hfb.tasks.core.task import code_version, task
 from hfb.tasks.inputs.inputs import Inputs, input_hashes

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
-from hfb.interop.writers.names import RESULT
+from hfb.interop.writers.export_names import RESULT
 from hfb.tasks.core.handles import FileHandle, digest
 from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes

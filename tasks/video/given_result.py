@@ -50,7 +50,7 @@ class ResultHandle(FileHandle):
             first: of the result, where it is told. began, average: of the clip, see `hfb.io.media.footage.Footage`.
             video_hz: frames per second of the video, before they are averaged.
         """
-        from hfb.interop.readers import own
+        from hfb.interop.readers.systems import own
 
         if self.system == own.SYSTEM:
             return (first or 0) + number
@@ -202,11 +202,11 @@ def _read_result(
     frames: int,
     folder: Path,
 ) -> ResultHandle:
-    from hfb.interop.readers.picture_names import ClipPictures
+    from hfb.interop.readers.image_names import ClipPictures
     from hfb.interop.readers.pose_track import PoseTrack, save_track
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses
-    from hfb.io.media.pictures import read_matte
+    from hfb.io.media.images.image_io import read_matte
     from hfb.tasks.core.scene import load_chosen_body
 
     model = load_chosen_body(body)

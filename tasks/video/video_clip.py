@@ -120,8 +120,8 @@ def _look_at_clip(
     exposure: ExposureConfig,
     folder: Path,
 ) -> FootageHandle:
-    from hfb.io.media.clip_lens import clip_lens
     from hfb.io.media.footage import open_footage
+    from hfb.io.media.lens.clip_lens import clip_lens
     from hfb.io.media.timing import settle_timing
 
     paths = [file.path for file in video]
@@ -156,7 +156,7 @@ def _look_at_clip(
 def _find_background(
     footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
 ) -> PlateHandle:
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.io.media.plate import find_plate
 
     if given is not None:
@@ -173,7 +173,7 @@ def _find_background(
 def _find_person(
     footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
 ) -> TrackHandle:
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -189,7 +189,7 @@ def _find_person(
 
 
 def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
-    from hfb.io.media.pictures import read_picture_srgb
+    from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -237,8 +237,8 @@ def _numbers(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _from_json(value: Any) -> Any:
-    from hfb.io.media.lens import Lens
-    from hfb.io.media.video_index import VideoIndex
+    from hfb.io.media.lens.lens import Lens
+    from hfb.io.media.video.video_index import VideoIndex
 
     if not isinstance(value, dict):
         return value

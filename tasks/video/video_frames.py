@@ -75,7 +75,7 @@ def find_body_between(
 
 
 def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> FramesHandle:
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.tasks.video.video_clip import reading
 
     paths = []
@@ -101,7 +101,7 @@ def _matte(
 ) -> MatteHandle:
     import numpy as np
 
-    from hfb.io.media.pictures import write_matte
+    from hfb.io.media.images.image_io import write_matte
     from hfb.matting.methods import make_matting
     from hfb.tasks.core.scene import load_picture
     from hfb.tracking.tracks import keep_person, surroundings

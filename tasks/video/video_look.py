@@ -147,7 +147,7 @@ def _draw_clip(
     folder: Path,
 ) -> FileHandle:
     from hfb.fitting.clip_person import load_person
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.strip import draw_strip
@@ -167,7 +167,7 @@ def _draw_clip(
 
 def _draw_texture(light: str, person: FileHandle, folder: Path) -> FileHandle:
     from hfb.fitting.clip_person import load_person
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.photometry import linear_to_srgb
 
     texture = load_person(person.path).texture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hfb.flows.cli.cli import main
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from tests.orchestration import TINY_OPTIONS, Problem
 
 

@@ -55,7 +55,7 @@ def test_a_tutorial_runs(name: str, tmp_path: Path, store: Path, monkeypatch: py
 
 def test_a_calibration_by_the_book_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hfb.io.clip import ClipCamera
-    from hfb.io.media.clip_lens import clip_lens
+    from hfb.io.media.lens.clip_lens import clip_lens
 
     _photograph_chessboard(tmp_path / "chessboard")
     monkeypatch.chdir(tmp_path)

@@ -40,7 +40,7 @@ def main() -> None:
     }  # fmt: skip
     clip = given.folder / f"clip-{given.frames}"
     if not (clip / "truth.npz").exists():
-        from hfb.datasets.clip_making import make_clip
+        from hfb.datasets.synthetic.clip_making import make_clip
 
         make_clip(clip, given.frames, given.height, given.width, seed=1)
     command = [

@@ -21,7 +21,7 @@ from hfb.priors.mixture import shipped_mixture
 from hfb.priors.motion_prior import load_motion_prior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.texture import texel_faces
+from hfb.rendering.texels import texel_faces
 from tests.bench.jobs import with_pose_blend_shapes
 from tests.fitting.scenes import true_evidence
 from tests.scenes import Scene, moving_scene

@@ -10,7 +10,7 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.config import RunConfig
-from hfb.datasets.clip_making import _make_room
+from hfb.datasets.synthetic.clip_making import _make_room
 from hfb.errors import InputError, NotNow
 from hfb.flows.compare import _check_room
 from hfb.flows.export import export_result

@@ -17,7 +17,7 @@ from hfb.errors import InputError
 from hfb.flows.fit_image import fit_image
 from hfb.flows.rerun import plan_rerun, run_again, with_networks
 from hfb.flows.video import run_video
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
 from hfb.tasks.core.handles import FileHandle

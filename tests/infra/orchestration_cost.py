@@ -77,7 +77,7 @@ def command(arguments: list[str]) -> int:
 
 def long_clip(place: Path, frames: int, real: bool) -> Path:
     """The folder of a clip of any length."""
-    from hfb.datasets.clip_making import make_clip
+    from hfb.datasets.synthetic.clip_making import make_clip
 
     size = (480, 640) if real else (48, 64)
     made, clip = place / f"made-{size[0]}", place / f"clip-{size[0]}-{frames}"

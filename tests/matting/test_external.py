@@ -14,11 +14,11 @@ from torch import Tensor
 from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.io.toml_file import to_record
-from hfb.matting.matting import Matting
+from hfb.matting.matting_protocol import Matting
 from hfb.matting.methods import make_matting
 from hfb.matting.user_networks.bgmv2_network import MattingNetwork
 from hfb.matting.user_networks.external import BackgroundMattingV2, RobustVideoMatting
-from hfb.networks.files import check_network_file
+from hfb.networks.network_files import check_network_file
 from hfb.photometry import linear_to_srgb
 from tests.matting.networks import DifferenceMatting, RememberingMatting, save_scripted
 
@@ -304,7 +304,7 @@ def test_what_is_no_network_is_told_by_the_file_alone(tmp_path: Path) -> None:
         check_network_file(tmp_path / "weights.pth")
     check_network_file(save_scripted(DifferenceMatting(), tmp_path / "bgm.pth"))
     check_network_file(onnx_network(tmp_path / "bgm.onnx"))
-    program = "import sys, hfb.networks.files; print('torch' in sys.modules)"
+    program = "import sys, hfb.networks.network_files; print('torch' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert said == "False\n"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hfb.evaluation.tables import summarize, table_markdown
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.report import benchmark_page as pages
 from hfb.report.benchmark_page import Answer, benchmark_page
 from hfb.report.markdown import markdown

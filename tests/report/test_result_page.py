@@ -10,7 +10,7 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page

@@ -9,7 +9,7 @@ import pytest
 
 from hfb.config import InitConfig, RunConfig
 from hfb.errors import InputError, NotNow
-from hfb.io.media.picture_files import footage_files
+from hfb.io.media.footage_files import footage_files
 from hfb.tasks.batch.batch_ledger import stamp_of
 from hfb.tasks.core.handles import FileHandle, files_in
 from hfb.tasks.inputs.clip_places import find_clips, plate_beside, resolve_source

@@ -9,7 +9,7 @@ from PIL import Image
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.clip import Clip
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import load_camera, load_picture

@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 
 
 def read(path: Path) -> tuple[list[float], list[np.ndarray], av.container.InputContainer]:
@@ -59,7 +59,7 @@ FILM = """
 import sys
 from pathlib import Path
 import numpy as np
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 with VideoWriter(Path(sys.argv[1]), 30) as writer:
     for picture in np.random.default_rng(0).random((6, 128, 178, 3)).astype(np.float32):
         writer.write(picture)
