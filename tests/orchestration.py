@@ -96,8 +96,11 @@ def made_once(name: str, make: Callable[[Path], None]) -> Path:
     Args:
         name: with the versions that it depends on.
     """
-    path = _CACHE / name
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        _CACHE.mkdir(parents=True, exist_ok=True)
+        path = _CACHE / name
+    except OSError:  # no folder of the user's can be written
+        path = _session_folder() / name
     with FileLock(f"{path}.lock"):
         if not path.exists():
             part = path.with_name(f"part-{name}")
