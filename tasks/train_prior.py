@@ -12,8 +12,9 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version, task
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.run_record import RunHandle

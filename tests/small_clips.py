@@ -71,7 +71,7 @@ def run_clip(
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config = small_config(*more)
-    return run_video(take_video_inputs(source, config, None, background, truth), out, config, workers)
+    return run_video(take_video_inputs(source, config, None, background, truth=truth), out, config, workers)
 
 
 @functools.cache

@@ -60,6 +60,7 @@ def check_result(folder: Path, names: Iterable[str]) -> None:
     """Check a result's folder before its files are read; a result.json that is missing or damaged passes.
 
     Args:
+        folder: of the result.
         names: the files that will be read.
 
     Raises:

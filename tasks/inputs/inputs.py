@@ -62,6 +62,7 @@ def take_inputs(
     background: Path,
     config: RunConfig,
     clip: Path | None = None,
+    *,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
     out: Path | None = None,
@@ -69,6 +70,12 @@ def take_inputs(
     """Everything the user names, hashed.
 
     Args:
+        frames: blurred images, in their order.
+        background: the same view without the person.
+        config: all options.
+        clip: a clip.toml.
+        truth: of a synthetic case.
+        first_bodies: one file per frame, instead of estimating them.
         out: where results go, to be checked.
 
     Raises:
@@ -125,7 +132,10 @@ def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfi
     """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
 
     Args:
-        picture: where clip.toml says ``auto``, its own record counts. interval_s: between frames.
+        picture: where clip.toml says ``auto``, its own record counts.
+        exposure: what clip.toml says.
+        config: options of the exposure.
+        interval_s: between frames.
     """
     told = config.seconds or exposure.exposure_s(interval_s)
     if told is None and exposure.auto:

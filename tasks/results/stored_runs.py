@@ -32,7 +32,8 @@ class StoredRun:
 
     Attributes:
         started: UTC, to the second.
-        params, tags: text by name.
+        params: text by name.
+        tags: text by name.
         metrics: the last value by name.
     """
 

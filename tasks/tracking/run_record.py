@@ -62,6 +62,7 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
     """Find or create the run, and log everything into it; a finished one stays as it is.
 
     Args:
+        record: what the run will hold.
         paths: where the record's files lie, by name.
 
     Raises:

@@ -48,7 +48,7 @@ def made(problem: Problem, store: Path, tmp_path: Path) -> dict[str, Any]:
     (folder / "clip.toml").write_text(CLIP)
     aside(folder / problem.first_body.name)
     frame, plate, first = (folder / getattr(problem, name).name for name in ("frame", "background", "first_body"))
-    return fit_image([frame], plate, tmp_path / "out", MOVING, folder / "clip.toml", first_bodies=[first])
+    return fit_image([frame], plate, tmp_path / "out", MOVING, clip=folder / "clip.toml", first_bodies=[first])
 
 
 def aside(path: Path) -> None:
