@@ -15,6 +15,8 @@ from tests.documents import ROOT, code_blocks
 
 _TUTORIALS = sorted(path.name for path in (ROOT / "docs" / "tutorials").glob("*.md") if path.stem != "index")
 _LONGEST_S = 600
+_CACHE = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+"""Where kernels that are compiled already lie: a tutorial need not compile them again."""
 
 
 @pytest.mark.parametrize("name", _TUTORIALS)
@@ -70,7 +72,8 @@ def _photograph_chessboard(folder: Path) -> None:
 
 def _run(code: str, folder: Path) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "HOME": str(folder), "PYTHONPATH": str(ROOT)}
+    own = {"HOME": str(folder), "HFB_MODELS_DIR": str(folder / "models"), "XDG_CACHE_HOME": _CACHE}
+    environment = {**os.environ, **own, "PATH": path, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", code], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=_LONGEST_S,
