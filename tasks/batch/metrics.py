@@ -82,7 +82,7 @@ class Metrics:
 
 
 @contextmanager
-def served() -> Iterator[None]:
+def serve_metrics() -> Iterator[None]:
     """Serve figures while the block runs, if HFB_METRICS says where.
 
     Raises:
