@@ -50,7 +50,7 @@ def prefect_api() -> str:
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
-    (_session_folder() / "prefect").mkdir()
+    (_session_folder() / "prefect").mkdir(exist_ok=True)
     shutil.copy(prefect_tables(), _session_folder() / "prefect")
     PrefectServer().wait()
     return os.environ["PREFECT_API_URL"]
