@@ -21,7 +21,7 @@ from hfb.datasets.motions.gestures import (
     Gesture,
 )
 from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
-from hfb.datasets.motions.quaternions import from_axis_angle, multiply, to_axis_angle
+from hfb.geometry.quaternions import from_axis_angle, multiply, to_axis_angle
 from hfb.typing import Array, Float
 
 FPS = 120.0

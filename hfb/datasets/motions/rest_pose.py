@@ -6,10 +6,10 @@ import numpy as np
 
 from hfb.datasets.motions.bvh import BvhMotion
 from hfb.datasets.motions.joint_names import JointMap
-from hfb.datasets.motions.quaternions import between, conjugate, from_axes, from_axis_angle, multiply, rotate, unit
 from hfb.datasets.motions.trunk_frames import trunk_offsets
 from hfb.datasets.motions.world_axes import find_up
 from hfb.errors import InputError
+from hfb.geometry.quaternions import between, conjugate, from_axes, from_axis_angle, multiply, rotate, unit
 from hfb.typing import Array, Float
 
 _STILL = np.array([1.0, 0, 0, 0])

@@ -16,7 +16,9 @@ from hfb.datasets.motions.joint_names import JointMap, map_joints
 from hfb.datasets.motions.kinematics import rest_joints, to_local
 from hfb.datasets.motions.limbs import Limb, align_frame
 from hfb.datasets.motions.plausibility import without_impossible_ends
-from hfb.datasets.motions.quaternions import (
+from hfb.datasets.motions.rest_pose import Rest, find_rest
+from hfb.errors import InputError
+from hfb.geometry.quaternions import (
     between,
     conjugate,
     from_axis_angle,
@@ -26,8 +28,6 @@ from hfb.datasets.motions.quaternions import (
     to_axis_angle,
     unit,
 )
-from hfb.datasets.motions.rest_pose import Rest, find_rest
-from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}

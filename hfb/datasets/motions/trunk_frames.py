@@ -7,7 +7,7 @@ tells, where it is one. Else the motion does: on average hips, shoulders and spi
 import numpy as np
 
 from hfb.datasets.motions.joint_names import JointMap
-from hfb.datasets.motions.quaternions import conjugate, from_axes, multiply, unit
+from hfb.geometry.quaternions import conjugate, from_axes, multiply, unit
 from hfb.typing import Array, Float
 
 _FAR, _NEAR = (np.cos(np.deg2rad(angle) / 2) for angle in (45, 20))

@@ -7,8 +7,8 @@ pose, with all bones along one axis.
 import numpy as np
 
 from hfb.datasets.motions.joint_names import JointMap
-from hfb.datasets.motions.quaternions import unit
 from hfb.errors import InputError
+from hfb.geometry.quaternions import unit
 from hfb.typing import Array, Float
 
 _TRUNK, _LEGS = 0.7, 0.2

@@ -12,10 +12,10 @@ from hfb.datasets.motions.bvh import BvhMotion, read_bvh
 from hfb.datasets.motions.joint_names import map_joints
 from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.procedural import ProceduralMotions
-from hfb.datasets.motions.quaternions import from_axis_angle, rotate, unit
 from hfb.datasets.motions.resampling import has_jump
 from hfb.datasets.motions.retargeting import retarget
 from hfb.errors import InputError
+from hfb.geometry.quaternions import from_axis_angle, rotate, unit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.datasets.motions.skeletons import MIXAMO, Foreign, own_frames
 
