@@ -27,7 +27,7 @@ _MOST_GAIN = 0.05
 """Logarithm of the exposure that is left over; nothing where both belong together, 0.18 at a gain of 1.5."""
 
 
-def doubt_plate(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> str | None:
+def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> str | None:
     """What is wrong between a frame and its plate, one sentence; None where they belong together.
 
     Pictures of one size, in [0, 1].

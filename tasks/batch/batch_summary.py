@@ -37,9 +37,12 @@ class BatchSummary:
     """All clips of a batch, as its pages show them."""
 
     def __init__(self, title: str, out: Path, thumbnails: Path) -> None:
-        """
+        """Begin with no clip.
+
         Args:
-            title: of the pages. thumbnails: the folder for small pictures, which no clip's result can be in.
+            title: of the pages.
+            out: the folder that they go to.
+            thumbnails: the folder for small pictures, which no clip's result can be in.
         """
         self._title, self._out, self._thumbnails = title, out, thumbnails
         self._names: list[str] = []
@@ -73,7 +76,14 @@ class BatchSummary:
         self._remove_from(pages)
 
     def show(self, name: str, status: str, reason: str = "", link: str | None = None) -> None:
-        """Show what became of one clip: its page, and the first, which counts."""
+        """Show what became of one clip: its page, and the first, which counts.
+
+        Args:
+            name: of the clip.
+            status: what became of it.
+            reason: why, where it failed.
+            link: its page in MLflow.
+        """
         from hfb.report.batch_page import CLIPS_PER_PAGE
 
         self._clips[name] = self._row(name, status, reason, link)

@@ -244,6 +244,6 @@ def test_windows_together_are_the_windows_alone() -> None:
 def test_every_run_has_the_same_bits(device: str) -> None:
     first, again = (fits(device, SHORT, scenes(2)) for _ in range(2))
     for one, other in zip(first, again, strict=True):
-        assert one.history == other.history
+        assert one.loss == other.loss
         assert torch.equal(one.trajectory.rotation, other.trajectory.rotation)
         assert torch.equal(one.texture, other.texture)

@@ -9,7 +9,7 @@ import pytest
 from hfb.datasets.example import write_example
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.io.media.video.video_reading import average_frames, read_frames
-from hfb.matting.plate_check import doubt_plate
+from hfb.matting.plate_check import find_plate_mismatch
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite, generated_plate, seen
 from tests.matting.test_alignment import moved
@@ -39,23 +39,23 @@ def test_what_belongs_together_passes(shared_data: Path, number: int) -> None:
     scene = photograph(shared_data, number)
     noisy = seen(scene.frame, 0.03, np.random.default_rng(1))
     for frame in (scene.frame, noisy, lit(scene.frame, 0.82), lit(scene.frame, 1.22)):
-        assert doubt_plate(frame, scene.plate) is None
-    assert doubt_plate(lit(scene.frame, 1.1), shifted(scene.plate, 2.2, -1.5, 0.1)) is None
+        assert find_plate_mismatch(frame, scene.plate) is None
+    assert find_plate_mismatch(lit(scene.frame, 1.1), shifted(scene.plate, 2.2, -1.5, 0.1)) is None
 
 
 def test_what_does_not_is_told(shared_data: Path) -> None:
     scene = photograph(shared_data, 1)
     for movement in ((4, 2), (0, 6), (-10, 3), (0, 0, 1.5)):
-        said = doubt_plate(scene.frame, shifted(scene.plate, *movement))
+        said = find_plate_mismatch(scene.frame, shifted(scene.plate, *movement))
         assert said is not None
         assert "do not lie on each other" in said
         assert "exposure (by" not in said
     for gain in (0.5, 1.5):
-        said = doubt_plate(lit(scene.frame, gain), scene.plate)
+        said = find_plate_mismatch(lit(scene.frame, gain), scene.plate)
         assert said is not None
         assert f"differ in exposure (by a factor of about {gain}" in said
         assert "lie on each other" not in said
-    both = doubt_plate(lit(scene.frame, 1.6), shifted(scene.plate, 5, 2))
+    both = find_plate_mismatch(lit(scene.frame, 1.6), shifted(scene.plate, 5, 2))
     assert both is not None
     assert "do not lie on each other (about 5 px apart) and differ in exposure" in both
 
@@ -64,29 +64,29 @@ def test_the_example_moved_across_what_hides_it(tmp_path: Path) -> None:
     """The network takes the moved edges of this room for the person: outside of its matte nothing differs."""
     paths = write_example(tmp_path, 8)
     frame, plate = linear(paths.frame), linear(paths.background)
-    assert doubt_plate(frame, plate) is None
-    assert doubt_plate(frame, shifted(plate, 0, 6)) is not None
+    assert find_plate_mismatch(frame, plate) is None
+    assert find_plate_mismatch(frame, shifted(plate, 0, 6)) is not None
 
 
 def test_distances_are_the_pictures_own(shared_data: Path) -> None:
     scene = photograph(shared_data, 4)
     frame, plate = (cv2.resize(one, None, fx=4, fy=4) for one in (scene.frame, shifted(scene.plate, 4, 0)))
-    assert "about 16 px apart" in str(doubt_plate(frame, plate))
+    assert "about 16 px apart" in str(find_plate_mismatch(frame, plate))
 
 
 def test_without_edges_or_without_room_there_is_nothing_to_judge() -> None:
     flat = np.full((40, 30, 3), 0.3, np.float32)
-    assert doubt_plate(flat, flat) is None
-    assert doubt_plate(flat[:6, :5], flat[:6, :5]) is None
+    assert find_plate_mismatch(flat, flat) is None
+    assert find_plate_mismatch(flat[:6, :5], flat[:6, :5]) is None
     rng = np.random.default_rng(0)
-    assert doubt_plate(seen(generated_plate("flat"), 0.01, rng), generated_plate("flat")) is None
+    assert find_plate_mismatch(seen(generated_plate("flat"), 0.01, rng), generated_plate("flat")) is None
 
 
 def test_real_clips_pass(shared_data: Path) -> None:
     room = shared_data / "bodypose3d_walkin"
-    assert doubt_plate(linear(room / "f006.png"), linear(room / "plate.png")) is None
+    assert find_plate_mismatch(linear(room / "f006.png"), linear(room / "plate.png")) is None
     for folder, clip, plate in (
         ("pose2sim_balancing", "cam01_f000-059.mp4", "cam01_plate.png"), ("sports2d_park", "demo.mp4", "plate.png")
     ):  # fmt: skip
         frame = average_frames(read_frames(shared_data / folder / clip, 20, 26))
-        assert doubt_plate(frame, linear(shared_data / folder / plate)) is None
+        assert find_plate_mismatch(frame, linear(shared_data / folder / plate)) is None

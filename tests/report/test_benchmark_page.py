@@ -88,6 +88,7 @@ def test_markdown_is_tables_and_words_alone() -> None:
     assert "<img" not in html
 
 
+@pytest.mark.integration
 def test_in_a_browser(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text(made_page(tmp_path, beside_paper=BESIDE))

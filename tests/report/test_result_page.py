@@ -19,6 +19,8 @@ from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
 
+pytestmark = pytest.mark.integration
+
 BODY = load_default_body()
 NASTY = """</script><script>alert(1)</script><b>"'"""
 WIDTHS = (600, 1400)

@@ -20,7 +20,7 @@ from hfb.datasets.motions.resampling import resample
 from hfb.datasets.synthetic.scenery import draw_scenery
 from hfb.datasets.synthetic.shooting import NO_NOISE, Sensor
 from hfb.datasets.synthetic.viewpoints import PlacedCamera, View, front_of, in_camera, place
-from hfb.errors import NotNow
+from hfb.errors import TemporaryError
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.atomic import write_bytes_atomic
@@ -88,7 +88,7 @@ def make_clip(
         on_progress: called after every frame with (frames done, of how many).
 
     Raises:
-        NotNow: files lie there that no earlier call of this has put there.
+        TemporaryError: files lie there that no earlier call of this has put there.
     """  # noqa: E501
     _make_room(folder)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 3]))
@@ -119,7 +119,7 @@ def _make_room(folder: Path) -> None:
     ours, there = _made_before(folder), {name for name in (*_BESIDE_FRAMES, "clip.mp4") if (folder / name).exists()}
     there |= {f"frames/{path.name}" for path in pictures_in(folder / "frames")}
     if strange := sorted(there - ours):
-        raise NotNow(
+        raise TemporaryError(
             f"{folder} holds {strange[0]}, which `hfb synth clip` did not put there: "
             "move it away, or choose another --out"
         )

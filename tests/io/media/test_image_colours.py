@@ -209,7 +209,9 @@ def test_damaged_profiles_are_told(tmp_path: Path, icc: bytes) -> None:
 def test_the_user_is_told_of_frames_and_plate(tmp_path: Path) -> None:
     levels = np.round(SCENE * 255).astype(np.uint8)
     p3 = FileHandle.of(save(tmp_path / "p3.png", levels, profile(P3, SRGB_CURVE)))
-    told = prepare.fn((p3,), p3, Clip(), CameraConfig(), ExposureConfig()).remarks
+    told = prepare.fn(
+        frames=(p3,), background=p3, clip=Clip(), camera=CameraConfig(), exposure=ExposureConfig()
+    ).remarks
     assert told.count("p3.png has the colours of a test's colours: converted to sRGB") == 1
     assert any("converted to sRGB" in remark for remark in open_footage([p3.path]).remarks)
 

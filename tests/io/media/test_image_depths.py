@@ -15,7 +15,7 @@ from hfb.io.media.footage import open_footage
 from hfb.io.media.images.image_decoding import decode_picture, picture_size
 from hfb.io.media.images.image_io import read_matte, write_matte
 from hfb.io.media.plate import find_plate
-from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.image.prepare import prepare
 
 REPORTS = Path(__file__).parents[3] / "shared" / "reports"
@@ -126,9 +126,14 @@ def test_what_only_the_values_say_is_told(tmp_path: Path, bits: int) -> None:
     assert decode_picture(files[0]).seems_bits == bits
     sentence = f"seems to hold {bits} bits per channel in its 16, so that it is read {1 << 16 - bits} times too dark"
     handles = tuple(FileHandle.of(file) for file in files)
-    options = (CameraConfig(), ExposureConfig())
+
+    def prepared(frames: tuple[FileHandle, ...], clip: Clip) -> ClipHandle:
+        return prepare.fn(
+            frames=frames, background=handles[1], clip=clip, camera=CameraConfig(), exposure=ExposureConfig()
+        )
+
     with pytest.raises(InputError, match=sentence):
-        prepare.fn(handles[:1], handles[1], Clip(), *options)
+        prepared(handles[:1], Clip())
     with pytest.raises(InputError, match=sentence):
         open_footage(tmp_path)
     (tmp_path / "bright").mkdir()
@@ -137,10 +142,10 @@ def test_what_only_the_values_say_is_told(tmp_path: Path, bits: int) -> None:
         find_plate(open_footage([bright]), files[0])
     # Linear light may be as dark: a word, no more.
     linear = Clip.model_validate({"transfer": "linear"})
-    assert any(sentence in remark for remark in prepare.fn(handles[:1], handles[1], linear, *options).remarks)
+    assert any(sentence in remark for remark in prepared(handles[:1], linear).remarks)
     assert any(sentence in remark for remark in open_footage(files, transfer="linear").remarks)
     # One picture that is as bright as its bits allow: the others are dark, no more.
-    told = prepare.fn((FileHandle.of(bright),), handles[1], Clip(), *options).remarks
+    told = prepared((FileHandle.of(bright),), Clip()).remarks
     assert not any("seems to hold" in remark for remark in told)
 
 

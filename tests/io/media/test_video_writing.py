@@ -66,6 +66,7 @@ with VideoWriter(Path(sys.argv[1]), 30) as writer:
 """
 
 
+@pytest.mark.integration
 def test_bytes_do_not_depend_on_what_lay_in_memory(tmp_path: Path) -> None:
     for level in ("1", "255"):  # glibc fills memory with it before it hands it out
         filled = {"MALLOC_PERTURB_": level, "MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TOP_PAD_": str(1 << 26)}

@@ -22,12 +22,12 @@ Chain = Callable[[Callable[[], None]], dict[str, Any]]
 
 def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
     """Start the server, import the method while it starts, then run the chain."""
-    with surrounded(given, out):
+    with open_session(given, out):
         from hfb.tasks.telemetry import progress
 
         with libraries():
-            from hfb.flows.runtime.surroundings import PrefectServer
-            from hfb.flows.runtime.trouble import told_plainly
+            from hfb.flows.runtime.failures import explain_failures
+            from hfb.flows.runtime.server import PrefectServer
             from hfb.tasks.tracking import tracking
 
             server = PrefectServer()
@@ -42,17 +42,17 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 
                 end_abandoned_flow_runs()
 
-        with told_plainly(out):
+        with explain_failures(out):
             return chain(ready)
 
 
 @contextmanager
-def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
+def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
     """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
     from hfb.flows.runtime.prefect_home import make_home
-    from hfb.flows.runtime.surroundings import check_api_url, keep_log
-    from hfb.flows.runtime.workplace import check_writable
-    from hfb.tasks.batch.metrics import served
+    from hfb.flows.runtime.server import check_api_url, keep_log
+    from hfb.flows.runtime.workspace import check_writable
+    from hfb.tasks.batch.metrics import serve_metrics
     from hfb.tasks.telemetry import displays, progress
     from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
@@ -62,13 +62,13 @@ def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> I
     if recorded:
         check_store(tracking_uri())
     remark = make_home()
-    with served(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+    with serve_metrics(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
         if remark:
             progress.say(f"hfb: {remark}")
         yield
 
 
-def goes_to(source: str) -> Path:
+def output_folder_of(source: str) -> Path:
     """The folder into which something made of an earlier result goes: the result's own; of a recorded run's id, one
     in ``runs``."""
     path = Path(source)
@@ -95,7 +95,7 @@ def libraries() -> Iterator[None]:
     from hfb.tasks.telemetry import progress
 
     with progress.step("libraries"), unwatched_by_gc():
-        from hfb.flows.runtime.surroundings import load_prefect
+        from hfb.flows.runtime.server import load_prefect
 
         load_prefect()
         yield
@@ -136,7 +136,14 @@ def tell(given: argparse.Namespace, result: dict[str, Any], text: str) -> None:
 def report(
     given: argparse.Namespace, result: dict[str, Any], keys: tuple[str, ...], rows: tuple[summary.Row, ...]
 ) -> None:
-    """The chosen keys as JSON, or a table of scores, times and places."""
+    """The chosen keys as JSON, or a table of scores, times and places.
+
+    Args:
+        given: the command's arguments.
+        result: the content of result.json.
+        keys: that --json prints.
+        rows: of the table.
+    """
     result = {**result, "total_seconds": round(time.perf_counter() - given.began, 3)}
     if given.json:
         print(json.dumps(hidden_in({key: result.get(key) for key in keys})))

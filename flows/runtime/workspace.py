@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hfb.errors import Busy, InputError, NotNow
+from hfb.errors import Busy, InputError, TemporaryError
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from hfb.tasks.core.handles import sha256_of
-from hfb.tasks.core.result_folder import UNFINISHED, result_content
+from hfb.tasks.core.result_folder import UNFINISHED, read_result_content
 from hfb.tasks.telemetry.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
@@ -35,12 +35,12 @@ _FOLDERS = ("cases", "example", "export", "meshes", "methods")
 _FOLDER = re.compile(r"(case|person)[_-]\d+")
 
 
-class Occupied(InputError):
+class OutputConflict(InputError):
     """A file of the user's lies where a result belongs; what was computed is kept."""
 
 
 @contextmanager
-def workplace(out: Path) -> Iterator[Path]:
+def workspace(out: Path) -> Iterator[Path]:
     """The folder for intermediate files, held for this process alone.
 
     It stays after a crash, so that the next run goes on from there; after an InputError what was not there
@@ -63,7 +63,7 @@ def workplace(out: Path) -> Iterator[Path]:
             _check_names(out)
             _remove_leftovers(out, folder)
             yield folder
-    except Occupied:
+    except OutputConflict:
         raise
     except InputError:
         if folder in new_folders:
@@ -112,14 +112,14 @@ def check_writable(out: Path) -> None:
         raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     for folder in (out.absolute(), *out.absolute().parents):
         if folder.name == INTERMEDIATE and is_regular(folder / _LOCK):
-            raise NotNow(f"{out} lies among the intermediate files of {folder.parent}: choose another --out")
+            raise TemporaryError(f"{out} lies among the intermediate files of {folder.parent}: choose another --out")
     if out.is_symlink() and not out.exists():
-        raise NotNow(f"{out} is a link that leads nowhere: choose another --out")
+        raise TemporaryError(f"{out} is a link that leads nowhere: choose another --out")
     ground = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
     if not ground.is_dir():
-        raise NotNow(f"{out} cannot be a folder, since {ground} is a file: choose another --out")
+        raise TemporaryError(f"{out} cannot be a folder, since {ground} is a file: choose another --out")
     if not os.access(ground, os.W_OK | os.X_OK):
-        raise NotNow(f"{out} cannot be written, {ground} is not yours to write: choose another --out")
+        raise TemporaryError(f"{out} cannot be written, {ground} is not yours to write: choose another --out")
 
 
 def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> None:
@@ -130,10 +130,12 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
     What an earlier result had beyond this one is removed, as far as it is what hfb wrote, and nothing else.
 
     Args:
+        out: the run's folder.
+        files: name -> where it lies now.
         result: the content of result.json; it gets ``files``, the names of the others, and their ``sha256``.
 
     Raises:
-        Occupied: a file would take the place of an input of this run, or of one that hfb did not put there.
+        OutputConflict: a file would take the place of an input of this run, or of one that hfb did not put there.
     """
     staging = out / INTERMEDIATE / _STAGING
     inputs = set(result.get("inputs", {}).values())
@@ -170,12 +172,12 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        Occupied: a file would take the place of one that hfb did not put there.
+        OutputConflict: a file would take the place of one that hfb did not put there.
     """
     if not _published(out).known:
         yield out
         return
-    with workplace(out) as folder:
+    with workspace(out) as folder:
         staging = folder / _STAGING
         staging.mkdir(exist_ok=True)
         _clear(staging, set(names))
@@ -190,7 +192,7 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> None:
     """Record first and move then: a file of hfb's that no record names would stay beside other results."""
-    result = result_content(out)
+    result = read_result_content(out)
     if "files" in result:  # else they are known by their names
         result["files"] = sorted({*result["files"], *made})
     new = {name: sha256_of(path) for name, path in made.items()}
@@ -213,7 +215,8 @@ class _Published:
     """What hfb's result.json says that it put into a folder.
 
     Attributes:
-        known: there is such a result.json. files: names.
+        known: there is such a result.json.
+        files: names.
         complete: it names every file and its content; results of older versions do not.
         sha256: of these files; several where one was being replaced.
     """
@@ -234,7 +237,7 @@ def _published(out: Path) -> _Published:
     Where an older version did not name its files, what has a name that only some results have is taken for its.
     """
     try:
-        content = result_content(out)
+        content = read_result_content(out)
         if not isinstance(content["out"], str):
             return _Published()
         if "files" not in content:
@@ -248,10 +251,12 @@ def _published(out: Path) -> _Published:
 
 
 def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier: _Published) -> None:
-    """Raises Occupied where a file would take the place of something that is not hfb's to replace."""
+    """Raises OutputConflict where a file would take the place of something that is not hfb's to replace."""
     for name in (*files, RESULT):
         if (kind := special_kind(out / name)) is not None:
-            raise Occupied(f"{out / name} is a {kind} where a file of the result belongs: move it away and run again")
+            raise OutputConflict(
+                f"{out / name} is a {kind} where a file of the result belongs: move it away and run again"
+            )
     new = {name: path for name, path in files.items() if (out / name).exists() and not _same(out / name, path)}
     taken = {name for name in new if _is_one_of(inputs, out / name) or not is_regular(out / name)}
     if not earlier.known and (out / RESULT).exists():
@@ -259,7 +264,7 @@ def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier:
     if not earlier.known or earlier.complete:  # beside an older version's, `hfb report` may have left such files
         taken |= new.keys() - earlier.files
     if taken:
-        raise Occupied(
+        raise OutputConflict(
             f"{out} holds {', '.join(sorted(taken))}, an input of this run or no file of hfb's, which the result would "
             "replace: move it away and run again (what was computed is kept), or choose another --out"
         )

@@ -11,12 +11,11 @@ from prefect import flow
 
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
-from hfb.flows.runtime.clip_place import clip_place
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import mark_unfinished, publish, workplace
-from hfb.flows.video import run_video
+from hfb.flows.runtime.workspace import mark_unfinished, publish, workspace
+from hfb.flows.video import clip_place, run_video
 from hfb.io.safe_folder import check_ordinary
-from hfb.tasks.core.task import code_version
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.video_handles import PersonSeen
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.telemetry import progress
@@ -33,12 +32,18 @@ _KEPT = (
 def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
     """The person whom the clip names, into ``out``; everyone, each into a folder and a run of their own in it.
 
+    Args:
+        inputs: what the user handed over.
+        out: where the results go.
+        config: all options.
+        engine: what computes.
+
     Returns:
         the content of result.json; of everyone: what became of each person, and the sums.
 
     Raises:
         InputError: something given cannot be used; of everyone: nobody is seen, or nobody's motion was found.
-        Unavailable: see `hfb.flows.video.run_video`.
+        InfrastructureError: see `hfb.flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
         return run_video(inputs, out, config, engine)
@@ -47,11 +52,14 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
     began = time.perf_counter()
     people = everyone_in(inputs, out, config)
     progress.say(f"hfb: {len(people)} people, one after the other: {', '.join(one.name for one in people)}")
-    with workplace(out):
+    with workspace(out):
         mark_unfinished(out)  # of an earlier result some people would be the old ones, some the new ones
         for number in range(1, len(people) + 1):
             check_ordinary(out, f"person-{number}")
-    told = [_motion_of(one, inputs, out / f"person-{number}", config, engine) for number, one in enumerate(people, 1)]
+    told = [
+        _motion_of(one, inputs, out / f"person-{number}", config=config, engine=engine)
+        for number, one in enumerate(people, 1)
+    ]
     found = [one for one in told if one["error"] is None]
     if not found:
         raise InputError(f"no motion was found of any of {len(told)} people ({told[0]['error']})")
@@ -66,7 +74,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
         "config": config.model_dump(mode="json"),
         "code": code_version(),
     }
-    with workplace(out):
+    with workspace(out):
         publish(out, {}, result)
     return result
 
@@ -80,7 +88,9 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 
     # A closure, as in `hfb.flows.video.run_video`.
     def everyone(clip: str) -> tuple[PersonSeen, ...]:
-        footage = look_at_clip(inputs, config.video.average, config.camera, config.exposure, folder)
+        footage = look_at_clip(
+            inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder
+        )
         plate = find_background(footage, inputs.plate, inputs.background, folder)
         return find_everyone(footage, plate, inputs.track).people
 
@@ -89,7 +99,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 
 
 def _motion_of(
-    one: PersonSeen, inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int
+    one: PersonSeen, inputs: VideoInputs, out: Path, *, config: RunConfig, engine: Engine | int
 ) -> dict[str, Any]:
     """What became of one person; whoever cannot be followed does not end the others."""
     progress.say(f"hfb: {one.name} (seen in {one.frames} frames)")

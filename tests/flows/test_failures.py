@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from prefect.exceptions import TerminationSignal
 
-from hfb.flows.runtime.trouble import told_plainly
+from hfb.flows.runtime.failures import explain_failures
 
 
 def fail_at(end: BaseException) -> None:
@@ -26,11 +26,11 @@ def fail_at(end: BaseException) -> None:
     ids=["Ctrl-C", "TERM", "TERM in a flow"],
 )
 def test_an_end_that_a_library_failed_at_is_an_end(end: BaseException, expected: BaseException, tmp_path: Path) -> None:
-    with pytest.raises(type(expected)) as told, told_plainly(tmp_path):
+    with pytest.raises(type(expected)) as told, explain_failures(tmp_path):
         fail_at(end)
     assert told.value.args == expected.args
 
 
 def test_what_has_nothing_to_do_with_it_passes(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="mine"), told_plainly(tmp_path):
+    with pytest.raises(ValueError, match="mine"), explain_failures(tmp_path):
         raise ValueError("mine")

@@ -1,4 +1,4 @@
-"""The files of an earlier result, named as users name it: its folder, its motion file, or the id of its run."""
+"""An earlier result, named as users name it: its files, and the body model that it was fitted with."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
 from hfb.io.safe_folder import check_readable
-from hfb.tasks.core.result_folder import check_result
+from hfb.tasks.core.result_folder import check_result, read_result_content
 
 if TYPE_CHECKING:
+    from hfb.body.model import Body
+    from hfb.motion.sampled import SampledMotion
     from hfb.tasks.results.stored_runs import StoredRun
 
 MOTION, TEXTURE = "motion.npz", "texture.png"
@@ -49,10 +51,12 @@ class FoundResult:
 
 
 @contextmanager
-def found_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -> Iterator[FoundResult]:
+def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -> Iterator[FoundResult]:
     """The result; of a run those of its files are fetched that are named here, and its motion.
 
     Args:
+        source: a result's folder, its motion file, or a run's id.
+        names: files that are read.
         inner: further files that are read where the result is a folder.
 
     Raises:
@@ -81,3 +85,47 @@ def found_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -
         for name in names:
             fetch_file(run, name, folder)
         yield FoundResult(folder, folder / MOTION, run)
+
+
+_SAME_BODY_M = 1e-3
+
+
+def find_named_body(result: Path) -> Path | None:
+    """The body model that result.json names; None where it names none or cannot be read."""
+    try:
+        named = read_result_content(result.parent)["config"]["body"]["model"]
+    except (InputError, KeyError, TypeError):
+        return None
+    return Path(named) if isinstance(named, str) else None
+
+
+def load_fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Body:
+    """The body model that a motion was fitted with.
+
+    Args:
+        motion: of the result.
+        space: whose betas the motion has.
+        path: of a SMPL file; None for the embedded body.
+
+    Raises:
+        InputError: it is a SMPL file that is not given, or another one is.
+    """
+    import numpy as np
+    import torch
+
+    from hfb.body.assets import load_body
+    from hfb.interop.writers.keys import rest_joints
+
+    if path is None and space == "smpl":
+        raise InputError("this motion was fitted with a SMPL file: give it with --body for formats with a surface")
+    body = load_body(path)
+    betas = torch.from_numpy(motion.betas).to(body.template.dtype)
+    if body.betas_space != space or body.shape_count < len(motion.betas):
+        raise InputError(
+            f"the betas of this motion are {space}'s, and {body.name} has others: give the body that was fitted"
+        )
+    fitted = body.rest_joints(betas).double().numpy()
+    far = float(np.abs(fitted - rest_joints(motion)).max())
+    if far > _SAME_BODY_M:
+        raise InputError(f"{body.name} is not the body that was fitted (joints {1000 * far:.0f} mm off): give that one")
+    return body

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from hfb.flows.runtime import workplace as place
-from hfb.flows.runtime.workplace import Occupied, beside_result, publish, workplace
+from hfb.flows.runtime import workspace as place
+from hfb.flows.runtime.workspace import OutputConflict, beside_result, publish, workspace
 from hfb.tasks.core.handles import sha256_of
 
 
 def published(out: Path, files: Mapping[str, str], **facts: Any) -> dict[str, Any]:
     """A result of these files' contents."""
-    with workplace(out) as folder:
+    with workspace(out) as folder:
         made = {name: folder / f"made_{name}" for name in files}
         for name, content in files.items():
             made[name].write_text(content)
@@ -89,7 +89,7 @@ def test_what_was_made_of_a_result_goes_with_it(tmp_path: Path) -> None:
 def test_what_hfb_did_not_put_there_is_not_replaced(tmp_path: Path, name: str) -> None:
     """Such as the exact matte in the folder of a synthetic case. What was computed is kept."""
     (tmp_path / name).write_text('{"somebody": "else"}')
-    with pytest.raises(Occupied, match=f"holds {name}, .*move it away .*or choose another --out"):
+    with pytest.raises(OutputConflict, match=f"holds {name}, .*move it away .*or choose another --out"):
         published(tmp_path, {"motion.npz": "1", "matte_0.png": "1"})
     assert (tmp_path / name).read_text() == '{"somebody": "else"}'
     assert not (tmp_path / "motion.npz").exists()
@@ -106,7 +106,7 @@ def test_inputs_of_the_run_are_neither_replaced_nor_removed(tmp_path: Path, old:
     if old:
         forgetful(tmp_path)
     start = {"init_file_0": sha256_of(tmp_path / "motion.npz")}
-    with pytest.raises(Occupied, match=r"holds motion\.npz, an input of this run"):
+    with pytest.raises(OutputConflict, match=r"holds motion\.npz, an input of this run"):
         published(tmp_path, {"motion.npz": "2"}, inputs=start)
     assert held(tmp_path) == {"motion.npz": "1", "overlay.mp4": "1 film", "joints.csv": "1"}
     film = {"video": sha256_of(tmp_path / "overlay.mp4")}
@@ -150,7 +150,7 @@ def test_a_first_result_that_was_killed_half_way_is_gone_on_with(
 def test_a_result_that_says_nonsense_removes_nothing(tmp_path: Path, content: str) -> None:
     (tmp_path / "result.json").write_text(content)
     (tmp_path / "overlay.mp4").write_text("mine")
-    with suppress(Occupied):
+    with suppress(OutputConflict):
         published(tmp_path, {"motion.npz": "1"})
     assert (tmp_path / "overlay.mp4").read_text() == "mine"
 

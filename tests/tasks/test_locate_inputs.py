@@ -6,7 +6,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.tracking.recipe import GivenFile
 
 
@@ -22,7 +22,7 @@ def files(tmp_path: Path) -> dict[str, GivenFile]:
 
 
 def test_at_their_places(files: dict[str, GivenFile]) -> None:
-    assert find_present(files, None) == {file.sha256: file.path for file in files.values()}
+    assert locate_inputs(files, None) == {file.sha256: file.path for file in files.values()}
 
 
 def test_moved_and_renamed(files: dict[str, GivenFile], tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_moved_and_renamed(files: dict[str, GivenFile], tmp_path: Path) -> None:
     (deep / "same length").write_bytes(b"eno")
     files["frame_0"].path.rename(deep / "renamed")
     files["background"].path.rename(tmp_path / "now" / "plate.png")
-    found = find_present(files, tmp_path / "now")
+    found = locate_inputs(files, tmp_path / "now")
     assert found[files["frame_0"].sha256] == deep / "renamed"
     assert found[files["background"].sha256] == tmp_path / "now" / "plate.png"
     assert found[files["frame_1"].sha256] == files["frame_1"].path
@@ -41,19 +41,19 @@ def test_what_is_gone_and_what_was_changed_is_named(files: dict[str, GivenFile],
     files["frame_0"].path.unlink()
     files["background"].path.write_bytes(b"other")
     with pytest.raises(InputError) as said:
-        find_present(files, None)
+        locate_inputs(files, None)
     text = str(said.value)
     assert f"frame_0 ({files['frame_0'].path}) is gone" in text
     assert f"background ({files['background'].path}) was changed" in text
     assert "frame_1" not in text
     assert "--inputs DIR" in text
     with pytest.raises(InputError, match="nor are they in"):
-        find_present(files, tmp_path / "then")
+        locate_inputs(files, tmp_path / "then")
     with pytest.raises(InputError, match="is no folder"):
-        find_present(files, tmp_path / "nowhere")
+        locate_inputs(files, tmp_path / "nowhere")
 
 
 def test_many_are_not_all_listed(files: dict[str, GivenFile]) -> None:
     lost = {f"frame_{k}": files["frame_0"].model_copy(update={"path": Path("none")}) for k in range(300)}
     with pytest.raises(InputError, match="and 295 more"):
-        find_present(lost, None)
+        locate_inputs(lost, None)

@@ -20,7 +20,7 @@ from urllib.request import Request, urlopen
 
 import platformdirs
 
-from hfb.errors import InputError, Unavailable
+from hfb.errors import InfrastructureError, InputError
 from hfb.flows.runtime.prefect_database import PrefectDatabase
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.secrets import SecretFormatter, shown_address, without_secrets
@@ -142,7 +142,7 @@ class PrefectServer:
                 reason = self._trouble()
             if reason:
                 full = ": the disk is full, free some space or set XDG_STATE_HOME" if _FULL.search(self._said()) else ""
-                raise Unavailable(f"the temporary Prefect server {reason}{full}; its own log is {self._log}")
+                raise InfrastructureError(f"the temporary Prefect server {reason}{full}; its own log is {self._log}")
         finally:
             self._database.let_go()
 

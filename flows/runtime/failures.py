@@ -13,8 +13,8 @@ import httpx
 from prefect.exceptions import PrefectHTTPStatusError, TerminationSignal
 from prefect.settings import PREFECT_API_URL
 
-from hfb.errors import InputError, ServerLost, Unavailable
-from hfb.flows.runtime.surroundings import does_not_answer
+from hfb.errors import InfrastructureError, InputError, ServerLost
+from hfb.flows.runtime.server import does_not_answer
 from hfb.tasks.core.handles import StaleFile
 from hfb.tasks.telemetry.secrets import shown_address
 from hfb.tasks.workers.engine import WorkerLost
@@ -27,14 +27,14 @@ _PATIENCE_S = (3.0, 10.0, 30.0)  # a busy server may take its time
 
 
 @contextmanager
-def told_plainly(out: Path) -> Iterator[None]:
-    """Turn a failure of what is around a run into `Unavailable`; other exceptions pass.
+def explain_failures(out: Path) -> Iterator[None]:
+    """Turn a failure of what is around a run into `InfrastructureError`; other exceptions pass.
 
     Prefect, told to end while it writes down a task's state, may fail by itself: that is an end still, no clip's fault.
     """
     try:
         yield
-    except (InputError, Unavailable):
+    except (InputError, InfrastructureError):
         raise
     except Exception as error:
         if end := next(filter(None, map(_end, _causes(error))), None):
@@ -44,7 +44,7 @@ def told_plainly(out: Path) -> Iterator[None]:
         sentence = next((told for one in _causes(error) if (told := _sentence(one, out))), None)
         if sentence is None:
             raise
-        raise Unavailable(f"{sentence}; {_GOES_ON}") from error
+        raise InfrastructureError(f"{sentence}; {_GOES_ON}") from error
 
 
 class ServerWatch:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hfb.errors import InputError
-from hfb.flows.people import everyone_in, run_clip
+from hfb.flows.everyone import everyone_in, run_clip
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.video_inputs import take_video_inputs
 from tests.orchestration import mlflow_rows

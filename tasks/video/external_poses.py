@@ -8,9 +8,8 @@ from pathlib import Path
 from hfb.config import Record
 from hfb.errors import InputError
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
-from hfb.tasks.core.task import task
-from hfb.tasks.core.video_handles import BodyFound, FootageHandle
-from hfb.tasks.workers.workers import compute
+from hfb.tasks.core.video_handles import BodyFound, FootageHandle, SeenFrameCall
+from hfb.tasks.task import task
 
 _MOST_LOOKS = 8
 
@@ -19,7 +18,8 @@ class ResultHandle(FileHandle):
     """One person of another system's result, in hfb's conventions (`hfb.interop.readers.pose_track`).
 
     Attributes:
-        system: whose result it is. frames: numbers of the frames in which it saw the person.
+        system: whose result it is.
+        frames: numbers of the frames in which it saw the person.
         person: the system's name for them. others: of everybody else in it.
         rate_hz: of a motion with a clock of its own, see `PoseTrack`.
     """
@@ -41,13 +41,18 @@ class ResultHandle(FileHandle):
         )
 
     def number_in_clip(
-        self, number: int, first: int | None, began: int, average: int, video_hz: float | None = None
+        self, number: int, first: int | None, *, began: int, average: int, video_hz: float | None = None
     ) -> int:
-        """Which frame of the result a clip's frame is; a motion of our own counts the clip's, one with a clock of its
-        own the rows of its time, all others the video's.
+        """Return which frame of the result a clip's frame is.
+
+        A motion of our own counts the clip's frames, one with a clock of its own the rows of its time, all others the
+        video's frames.
 
         Args:
-            first: of the result, where it is told. began, average: of the clip, see `hfb.io.media.footage.Footage`.
+            number: of the frame in the clip.
+            first: of the result, where it is told.
+            began: first frame of the clip in the video.
+            average: how many frames of the video are one of the clip.
             video_hz: frames per second of the video, before they are averaged.
         """
         from hfb.interop.readers.systems import own
@@ -88,7 +93,9 @@ def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: in
     """Some of a clip's frames, by which one tells whom of a result's several people it is about.
 
     Args:
-        mattes: by the clip's numbers. first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
+        footage: the clip.
+        mattes: by the clip's numbers.
+        first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
     """
     from hfb.tasks.video.video_clip import load_footage
 
@@ -104,7 +111,9 @@ def pictures_of(
     """(names of a clip's pictures, frames of a video), by which a result's pictures are found in the clip.
 
     Args:
-        files: of the clip. first: where --init.frame tells the numbers, names tell nothing.
+        footage: the clip.
+        files: of the clip.
+        first: where --init.frame tells the numbers, names tell nothing.
     """
     from hfb.tasks.video.video_clip import load_footage
 
@@ -116,8 +125,23 @@ def pictures_of(
     return (), known.first + known.count * known.average
 
 
-@task("other system's result")
+class GivenBodyCall(SeenFrameCall):
+    """A frame whose body another system found.
+
+    Attributes:
+        footage: the clip.
+        result: the other system's.
+        first: number in the result of the clip's first frame; the result's are the video's own where it is None.
+    """
+
+    footage: FootageHandle
+    result: ResultHandle
+    first: int | None
+
+
+@task("other system's result", where="worker")
 def read_result(
+    *,
     files: tuple[FileHandle, ...],
     height: int,
     width: int,
@@ -128,91 +152,32 @@ def read_result(
     frames: int,
     folder: Path,
 ) -> ResultHandle:
-    """Everything about one person, as a file that has only numbers in it.
+    """Write everything about one person into a file that has only numbers in it.
 
     Args:
         files: the result, then what lies beside it.
+        height: of the images [px].
+        width: of the images [px].
         person: the system's name; where it is None the one whom the looks show, or who is seen longest.
+        looks: images that show whom it is about.
+        body: the user's body model; None for the embedded one.
         pictures: names of the clip's files, in order; none of a video, or where --init.frame says the numbers.
         frames: of a video, 0 where pictures are given.
+        folder: where the file goes.
 
     Raises:
         InputError: it cannot be read, is about other pictures, or has no such person.
     """
-    return compute(_read_result, files, height, width, person, looks, body, pictures, frames, folder)
-
-
-@task("first body of the result")
-def body_of_result(
-    clip: ClipHandle,
-    index: int,
-    number: int,
-    mattes: tuple[FileHandle, ...],
-    result: ResultHandle,
-    body: FileHandle | None,
-    folder: Path,
-) -> BodyFound:
-    """The body of one frame, laid onto its matte; none where the system saw nobody.
-
-    Args:
-        index: of the frame in the clip. number: of the frame in the result.
-    """
-    return compute(_body_of_result, clip, index, number, mattes, result, body, folder)
-
-
-@task("first bodies of the result")
-def find_given_body(
-    footage: FootageHandle,
-    still: ClipHandle,
-    number: int,
-    matte: FileHandle,
-    result: ResultHandle,
-    first: int | None,
-    body: FileHandle | None,
-    folder: Path,
-) -> BodyFound:
-    """As `body_of_result`, of one frame of a clip.
-
-    Args:
-        number: of the frame in the clip. first: number in the result of the clip's first frame; the result's are the
-            video's own where it is None.
-    """
-    return compute(_find_given_body, footage, still, number, matte, result, first, body, folder)
-
-
-def needed(found: BodyFound) -> FirstBodyHandle:
-    """The body that a fit without neighbours cannot do without.
-
-    Raises:
-        InputError: there is none.
-    """
-    if found.first is None:
-        raise InputError(f"{found.reason}; give another result, or leave --init out")
-    return found.first
-
-
-def _read_result(
-    files: tuple[FileHandle, ...],
-    height: int,
-    width: int,
-    person: str | None,
-    looks: tuple[Look, ...],
-    body: FileHandle | None,
-    pictures: tuple[str, ...],
-    frames: int,
-    folder: Path,
-) -> ResultHandle:
     from hfb.interop.readers.image_names import ClipPictures
     from hfb.interop.readers.pose_track import PoseTrack, save_track
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses
-    from hfb.io.media.images.image_io import read_matte
-    from hfb.tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body, load_mattes
 
     model = load_chosen_body(body)
     tracks = read_tracks([file.path for file in files], height, width, ClipPictures(pictures, frames))
     several = len(tracks) > 1
-    mattes = [read_matte(look.matte.path) for look in looks if several]
+    mattes = [load_mattes((look.matte,))[0].numpy() for look in looks if several]
 
     def shown(track: PoseTrack) -> float:
         in_order = track.frames if len(track) == len(looks) else [-1] * len(looks)
@@ -231,7 +196,9 @@ def _read_result(
     )
 
 
-def _body_of_result(
+@task("first body of the result", where="worker")
+def body_of_result(
+    *,
     clip: ClipHandle,
     index: int,
     number: int,
@@ -240,6 +207,17 @@ def _body_of_result(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
+    """Lay the body of one frame onto its matte; none where the system saw nobody.
+
+    Args:
+        clip: all frames.
+        index: of the frame in the clip.
+        number: of the frame in the result.
+        mattes: of all frames.
+        result: the other system's.
+        body: the user's body model; None for the embedded one.
+        folder: where the body goes.
+    """
     from hfb.interop.readers.pose_track import load_track
     from hfb.interop.track_bodies import body_at, on_matte
     from hfb.motion.static_pose import save_first_body
@@ -261,18 +239,27 @@ def _body_of_result(
     return BodyFound(first=FirstBodyHandle.of(path, source=first.source))
 
 
-def _find_given_body(
-    footage: FootageHandle,
-    still: ClipHandle,
-    number: int,
-    matte: FileHandle,
-    result: ResultHandle,
-    first: int | None,
-    body: FileHandle | None,
-    folder: Path,
-) -> BodyFound:
+@task("first bodies of the result", where="worker")
+def find_given_body(call: GivenBodyCall) -> BodyFound:
+    """As `body_of_result`, of one frame of a clip."""
     from hfb.tasks.video.video_clip import load_footage
 
-    known = load_footage(footage)
-    at = result.number_in_clip(number, first, known.first, known.average, known.average / known.interval_s)
-    return _body_of_result(still, 0, at, (matte,), result, body, folder)
+    known = load_footage(call.footage)
+    at = call.result.number_in_clip(
+        call.number, call.first, began=known.first, average=known.average, video_hz=known.average / known.interval_s
+    )
+    return body_of_result.fn(
+        clip=call.still, index=0, number=at, mattes=(call.matte,), result=call.result, body=call.body,
+        folder=call.folder,
+    )  # fmt: skip
+
+
+def require(found: BodyFound) -> FirstBodyHandle:
+    """Return the body that a fit without neighbours cannot do without.
+
+    Raises:
+        InputError: there is none.
+    """
+    if found.first is None:
+        raise InputError(f"{found.reason}; give another result, or leave --init out")
+    return found.first

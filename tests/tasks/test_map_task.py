@@ -10,20 +10,31 @@ from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.errors import InputError
-from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.parcels import parcels
+from hfb.tasks.core.handles import Call, FileHandle
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.task import AtOnce, task
-from hfb.tasks.workers.many import Outcome, run_all
+from hfb.tasks.map_task import Outcome, map_task, split_calls
+from hfb.tasks.task import BatchFunction, task
 from tests.orchestration import prefect_api
 
 _COUNT = 300
 _WRONG = 77
 
 
+class NumberCall(Call):
+    """A number, and the folder for its file."""
+
+    number: int
+    folder: Path
+
+
+def calls_of(numbers: Sequence[int], folder: Path) -> list[NumberCall]:
+    return [NumberCall(number=number, folder=folder) for number in numbers]
+
+
 @task("numbers")
-def write_number(number: int, folder: Path) -> FileHandle:
+def write_number(call: NumberCall) -> FileHandle:
     """A file with a number; one number cannot be written."""
+    number, folder = call.number, call.folder
     if number == _WRONG:
         raise InputError(f"{number} is wrong")
     with (folder / "written").open("a") as told:
@@ -48,8 +59,8 @@ def run(folder: Path, numbers: range) -> tuple[list[Outcome[FileHandle]], list[i
     def many() -> tuple[list[Outcome[FileHandle]], str]:
         from prefect.runtime import flow_run
 
-        calls = [(number, folder) for number in numbers]
-        return run_all(write_number, calls, "numbers", lambda at, outcome: told.append(at)), str(flow_run.id)
+        calls = calls_of(numbers, folder)
+        return map_task(write_number, calls, "numbers", lambda at, outcome: told.append(at)), str(flow_run.id)
 
     threads: Any = ThreadPoolTaskRunner(max_workers=3)
     with records_in(folder):
@@ -58,14 +69,15 @@ def run(folder: Path, numbers: range) -> tuple[list[Outcome[FileHandle]], list[i
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 31, 300, 10_000])
-@pytest.mark.parametrize("crew", [1, 4, 34])
-def test_every_call_is_in_one_parcel_and_the_last_ones_are_small(count: int, crew: int) -> None:
-    made = list(parcels("x", [(number,) for number in range(count)], crew))
-    assert [call for one in made for call in one.calls] == [(number,) for number in range(count)]
+@pytest.mark.parametrize("n_workers", [1, 4, 34])
+def test_every_call_is_in_one_chunk_and_the_last_ones_are_small(count: int, n_workers: int) -> None:
+    calls = calls_of(range(count), Path())
+    made = list(split_calls("x", calls, n_workers))
+    assert [call for one in made for call in one.calls] == calls
     assert all(1 <= len(one.calls) <= 16 for one in made)
-    at_the_end = made[-4 * crew :]
+    at_the_end = made[-4 * n_workers :]
     assert all(len(one.calls) == 1 for one in at_the_end)
-    if count == 10_000 and crew == 4:
+    if count == 10_000 and n_workers == 4:
         assert len(made) < count / 14
         assert str(made[1]) == "x 16 to 31"
         assert str(made[-1]) == "x 9999"
@@ -104,7 +116,7 @@ def test_what_an_outcome_raises_ends_the_rest(store: Path, tmp_path: Path) -> No
             if outcome.error is not None:
                 raise outcome.error
 
-        run_all(write_number, [(number, tmp_path) for number in range(_COUNT)], "numbers", stop)
+        map_task(write_number, calls_of(range(_COUNT), tmp_path), "numbers", stop)
 
     threads: Any = ThreadPoolTaskRunner(max_workers=3)
     with records_in(tmp_path), pytest.raises(InputError, match="77 is wrong"):
@@ -130,30 +142,30 @@ def task_runs(flow_run: str, last: str) -> set[tuple[str, str]]:
             time.sleep(0.5)
 
 
-def _several(calls: Sequence[tuple[Any, ...]]) -> list[FileHandle]:
-    numbers = [number for number, _ in calls]
-    with (calls[0][1] / "at_once").open("a") as told:
+def _write_together(calls: Sequence[NumberCall]) -> list[FileHandle]:
+    numbers = [call.number for call in calls]
+    with (calls[0].folder / "together").open("a") as told:
         told.write(" ".join(map(str, numbers)) + "\n")
     if _WRONG in numbers:
         raise InputError("one is wrong, so none is made")
-    return [write_number.fn(*call) for call in calls]
+    return [write_number.fn(call) for call in calls]
 
 
-@task("numbers at once", at_once=AtOnce(lambda _: 10, _several))
-def write_at_once(number: int, folder: Path) -> FileHandle:
-    return write_number.fn(number, folder)
+@task("numbers together", batch=BatchFunction(lambda _: 10, _write_together))
+def write_together(call: NumberCall) -> FileHandle:
+    return write_number.fn(call)
 
 
-def test_calls_at_once_keep_results_of_their_own(store: Path, tmp_path: Path) -> None:
+def test_batched_calls_keep_results_of_their_own(store: Path, tmp_path: Path) -> None:
     def several() -> list[Outcome[FileHandle]]:
-        return run_all(write_at_once, [(number, tmp_path) for number in range(60, 85)], "numbers")
+        return map_task(write_together, calls_of(range(60, 85), tmp_path), "numbers")
 
     def again() -> list[Outcome[FileHandle]]:
         threads: Any = ThreadPoolTaskRunner(max_workers=3)
         with records_in(tmp_path):
             return flow(name="several", task_runner=threads, persist_result=False)(several)()
 
-    outcomes, told = again(), tmp_path / "at_once"
+    outcomes, told = again(), tmp_path / "together"
     assert sorted(written(tmp_path)) == [number for number in range(60, 85) if number != _WRONG]
     batches = sorted(told.read_text().splitlines())
     assert [len(one.split()) for one in batches] == [10, 10, 5]
