@@ -43,7 +43,7 @@ _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
 class NetworkMatting:
-    """Two small networks trained on blurred people (infra/train_matting): a second or two, the same on every run.
+    """Two small networks trained on blurred people (`hfb train matting`): a second or two, the same on every run.
 
     The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
     sees them, too. What its matte leaves open a moving layer explains (moving_layer.py).

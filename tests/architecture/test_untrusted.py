@@ -25,8 +25,10 @@ _MAY = {
     # a network is a program: the user names it, and hfb/networks/runtimes.py refuses what is more than one
     ("hfb/networks/runtimes.py", "torch.jit.load"),
     # our own arrays of numbers, mapped and not read, on the machine of whoever trains
-    ("infra/train_joints/train.py", "np.load"), ("infra/train_matting/measure.py", "np.load"),
-    ("infra/train_matting/pairs.py", "np.load"), ("infra/train_matting/train.py", "np.load"),
+    ("hfb/training/joints/joint_batches.py", "np.load"),
+    ("hfb/training/matting/matte_measures.py", "np.load"),
+    ("hfb/training/matting/matte_training.py", "np.load"),
+    ("hfb/training/matting/pairs.py", "np.load"),
 }  # fmt: skip
 
 

