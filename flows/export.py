@@ -12,8 +12,8 @@ from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
 from hfb.flows.runtime.workspace import beside_result
 from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
-from hfb.interop.writers.exports import Exported, write_motion_file
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
+from hfb.interop.writers.motion_exports import Exported, write_motion_file
 from hfb.io.media.images.image_io import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion

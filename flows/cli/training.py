@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hfb.io.toml_file import to_record
 from hfb.training.priors.training_spec import MotionTraining, PoseTraining
-from hfb.training.registry import PRIORS, PROGRAMS
+from hfb.training.programs import PRIORS, PROGRAMS
 
 if TYPE_CHECKING:
     from hfb.flows.train_prior import TrainingPlan

@@ -105,9 +105,14 @@ def _truth(
 ) -> Truth:
     times_s, frame_index = subframe_times_s(1, len(poses), _EXPOSURE_S, _EXPOSURE_S)
     motion = SampledMotion(
-        poses=poses.flatten(1).double().numpy(), trans=translations.double().numpy(), betas=betas.double().numpy(),
-        joints=joints.double().numpy(), times_s=times_s, frame_index=frame_index, K=camera.matrix().double().numpy(),
-    )  # fmt: skip
+        poses=poses.flatten(1).double().numpy(),
+        trans=translations.double().numpy(),
+        betas=betas.double().numpy(),
+        joints=joints.double().numpy(),
+        times_s=times_s,
+        frame_index=frame_index,
+        K=camera.matrix().double().numpy(),
+    )
     return Truth(motion, (silhouettes >= 0.5).numpy(), body.betas_space)
 
 

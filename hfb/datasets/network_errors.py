@@ -22,11 +22,33 @@ _ALLOWED_EXCESS = 2.0
 
 # Standard deviation of a joint's own turn, relative to the shoulder's.
 _SIZES = {
-    "pelvis": 0.35, "spine1": 0.3, "spine2": 0.25, "spine3": 0.25, "neck": 0.4, "head": 0.5, "hip": 0.7, "knee": 0.9,
-    "ankle": 0.7, "foot": 0.3, "collar": 0.3, "shoulder": 1.0, "elbow": 1.1, "wrist": 0.8, "hand": 0.2,
-}  # fmt: skip
-_LIMBS = {"hip": "leg", "knee": "leg", "ankle": "leg", "foot": "leg", "collar": "arm", "shoulder": "arm",
-          "elbow": "arm", "wrist": "arm", "hand": "arm"}  # fmt: skip
+    "pelvis": 0.35,
+    "spine1": 0.3,
+    "spine2": 0.25,
+    "spine3": 0.25,
+    "neck": 0.4,
+    "head": 0.5,
+    "hip": 0.7,
+    "knee": 0.9,
+    "ankle": 0.7,
+    "foot": 0.3,
+    "collar": 0.3,
+    "shoulder": 1.0,
+    "elbow": 1.1,
+    "wrist": 0.8,
+    "hand": 0.2,
+}
+_LIMBS = {
+    "hip": "leg",
+    "knee": "leg",
+    "ankle": "leg",
+    "foot": "leg",
+    "collar": "arm",
+    "shoulder": "arm",
+    "elbow": "arm",
+    "wrist": "arm",
+    "hand": "arm",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +88,9 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
     person, clothes and network).
     """
     common = _draw_turns(rng)
-    turns = [np.sqrt(_SHARED_BY_FRAMES) * common + np.sqrt(1 - _SHARED_BY_FRAMES) * _draw_turns(rng)
-             for _ in range(frames)]  # fmt: skip
+    turns = [
+        np.sqrt(_SHARED_BY_FRAMES) * common + np.sqrt(1 - _SHARED_BY_FRAMES) * _draw_turns(rng) for _ in range(frames)
+    ]
     return np.stack(turns)
 
 

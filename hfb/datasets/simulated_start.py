@@ -91,9 +91,11 @@ def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
     The table's own values there would have its peaks and dips smoothed away.
     """
     shares = np.stack(
-        [[np.interp(np.linspace(low, high, 101), _CENTRES, row).mean() for row in np.eye(len(means))]
-         for low, high in BLUR_BINS]
-    )  # fmt: skip
+        [
+            [np.interp(np.linspace(low, high, 101), _CENTRES, row).mean() for row in np.eye(len(means))]
+            for low, high in BLUR_BINS
+        ]
+    )
     return tuple(np.linalg.solve(shares, means).tolist())
 
 

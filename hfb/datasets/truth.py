@@ -75,10 +75,13 @@ def save_joint_truth(path: Path, truth: JointTruth) -> None:
     write_arrays(
         path,
         {
-            "joints": truth.joints, "smpl_joints": truth.smpl_joints, "times_s": truth.times_s,
-            "frame_index": truth.frame_index, "names": np.array(truth.names, dtype=np.str_),
+            "joints": truth.joints,
+            "smpl_joints": truth.smpl_joints,
+            "times_s": truth.times_s,
+            "frame_index": truth.frame_index,
+            "names": np.array(truth.names, dtype=np.str_),
         },
-    )  # fmt: skip
+    )
 
 
 def load_joint_truth(path: Path) -> JointTruth:

@@ -17,9 +17,12 @@ from hfb.errors import TemporaryError
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _DEEPEST = 32  # levels; hfb itself makes four
 _KINDS = {
-    stat.S_IFLNK: "symbolic link", stat.S_IFIFO: "named pipe", stat.S_IFSOCK: "socket", stat.S_IFCHR: "device",
+    stat.S_IFLNK: "symbolic link",
+    stat.S_IFIFO: "named pipe",
+    stat.S_IFSOCK: "socket",
+    stat.S_IFCHR: "device",
     stat.S_IFBLK: "device",
-}  # fmt: skip
+}
 
 
 class NotOrdinary(TemporaryError):

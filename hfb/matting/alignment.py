@@ -123,7 +123,7 @@ def _moved(spline: Float[Array, "h w"], movement: Movement, degree: int = _DEGRE
     turn_yx, offset_yx = matrix[::-1, 1::-1], matrix[::-1, 2]
     moved = ndimage.affine_transform(
         spline, turn_yx, offset_yx, output=np.float32, order=degree, mode="nearest", prefilter=False
-    )  # fmt: skip
+    )
     return np.asarray(moved)
 
 

@@ -150,9 +150,11 @@ def scaled_box(
     """(top, left, bottom, right) in the picture of which the box is seen `scale` (down, across) times smaller."""
     top, left, bottom, right = box
     return (
-        int(top * scale[0]), int(left * scale[1]),
-        min(height, int(np.ceil(bottom * scale[0]))), min(width, int(np.ceil(right * scale[1]))),
-    )  # fmt: skip
+        int(top * scale[0]),
+        int(left * scale[1]),
+        min(height, int(np.ceil(bottom * scale[0]))),
+        min(width, int(np.ceil(right * scale[1]))),
+    )
 
 
 def _empty_around(

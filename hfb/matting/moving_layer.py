@@ -202,8 +202,18 @@ def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
     shapes = (*size, 2), (4, *size, 4), (4, *size), (3, *size, 3), (*size, 2), (3, *cells)
     way, layers, planes, *rest = (np.empty(shape, np.float32) for shape in shapes)
     loss = kernels_layer.descend(
-        scene.told, weights, layer.way, rates, step.steps, layer.logits, layer.roots, layer.bend,
-        way, layers, planes, *rest,
-    )  # fmt: skip
+        scene.told,
+        weights,
+        layer.way,
+        rates,
+        step.steps,
+        layer.logits,
+        layer.roots,
+        layer.bend,
+        way,
+        layers,
+        planes,
+        *rest,
+    )
     softness = float((planes[0] * (1 - planes[0])).sum())
     return _Answer(loss + _CHOICE * softness, layers[1, ..., 0], way, layer)

@@ -15,9 +15,15 @@ from hfb.typing import Array
 _ARRAYS = ("poses", "trans", "betas", "joints", "times_s", "frame_index", "K")
 _OPTIONAL = ("joint_radius_mm",)
 _LARGEST = {
-    "poses": 1e4, "trans": 1e6, "betas": 1e4, "joints": 1e6, "K": 1e9, "times_s": 1e10, "frame_index": 1e6,
+    "poses": 1e4,
+    "trans": 1e6,
+    "betas": 1e4,
+    "joints": 1e6,
+    "K": 1e9,
+    "times_s": 1e10,
+    "frame_index": 1e6,
     "joint_radius_mm": 1e9,
-}  # fmt: skip
+}
 """Beyond what a person in front of a camera can be: numbers that are read as they are would take memory or time."""
 
 _SHORTEST_STEP_S = 1e-12
@@ -66,9 +72,15 @@ def _check(found: Mapping[str, Array]) -> None:
     """Raises ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
     rows = len(found["poses"]) if found["poses"].ndim else 0
     shapes = {
-        "poses": (rows, 72), "trans": (rows, 3), "betas": (10,), "joints": (rows, 24, 3), "times_s": (rows,),
-        "frame_index": (rows,), "K": (3, 3), "joint_radius_mm": (rows, 24),
-    }  # fmt: skip
+        "poses": (rows, 72),
+        "trans": (rows, 3),
+        "betas": (10,),
+        "joints": (rows, 24, 3),
+        "times_s": (rows,),
+        "frame_index": (rows,),
+        "K": (3, 3),
+        "joint_radius_mm": (rows, 24),
+    }
     for name, shape in shapes.items():
         if name in _OPTIONAL and name not in found:
             continue

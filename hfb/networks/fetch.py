@@ -147,12 +147,24 @@ def _download_wheel(folder: Path) -> Path:
     _run(
         "pip",
         [
-            *_pip("download"), "--no-deps", "--only-binary=:all:", "--platform", "manylinux_2_28_x86_64",
-            "--python-version", "3.11", "--implementation", "cp", "--abi", "cp311", "--dest", str(folder),
+            *_pip("download"),
+            "--no-deps",
+            "--only-binary=:all:",
+            "--platform",
+            "manylinux_2_28_x86_64",
+            "--python-version",
+            "3.11",
+            "--implementation",
+            "cp",
+            "--abi",
+            "cp311",
+            "--dest",
+            str(folder),
             f"mediapipe=={WHEEL_VERSION}",
         ],
-        folder / _WHEEL, "; check the connection, or download that file by hand and give it with --from",
-    )  # fmt: skip
+        folder / _WHEEL,
+        "; check the connection, or download that file by hand and give it with --from",
+    )
     return folder / _WHEEL
 
 
@@ -204,9 +216,16 @@ def _run(tool: str, command: Sequence[str], wanted: Path, advice: str = "", cwd:
     """
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S,
-            check=False, cwd=cwd, env={**os.environ, "NODE_DISABLE_COMPILE_CACHE": "1"},
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_TIMEOUT_S,
+            check=False,
+            cwd=cwd,
+            env={**os.environ, "NODE_DISABLE_COMPILE_CACHE": "1"},
+        )
     except OSError as error:
         raise InputError(f"{tool} cannot be started ({error.strerror})") from None
     except subprocess.TimeoutExpired:

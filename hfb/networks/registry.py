@@ -38,33 +38,62 @@ _SHIPPED = (
 )
 _BROUGHT = (
     KnownModel(
-        "SMPL", "body", "--body.model FILE", _SMPL_LICENCE, "https://smpl.is.tue.mpg.de, a .npz or .pkl as it is", None,
+        "SMPL",
+        "body",
+        "--body.model FILE",
+        _SMPL_LICENCE,
+        "https://smpl.is.tue.mpg.de, a .npz or .pkl as it is",
+        None,
     ),
     KnownModel(
-        "BackgroundMattingV2", "matte, the paper's", "--matting bgmv2 --matting-weights FILE", "MIT",
-        "https://github.com/PeterL1n/BackgroundMattingV2, its TorchScript, weights (.pth) or .onnx as released", None,
+        "BackgroundMattingV2",
+        "matte, the paper's",
+        "--matting bgmv2 --matting-weights FILE",
+        "MIT",
+        "https://github.com/PeterL1n/BackgroundMattingV2, its TorchScript, weights (.pth) or .onnx as released",
+        None,
     ),
     KnownModel(
-        "Robust Video Matting", "matte", "--matting rvm --matting-weights FILE", "GPL-3.0",
-        "https://github.com/PeterL1n/RobustVideoMatting, its .torchscript or .onnx as released", None,
+        "Robust Video Matting",
+        "matte",
+        "--matting rvm --matting-weights FILE",
+        "GPL-3.0",
+        "https://github.com/PeterL1n/RobustVideoMatting, its .torchscript or .onnx as released",
+        None,
     ),
     KnownModel(
-        "METRO", "first body, the paper's", "--init metro --init-weights FILE", "MIT (its code)",
-        "https://github.com/microsoft/MeshTransformer, exported with torch.jit.trace(model, picture).save(FILE)", None,
+        "METRO",
+        "first body, the paper's",
+        "--init metro --init-weights FILE",
+        "MIT (its code)",
+        "https://github.com/microsoft/MeshTransformer, exported with torch.jit.trace(model, picture).save(FILE)",
+        None,
     ),
     KnownModel(
-        "SMPLify's GMM", "pose prior", "--prior.pose FILE", "free for research, by registration",
-        "https://smplify.is.tue.mpg.de, gmm_08.pkl", None,
+        "SMPLify's GMM",
+        "pose prior",
+        "--prior.pose FILE",
+        "free for research, by registration",
+        "https://smplify.is.tue.mpg.de, gmm_08.pkl",
+        None,
     ),
     KnownModel(
-        "VPoser", "pose prior", "--prior.pose FILE", "free for research, by registration",
-        "https://smpl-x.is.tue.mpg.de, a checkpoint of version 1 or 2", None,
+        "VPoser",
+        "pose prior",
+        "--prior.pose FILE",
+        "free for research, by registration",
+        "https://smpl-x.is.tue.mpg.de, a checkpoint of version 1 or 2",
+        None,
     ),
     KnownModel(
         "results of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVHMR, SAM 3D Body, AMASS, 3D joints, hfb",
-        "first body", "--init FILE", "those of the systems", "run the system; give the file that it writes", None,
+        "first body",
+        "--init FILE",
+        "those of the systems",
+        "run the system; give the file that it writes",
+        None,
     ),
-)  # fmt: skip
+)
 
 
 def list_models() -> list[KnownModel]:

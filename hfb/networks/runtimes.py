@@ -105,10 +105,14 @@ class TorchNetwork:
         """See `Network`."""
         try:
             with torch.inference_mode(), one_torch_thread():
-                result = self._module(*[
-                    torch.from_numpy(np.ascontiguousarray(one)).to(self._kind) if isinstance(one, np.ndarray) else one
-                    for one in inputs
-                ])  # fmt: skip
+                result = self._module(
+                    *[
+                        torch.from_numpy(np.ascontiguousarray(one)).to(self._kind)
+                        if isinstance(one, np.ndarray)
+                        else one
+                        for one in inputs
+                    ]
+                )
         except (RuntimeError, TypeError, ValueError) as error:
             raise _failed(self._path, inputs, error, half=self._kind == _HALF) from None
         return _finite(self._path, *_flat(result, self._path))

@@ -108,9 +108,13 @@ def barycentric(points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"])
 
 @torch.no_grad()
 def visible_faces(
-    xy: Float[Tensor, "V 2"], inverse_depth: Float[Tensor, "V"], front: Bool[Tensor, "F"], faces: Int[Tensor, "F 3"],
-    height: int, width: int,
-) -> Int[Tensor, "H W"]:  # fmt: skip
+    xy: Float[Tensor, "V 2"],
+    inverse_depth: Float[Tensor, "V"],
+    front: Bool[Tensor, "F"],
+    faces: Int[Tensor, "F 3"],
+    height: int,
+    width: int,
+) -> Int[Tensor, "H W"]:
     """The nearest front face at each pixel's centre, -1 where there is none."""
     candidates = front.nonzero().squeeze(1)
     y = xy[faces[candidates]][..., 1]
@@ -170,9 +174,12 @@ def closest_parameter(
 
 
 def _uv_of_faces(
-    centres: Float[Tensor, "n 2"], face: Int[Tensor, "n"], xy: Float[Tensor, "V 2"],
-    inverse_depth: Float[Tensor, "V"], mesh: Mesh,
-) -> Float[Tensor, "n 2"]:  # fmt: skip
+    centres: Float[Tensor, "n 2"],
+    face: Int[Tensor, "n"],
+    xy: Float[Tensor, "V 2"],
+    inverse_depth: Float[Tensor, "V"],
+    mesh: Mesh,
+) -> Float[Tensor, "n 2"]:
     """Perspective-correct texture coordinates of pixel centres in their faces."""
     corners = mesh.faces.long()[face]
     weights = barycentric(centres, xy[corners]) * inverse_depth[corners]
@@ -181,9 +188,12 @@ def _uv_of_faces(
 
 
 def _uv_of_edges(
-    centres: Float[Tensor, "n 2"], edge: Int[Tensor, "n 3"], xy: Float[Tensor, "V 2"],
-    inverse_depth: Float[Tensor, "V"], mesh: Mesh,
-) -> Float[Tensor, "n 2"]:  # fmt: skip
+    centres: Float[Tensor, "n 2"],
+    edge: Int[Tensor, "n 3"],
+    xy: Float[Tensor, "V 2"],
+    inverse_depth: Float[Tensor, "V"],
+    mesh: Mesh,
+) -> Float[Tensor, "n 2"]:
     """Texture coordinates at the points of outline edges closest to pixel centres."""
     start, end, face = edge.unbind(1)
     t = closest_parameter(centres, xy[start], xy[end] - xy[start])

@@ -27,9 +27,12 @@ def dibr_constants(camera: PinholeCamera) -> tuple[float, float, int]:
 
 
 def soft_mask(
-    xy: Float[Tensor, "V 2"], faces: Int[Tensor, "F 3"], owners: Int[Tensor, "F"], covered: Bool[Tensor, "H W"],
+    xy: Float[Tensor, "V 2"],
+    faces: Int[Tensor, "F 3"],
+    owners: Int[Tensor, "F"],
+    covered: Bool[Tensor, "H W"],
     camera: PinholeCamera,
-) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W 3"]]:  # fmt: skip
+) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W 3"]]:
     """R_S, and for each pixel of the halo the nearest side of a face: (from, to, owner), owner -1 elsewhere.
 
     faces: those that count, whatever side they turn to the camera; owners: what they are called in the result.

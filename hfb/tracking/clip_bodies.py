@@ -104,10 +104,12 @@ def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) 
     extra = [_DOUBT_M * np.array([max(-doubts[frame], 0.0), max(doubts[frame], 0.0)]) for frame in frames]
     costs, came_from = extra[0], []
     for index in range(1, len(frames)):
-        steps = np.array([
-            [float((joints[index][now] - joints[index - 1][before]).norm(dim=-1).mean()) for before in (0, 1)]
-            for now in (0, 1)
-        ])  # fmt: skip
+        steps = np.array(
+            [
+                [float((joints[index][now] - joints[index - 1][before]).norm(dim=-1).mean()) for before in (0, 1)]
+                for now in (0, 1)
+            ]
+        )
         total = costs[None] + steps
         came_from.append(total.argmin(1))
         costs = total.min(1) + extra[index]

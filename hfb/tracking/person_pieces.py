@@ -102,5 +102,9 @@ def _bridged(
 
 def _together(one: Person, other: Person) -> Person:
     return (
-        min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3]), one[4] + other[4],
-    )  # fmt: skip
+        min(one[0], other[0]),
+        min(one[1], other[1]),
+        max(one[2], other[2]),
+        max(one[3], other[3]),
+        one[4] + other[4],
+    )

@@ -88,7 +88,7 @@ def write_motion_files(
         config: which formats.
         folder: where the files go.
     """
-    from hfb.interop.writers.exports import Exported, write_motion_file
+    from hfb.interop.writers.motion_exports import Exported, write_motion_file
     from hfb.motion.motion_file import load_motion
     from hfb.tasks.core.scene import load_chosen_body
 

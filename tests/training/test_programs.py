@@ -13,7 +13,7 @@ from hfb.evidence.joint_network import JointNetwork
 from hfb.evidence.lifting_network import LiftingNetwork
 from hfb.flows.cli.cli import main
 from hfb.matting.matte_network import MatteNetwork
-from hfb.training import registry
+from hfb.training import programs
 from hfb.training.joints import blurred_people, joint_fits
 from hfb.training.matting import matte_training, training_plates
 
@@ -119,7 +119,7 @@ def test_a_matting_network_learns_is_measured_and_written(place: Path, mocap: Pa
 def test_the_third_matting_network_begins_with_the_second(place: Path, mocap: Path, backgrounds: Path) -> None:
     bank = place / "doubles.npy"
     train("matting-bank", "--mocap", mocap, "--out", bank, "--count", 1, "--doubles")
-    second = registry.__file__.replace("training/registry.py", "matting/data/second_look.safetensors")
+    second = programs.__file__.replace("training/programs.py", "matting/data/second_look.safetensors")
     learned = ("--bank", bank, "--photos", backgrounds / "polyhaven", "--size", 48, "--batch", 1, "--fresh", 1)
     began = ("--third", "--go-on", second, "--loaders", 0)
     train("matting", *learned, *began, "--out", place / "third", "--iterations", 3)
@@ -132,7 +132,7 @@ def test_recordings_are_cut_into_clips(mocap: Path, tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("cmu_*_daz*.bvh"))) == 5
 
 
-@pytest.mark.parametrize("name", [*registry.PROGRAMS, *registry.PRIORS])
+@pytest.mark.parametrize("name", [*programs.PROGRAMS, *programs.PRIORS])
 def test_every_program_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["train", name, "--help"])

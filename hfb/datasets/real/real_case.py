@@ -155,9 +155,14 @@ def _clip_toml(camera: PinholeCamera, shutter: Shutter) -> str:
 
 
 def _facts(
-    spec: RealSpec, number: int, window: RealWindow, view: View, shutter: Shutter, exposures: list[Exposure],
+    spec: RealSpec,
+    number: int,
+    window: RealWindow,
+    view: View,
+    shutter: Shutter,
+    exposures: list[Exposure],
     joints: SeenJoints,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """case.json: how the case was made and how far its truth can be trusted."""
     recording, footage = window.recording, view.footage
     rates = [exposure.blur_rate() for exposure in exposures]
@@ -177,23 +182,38 @@ def _facts(
     if not footage.fps_known:
         remarks.append(f"no frame rate is given: {footage.fps:g} frames per second assumed")
     return {
-        "number": number, "set": "b-aist", "frames": shutter.frames, "blur_rate": sum(rates) / len(rates),
-        "blur_rates": rates, "source": f"{footage.stem}@{window.first}",
-        "video": recording.video.relative_to(spec.videos).as_posix(), "first_frame": window.first,
-        "average": shutter.average, "fps": footage.fps, "exposure_s": shutter.exposure_s,
-        "interval_s": shutter.interval_s, "light": "linear", "spec": spec.model_dump(mode="json", exclude={"videos"}),
+        "number": number,
+        "set": "b-aist",
+        "frames": shutter.frames,
+        "blur_rate": sum(rates) / len(rates),
+        "blur_rates": rates,
+        "source": f"{footage.stem}@{window.first}",
+        "video": recording.video.relative_to(spec.videos).as_posix(),
+        "first_frame": window.first,
+        "average": shutter.average,
+        "fps": footage.fps,
+        "exposure_s": shutter.exposure_s,
+        "interval_s": shutter.interval_s,
+        "light": "linear",
+        "spec": spec.model_dump(mode="json", exclude={"videos"}),
         "truth": joints.source if measured else "estimator",
         "truth_source": TRUTH_SOURCES[joints.source] if measured else joints.source,
-        "truth_joints": list(joints.names), "truth_offset_mm": truth_offsets_mm(joints.smpl_joints) if measured else {},
-        "matte": "mean of the sharp frames' own mattes", "plate": "given" if recording.plate else "median",
-        "joints_inside_matte": inside, "joint_shift_frames": recording.shift,
+        "truth_joints": list(joints.names),
+        "truth_offset_mm": truth_offsets_mm(joints.smpl_joints) if measured else {},
+        "matte": "mean of the sharp frames' own mattes",
+        "plate": "given" if recording.plate else "median",
+        "joints_inside_matte": inside,
+        "joint_shift_frames": recording.shift,
         "joints_known": float(np.isfinite(joints.joints).all(-1).mean()),
         "camera": {
-            "height": view.camera.height, "width": view.camera.width, "K": view.camera.matrix().tolist(),
+            "height": view.camera.height,
+            "width": view.camera.width,
+            "K": view.camera.matrix().tolist(),
             "source": _camera_source(footage, calibrated),
         },
-        "crop": [view.left, view.top, view.width, view.height], "remarks": remarks,
-    }  # fmt: skip
+        "crop": [view.left, view.top, view.width, view.height],
+        "remarks": remarks,
+    }
 
 
 def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:

@@ -203,9 +203,14 @@ def _film(
     )
     times_s, frame_index = subframe_times_s(motion.frames, motion.instants, motion.exposure_s, motion.interval_s)
     sampled = SampledMotion(
-        poses=poses.reshape(len(poses), 72), trans=translations, betas=betas, joints=joints.double().numpy(),
-        times_s=times_s, frame_index=frame_index, K=lens.matrix().numpy(),
-    )  # fmt: skip
+        poses=poses.reshape(len(poses), 72),
+        trans=translations,
+        betas=betas,
+        joints=joints.double().numpy(),
+        times_s=times_s,
+        frame_index=frame_index,
+        K=lens.matrix().numpy(),
+    )
     return _Film(sampled, lens)
 
 
@@ -251,9 +256,14 @@ def _store(folder: Path, pictures: Iterator[Float[Array, "H W 3"]], fps: float, 
 def _without(motion: SampledMotion, gone: set[int]) -> SampledMotion:
     keep = ~np.isin(motion.frame_index, sorted(gone))
     return SampledMotion(
-        motion.poses[keep], motion.trans[keep], motion.betas, motion.joints[keep], motion.times_s[keep],
-        motion.frame_index[keep], motion.K,
-    )  # fmt: skip
+        motion.poses[keep],
+        motion.trans[keep],
+        motion.betas,
+        motion.joints[keep],
+        motion.times_s[keep],
+        motion.frame_index[keep],
+        motion.K,
+    )
 
 
 def _clip_toml(lens: PinholeCamera, fps: float, shutter: float, frames: int, video: bool) -> str:

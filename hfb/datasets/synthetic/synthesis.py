@@ -134,9 +134,16 @@ def _find_scene(
 ) -> _Scene:
     """The first candidate whose full-size truth has the wanted blur rate and keeps off the picture's border."""
     found = candidates(
-        _loader(spec), usable, actor.quick, shutter_of(spec.set), wanted, spec.fill == "natural", spec.frames,
-        spec.size_px, rng,
-    )  # fmt: skip
+        _loader(spec),
+        usable,
+        actor.quick,
+        shutter_of(spec.set),
+        wanted,
+        spec.fill == "natural",
+        spec.frames,
+        spec.size_px,
+        rng,
+    )
     for candidate in found:
         body, camera = actor.photographed(candidate.clip), candidate.camera.lens
         motion = _motion(candidate, actor)
@@ -165,9 +172,14 @@ def _motion(found: Candidate, actor: _Actor) -> SampledMotion:
     )
     times_s, frame_index = subframe_times_s(clock.frames, clock.instants, clock.exposure_s, clock.interval_s)
     return SampledMotion(
-        poses=poses.reshape(len(poses), 72), trans=translations, betas=actor.betas, joints=joints.double().numpy(),
-        times_s=times_s, frame_index=frame_index, K=found.camera.lens.matrix().numpy(),
-    )  # fmt: skip
+        poses=poses.reshape(len(poses), 72),
+        trans=translations,
+        betas=actor.betas,
+        joints=joints.double().numpy(),
+        times_s=times_s,
+        frame_index=frame_index,
+        K=found.camera.lens.matrix().numpy(),
+    )
 
 
 @lru_cache(maxsize=2)

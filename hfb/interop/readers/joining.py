@@ -38,8 +38,9 @@ def joined(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
         if one.person not in {track.person for track in tracks}:
             _log.warning(
                 "%s: persons %s never share a frame and continue one another: taken for one",
-                one.system, ", ".join(one.person.split(JOINT)),
-            )  # fmt: skip
+                one.system,
+                ", ".join(one.person.split(JOINT)),
+            )
     order = {track.person: number for number, track in enumerate(tracks)}
     return sorted(people, key=lambda one: order[one.person.split(JOINT)[0]])
 

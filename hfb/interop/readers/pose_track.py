@@ -91,8 +91,12 @@ def tidy(track: PoseTrack) -> PoseTrack:
     if len(usable) < len(track):
         _log.warning(
             "%s: %d of %d rows of person %s are left out: not finite, fewer than %d joints, or behind the camera",
-            track.system, len(track) - len(usable), len(track), track.person, _LEAST_JOINTS,
-        )  # fmt: skip
+            track.system,
+            len(track) - len(usable),
+            len(track),
+            track.person,
+            _LEAST_JOINTS,
+        )
     _, first = np.unique(track.frames[usable], return_index=True)
     return track.rows(usable[first])
 

@@ -7,14 +7,20 @@ from hfb.config import Film, MotionFormat
 from hfb.errors import InputError
 
 FILE_NAMES: dict[MotionFormat, str] = {
-    "amass": "amass.npz", "glb": "motion.glb", "bvh": "motion.bvh", "csv": "joints.csv", "trc": "joints.trc",
+    "amass": "amass.npz",
+    "glb": "motion.glb",
+    "bvh": "motion.bvh",
+    "csv": "joints.csv",
+    "trc": "joints.trc",
     "c3d": "joints.c3d",
-}  # fmt: skip
+}
 """What each format's file is called in a run's folder."""
 
 FILM_NAMES: dict[Film, str] = {
-    "slowmotion": "slowmotion.mp4", "exact": "exact_time.mp4", "overlay": "overlay.mp4",
-}  # fmt: skip
+    "slowmotion": "slowmotion.mp4",
+    "exact": "exact_time.mp4",
+    "overlay": "overlay.mp4",
+}
 """What each film is called there."""
 
 EXPORTED_NAMES: tuple[str, ...] = (*FILE_NAMES.values(), *FILM_NAMES.values())

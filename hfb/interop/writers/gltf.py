@@ -10,8 +10,11 @@ from hfb.typing import Array, Shaped
 
 _FLOAT, _UBYTE, _USHORT, _UINT = 5126, 5121, 5123, 5125
 _COMPONENTS = {
-    np.dtype(np.float32): _FLOAT, np.dtype(np.uint8): _UBYTE, np.dtype(np.uint16): _USHORT, np.dtype(np.uint32): _UINT,
-}  # fmt: skip
+    np.dtype(np.float32): _FLOAT,
+    np.dtype(np.uint8): _UBYTE,
+    np.dtype(np.uint16): _USHORT,
+    np.dtype(np.uint32): _UINT,
+}
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 """What a buffer view of vertices, or of indices, is for."""
@@ -59,8 +62,10 @@ class GlbBuffer:
     def glb(self, document: dict[str, Any]) -> bytes:
         """The whole file: a document without its buffers, and what was collected."""
         whole = document | {
-            "accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(self._data)}],
-        }  # fmt: skip
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+            "buffers": [{"byteLength": len(self._data)}],
+        }
         text = json.dumps(whole, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         binary = bytes(self._data) + b"\0" * (-len(self._data) % 4)

@@ -164,9 +164,13 @@ def _knots(motion: SampledMotion) -> _Knots:
     new = np.concatenate([[True], np.diff(times) > tolerance])
     key = np.cumsum(new) - 1
     return _Knots(
-        times[new], _means(values, new), _means(slopes, new),
-        key[[run.start for run in runs]], key[[run.stop - 1 for run in runs]], frames[[run.start for run in runs]],
-    )  # fmt: skip
+        times[new],
+        _means(values, new),
+        _means(slopes, new),
+        key[[run.start for run in runs]],
+        key[[run.stop - 1 for run in runs]],
+        frames[[run.start for run in runs]],
+    )
 
 
 def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "M c"]:

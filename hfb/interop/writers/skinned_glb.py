@@ -119,8 +119,10 @@ def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
         offset = rest[0] + keys.translations[0] if parent < 0 else rest[joint] - rest[parent]
         node: dict[str, Any] = {
-            "name": name, "translation": offset.tolist(), "rotation": np.roll(keys.quaternions[0, joint], -1).tolist(),
-        }  # fmt: skip
+            "name": name,
+            "translation": offset.tolist(),
+            "rotation": np.roll(keys.quaternions[0, joint], -1).tolist(),
+        }
         children = [_PELVIS + child for child, above in enumerate(PARENTS) if above == joint]
         if children:
             node["children"] = children

@@ -193,9 +193,17 @@ def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None, transf
     told = sample_remarks(files, transfer)
     assumed = f"no frame rate given: assuming {ASSUMED_FPS:g} per second (fps in clip.toml)"
     return Footage(
-        place, files, height, width, np.arange(len(files)) / (fps or ASSUMED_FPS), 1 / (fps or ASSUMED_FPS), bits,
-        "srgb", remarks=told if fps else (assumed, *told), recorded_exposure=recorded_exposure(files[0]),
-    )  # fmt: skip
+        place,
+        files,
+        height,
+        width,
+        np.arange(len(files)) / (fps or ASSUMED_FPS),
+        1 / (fps or ASSUMED_FPS),
+        bits,
+        "srgb",
+        remarks=told if fps else (assumed, *told),
+        recorded_exposure=recorded_exposure(files[0]),
+    )
 
 
 def _of_video(
@@ -220,10 +228,20 @@ def _of_video(
     if readable < last:
         loss = f"{name} is damaged: frames {readable} to {last - 1} cannot be read and are left out"
     footage = Footage(
-        place, files, index.height, index.width, index.times_s, nominal_interval(index.times_s), index.bits, "srgb",
-        index=index, loss=loss, remarks=tuple(one for one in (loss, *_remarks(index), scan and scan.remark()) if one),
-        recorded_exposure=index.recorded_exposure, tick_s=index.tick_s,
-    )  # fmt: skip
+        place,
+        files,
+        index.height,
+        index.width,
+        index.times_s,
+        nominal_interval(index.times_s),
+        index.bits,
+        "srgb",
+        index=index,
+        loss=loss,
+        remarks=tuple(one for one in (loss, *_remarks(index), scan and scan.remark()) if one),
+        recorded_exposure=index.recorded_exposure,
+        tick_s=index.tick_s,
+    )
     return footage, first, readable
 
 
@@ -270,9 +288,13 @@ def _averaged(sharp: Footage, average: int) -> Footage:
     if left_over:
         remarks = (*remarks, f"the last {left_over} frames are left out: {average} make one")
     return replace(
-        sharp, times_s=sharp.times_s[: sharp.count - left_over : average], interval_s=sharp.interval_s * average,
-        bits=16, average=average, remarks=remarks,
-    )  # fmt: skip
+        sharp,
+        times_s=sharp.times_s[: sharp.count - left_over : average],
+        interval_s=sharp.interval_s * average,
+        bits=16,
+        average=average,
+        remarks=remarks,
+    )
 
 
 def _range(

@@ -71,8 +71,9 @@ def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[
     height, width = stored.shape[:2]
     aspect = footage.index.aspect if footage.index else 1.0
     if aspect != 1 and (footage.height, footage.width) in (
-        square_size(height, width, aspect), square_size(height, width, 1 / aspect)
-    ):  # fmt: skip
+        square_size(height, width, aspect),
+        square_size(height, width, 1 / aspect),
+    ):
         return stretched(stored, footage.height, footage.width).clip(0, 1)
     return stored
 

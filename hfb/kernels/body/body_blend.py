@@ -90,9 +90,21 @@ def _list_asking(given, first, asking):
 
 @njit(**LOOP)
 def _gradient_block(
-    table, directions, steps, starts, joints, weights, points, given, first, asking, count,
-    pulls, of_rest, of_feature,
-):  # fmt: skip
+    table,
+    directions,
+    steps,
+    starts,
+    joints,
+    weights,
+    points,
+    given,
+    first,
+    asking,
+    count,
+    pulls,
+    of_rest,
+    of_feature,
+):
     stride = 3 * given.shape[1]
     for number in range(count):
         v = asking[number]
@@ -123,9 +135,21 @@ def blend_and_skin_gradient(
         whole, at = whole_block(given, first)
         count = _list_asking(whole, at, asking)
         _gradient_block(
-            table, directions, steps, starts, joints, weights, block, whole, at, asking, count,
-            pulls, of_rest, of_feature,
-        )  # fmt: skip
+            table,
+            directions,
+            steps,
+            starts,
+            joints,
+            weights,
+            block,
+            whole,
+            at,
+            asking,
+            count,
+            pulls,
+            of_rest,
+            of_feature,
+        )
         gather(pulls, first, n, of_transforms)
         for s in range(n):
             for j in range(1, of_rotations.shape[1]):

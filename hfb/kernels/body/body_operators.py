@@ -82,9 +82,13 @@ def _(rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Ten
 
 @operator("hfb::place_joints_gradient")
 def place_joints_gradient(
-    rotations: Tensor, rest_joints: Tensor, parents: Tensor, transforms: Tensor, of_transforms: Tensor,
+    rotations: Tensor,
+    rest_joints: Tensor,
+    parents: Tensor,
+    transforms: Tensor,
+    of_transforms: Tensor,
     of_joints: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor]:
     """Gradients of the rotations, the translations and the rest joints."""
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
@@ -95,9 +99,13 @@ def place_joints_gradient(
 
 @place_joints_gradient.register_fake
 def _(
-    rotations: Tensor, rest_joints: Tensor, parents: Tensor, transforms: Tensor, of_transforms: Tensor,
+    rotations: Tensor,
+    rest_joints: Tensor,
+    parents: Tensor,
+    transforms: Tensor,
+    of_transforms: Tensor,
     of_joints: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor, Tensor]:
     of_translations = rotations.new_empty(rotations.shape[0], 3)
     return rotations.new_empty(rotations.shape), of_translations, rest_joints.new_empty(rest_joints.shape)
 
@@ -171,9 +179,15 @@ def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
 
 @operator("hfb::blend_and_skin")
 def blend_and_skin(
-    transforms: Tensor, rotations: Tensor, rest: Tensor, directions: Tensor, steps: Tensor, starts: Tensor,
-    joints: Tensor, weights: Tensor,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    transforms: Tensor,
+    rotations: Tensor,
+    rest: Tensor,
+    directions: Tensor,
+    steps: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+) -> tuple[Tensor, Tensor]:
     """`skin` of a rest body with pose blend shapes (SMPL's eq. 9): vertices (S, V, 3) [m], and what its way back needs.
 
     Args:
@@ -189,17 +203,29 @@ def blend_and_skin(
 
 @blend_and_skin.register_fake
 def _(
-    transforms: Tensor, rotations: Tensor, rest: Tensor, directions: Tensor, steps: Tensor, starts: Tensor,
-    joints: Tensor, weights: Tensor,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    transforms: Tensor,
+    rotations: Tensor,
+    rest: Tensor,
+    directions: Tensor,
+    steps: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+) -> tuple[Tensor, Tensor]:
     return rest.new_empty(transforms.shape[0], *rest.shape), rest.new_empty(_kept(transforms, rest))
 
 
 @operator("hfb::blend_and_skin_gradient")
 def blend_and_skin_gradient(
-    transforms: Tensor, directions: Tensor, steps: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
-    points: Tensor, given: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    transforms: Tensor,
+    directions: Tensor,
+    steps: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+    points: Tensor,
+    given: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
     """Gradients of the transforms, the rotations by their displacements, and the rest vertices."""
     of_transforms = transforms.new_empty(transforms.shape)
     of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
@@ -211,9 +237,15 @@ def blend_and_skin_gradient(
 
 @blend_and_skin_gradient.register_fake
 def _(
-    transforms: Tensor, directions: Tensor, steps: Tensor, starts: Tensor, joints: Tensor, weights: Tensor,
-    points: Tensor, given: Tensor,
-) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    transforms: Tensor,
+    directions: Tensor,
+    steps: Tensor,
+    starts: Tensor,
+    joints: Tensor,
+    weights: Tensor,
+    points: Tensor,
+    given: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
     of_rotations = transforms.new_empty(*transforms.shape[:2], 3, 3)
     return transforms.new_empty(transforms.shape), of_rotations, transforms.new_empty(given.shape[1:])
 

@@ -31,9 +31,14 @@ def _(translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, r
 
 @operator("hfb::as_large_gradient")
 def as_large_gradient(
-    translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor,
+    translation: Tensor,
+    betas: Tensor,
+    reference: Tensor,
+    template: Tensor,
+    rows: Tensor,
+    parents: Tensor,
     given: Tensor,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor]:
     """Gradients of the coefficients and of the betas."""
     gradients = translation.new_empty(translation.shape), betas.new_empty(betas.shape)
     people = arrays(translation, betas, reference, template.flatten(), rows, parents, given)
@@ -43,9 +48,14 @@ def as_large_gradient(
 
 @as_large_gradient.register_fake
 def _(
-    translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor,
+    translation: Tensor,
+    betas: Tensor,
+    reference: Tensor,
+    template: Tensor,
+    rows: Tensor,
+    parents: Tensor,
     given: Tensor,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor]:
     return translation.new_empty(translation.shape), betas.new_empty(betas.shape)
 
 

@@ -47,8 +47,12 @@ def anatomy(poses, order, tables, softness, values, gradient):
             factor = 2.0 / k if still else 2.0 * np.arctan2(m, k) / m
             cost_0, g0 = _cost(
                 2.0 * np.arctan2(a, base),
-                tables[0, j, 0], tables[1, j, 0], tables[2, j, 0], tables[3, j, 0], softness,
-            )  # fmt: skip
+                tables[0, j, 0],
+                tables[1, j, 0],
+                tables[2, j, 0],
+                tables[3, j, 0],
+                softness,
+            )
             cost_1, g1 = _cost(
                 first * factor, tables[0, j, 1], tables[1, j, 1], tables[2, j, 1], tables[3, j, 1], softness
             )

@@ -75,18 +75,33 @@ class Target:
         window, difference = np.array([across[0], down[0], across[1], down[1]]), mean.reshape(-1, 4)
         coarse, slopes = np.empty((self._table[-1, 0], 4), mean.dtype), np.empty((len(self._table) - 1, 3))
         losses = kernels.compare(
-            difference, self._plate, self._frame, window, self._table, self._seen, *self._scales, difference, coarse,
+            difference,
+            self._plate,
+            self._frame,
+            window,
+            self._table,
+            self._seen,
+            *self._scales,
+            difference,
+            coarse,
             slopes,
-        )  # fmt: skip
+        )
         return losses, Compared(window, difference, coarse, slopes)
 
     def pull(self, compared: Compared, by_losses: Sequence[float]) -> Float[Array, "H W 4"]:
         """Gradient by the mean drawing, from those of L_I and L_alpha; in the box alone, elsewhere anything."""
         gradient, asked = np.empty_like(compared.difference), np.empty_like(compared.coarse)
         kernels.gradient_of(
-            compared.difference, compared.coarse, self._plate, compared.window, self._table, compared.slopes,
-            *by_losses, asked, gradient,
-        )  # fmt: skip
+            compared.difference,
+            compared.coarse,
+            self._plate,
+            compared.window,
+            self._table,
+            compared.slopes,
+            *by_losses,
+            asked,
+            gradient,
+        )
         return gradient.reshape(*self.size, 4)
 
     def losses(self, mean: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:

@@ -51,10 +51,25 @@ def _resolve_overlaps(outline, projected, width, place, unsure, pixels, windings
     weights = np.zeros((piece_pixel.shape[0], 2), np.float64)
     most = 3 + 2 * longest + longest * longest // 2 + LANES  # heights: borders, ends and crossings
     resolve(
-        unsure, newest, counts, pixels, windings, width, outline, projected, older, edge, span, weights,
-        np.empty(longest, np.int64), np.empty((longest, 6), np.float64), np.empty(most, np.float64),
-        np.empty(most, np.float64), np.empty(longest, np.int64), np.empty(2 * LANES * longest, np.float64),
-    )  # fmt: skip
+        unsure,
+        newest,
+        counts,
+        pixels,
+        windings,
+        width,
+        outline,
+        projected,
+        older,
+        edge,
+        span,
+        weights,
+        np.empty(longest, np.int64),
+        np.empty((longest, 6), np.float64),
+        np.empty(most, np.float64),
+        np.empty(most, np.float64),
+        np.empty(longest, np.int64),
+        np.empty(2 * LANES * longest, np.float64),
+    )
     return weights
 
 
@@ -71,9 +86,15 @@ def _trace(outline, projected, box, width, seen, mask, pixels, codes, coverage, 
     pieces = (piece_pixel, piece_edge, piece_span, piece_row, piece_mark, amounts)
     longest = 2 * (height + breadth) + 8  # an edge crosses each border between rows and columns at most twice
     total = cut_outline(
-        outline, projected, box, np.empty(CUT, np.float64),
-        np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(longest, np.float64), pieces,
-    )  # fmt: skip
+        outline,
+        projected,
+        box,
+        np.empty(CUT, np.float64),
+        np.empty(longest, np.int64),
+        np.empty(longest, np.int64),
+        np.empty(longest, np.float64),
+        pieces,
+    )
     wind_outline(total, pieces, breadth, winding, marks, first, last, seen, mask)
     place, unsure = np.empty(pixels.shape[0], np.int32), np.empty(pixels.shape[0], np.int32)
     n, n_unsure = collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, coverage, place, unsure)
@@ -147,23 +168,54 @@ def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
             mask = mask_for(faces, edge_faces)
             seen = see_faces(projected[s], faces, candidates[s, : n_candidates[s]], box, mask)
         n, moving = _trace(
-            mine, projected[s], box, width, seen, mask, pixels[p : p + room[s, 0]], codes[p:], coverage[p:],
-            owner[m : m + room[s, 1]], edge[m:], shares[m:],
-        )  # fmt: skip
+            mine,
+            projected[s],
+            box,
+            width,
+            seen,
+            mask,
+            pixels[p : p + room[s, 0]],
+            codes[p:],
+            coverage[p:],
+            owner[m : m + room[s, 1]],
+            edge[m:],
+            shares[m:],
+        )
         if coloured:
             shade(
-                pixels[p : p + n], codes[p : p + n], coverage[p : p + n], width, mine, projected[s], faces, uv, texture,
-                near, table, places, rim, colours[p : p + n],
-            )  # fmt: skip
+                pixels[p : p + n],
+                codes[p : p + n],
+                coverage[p : p + n],
+                width,
+                mine,
+                projected[s],
+                faces,
+                uv,
+                texture,
+                near,
+                table,
+                places,
+                rim,
+                colours[p : p + n],
+            )
         ends[s + 1, 1], ends[s + 1, 2] = p + n, m + moving
         if n > 0:
             around[0], around[1] = min(around[0], box[0]), min(around[1], box[1])
             around[2], around[3] = max(around[2], box[2]), max(around[3], box[3])
     n, moving = ends[count, 1], ends[count, 2]
     return (
-        projected, outline, pixels[:n], coverage[:n], owner[:moving], edge[:moving], shares[:moving],
-        codes[:n] if coloured else codes, ends, colours[:n] if coloured else colours, around,
-    )  # fmt: skip
+        projected,
+        outline,
+        pixels[:n],
+        coverage[:n],
+        owner[:moving],
+        edge[:moving],
+        shares[:moving],
+        codes[:n] if coloured else codes,
+        ends,
+        colours[:n] if coloured else colours,
+        around,
+    )
 
 
 @loop_entry
@@ -235,9 +287,25 @@ def pull_block(
         on_screen[:] = 0.0
         if texture.shape[0] > 0:
             shade_gradient(
-                np.int64(lens[5]), faces, uv, texture, projected[s], mine, pixels[p:q], coverage[p:q], codes[p:q],
-                given, scale, near, table, places, rim, of_coverage, on_screen, sums,
-            )  # fmt: skip
+                np.int64(lens[5]),
+                faces,
+                uv,
+                texture,
+                projected[s],
+                mine,
+                pixels[p:q],
+                coverage[p:q],
+                codes[p:q],
+                given,
+                scale,
+                near,
+                table,
+                places,
+                rim,
+                of_coverage,
+                on_screen,
+                sums,
+            )
         else:
             take(pixels[p:q], given, scale, of_coverage)
         if gradient.shape[1] > 0:

@@ -113,8 +113,9 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
     blocks = range(0, count, at_once)
     drawn = run_tasks(
         lambda block: setting.draw(vertices[blocks[block] : blocks[block] + at_once], texels),
-        len(blocks), setting.threads,
-    )  # fmt: skip
+        len(blocks),
+        setting.threads,
+    )
     size = int(lens[6]), int(lens[5]), 4 if len(texels) else 1
     pictures = np.zeros((1 if setting.mean else count, *size), vertices.dtype)
     scale = vertices.dtype.type(1 / count if setting.mean else 1)
@@ -157,9 +158,17 @@ def pull_bodies(
             bodies = max(first - at, 0), min(last - at, at_once)
             asking = given if setting.mean else given[some]
             setting.pull(
-                vertices[some], texels, blocks[at // at_once], bodies, asking, scale, gradient[some], sums,
-                closes[some], total,
-            )  # fmt: skip
+                vertices[some],
+                texels,
+                blocks[at // at_once],
+                bodies,
+                asking,
+                scale,
+                gradient[some],
+                sums,
+                closes[some],
+                total,
+            )
         return sums
 
     if setting.threads > 1:

@@ -154,9 +154,26 @@ def _combine(distance, slot, n, inverse_delta, missed, slopes):
 
 @njit(**LOOP)
 def _list_pixels(
-    box, width, seen, mask, slots, faces, inverse_delta, distance, side, filled, missed, slopes,
-    pixels, codes, coverage, outline, owner, of_side, weights,
-):  # fmt: skip
+    box,
+    width,
+    seen,
+    mask,
+    slots,
+    faces,
+    inverse_delta,
+    distance,
+    side,
+    filled,
+    missed,
+    slopes,
+    pixels,
+    codes,
+    coverage,
+    outline,
+    owner,
+    of_side,
+    weights,
+):
     """Fill the lists of the trace, pixels in reading order; returns the numbers of pixels, halo pixels and pairs."""
     n, halo, pairs = 0, 0, 0
     for r in range(seen.shape[0]):
@@ -197,9 +214,26 @@ def _trace(projected, faces, box, width, seen, mask, soft):
     outline, owner = np.empty((n_halo, 3), np.uint32), np.empty(n_halo * most, np.int32)
     of_side, weights = np.empty(n_halo * most, np.int32), np.empty(n_halo * most, np.float64)
     _, _, pairs = _list_pixels(
-        box, width, seen, mask, slots, faces, soft[0], distance, side, filled, np.empty(most), np.empty(most),
-        pixels, codes, coverage, outline, owner, of_side, weights,
-    )  # fmt: skip
+        box,
+        width,
+        seen,
+        mask,
+        slots,
+        faces,
+        soft[0],
+        distance,
+        side,
+        filled,
+        np.empty(most),
+        np.empty(most),
+        pixels,
+        codes,
+        coverage,
+        outline,
+        owner,
+        of_side,
+        weights,
+    )
     return (outline, pixels, coverage, owner[:pairs], of_side[:pairs], weights[:pairs], codes)
 
 
@@ -226,9 +260,21 @@ def draw_body_softly(vertices, lens, soft, faces, uv, texture):
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
     places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade(
-        pixels, codes, coverage, np.int64(lens[5]), outline, projected, faces, uv, texture, near, table, places, rim,
+        pixels,
+        codes,
+        coverage,
+        np.int64(lens[5]),
+        outline,
+        projected,
+        faces,
+        uv,
+        texture,
+        near,
+        table,
+        places,
+        rim,
         colours,
-    )  # fmt: skip
+    )
     return projected, outline, pixels, coverage, owner, of_side, weights, codes, colours
 
 
@@ -278,9 +324,25 @@ def draw_body_softly_gradient(
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
     places, rim = np.empty(PLACES, np.int32), np.empty(pixels.shape[0] + 1, np.int32)
     shade_gradient(
-        width, faces, uv, texture, projected, outline, pixels, coverage, codes,
-        picture_gradient, scale, near, table, places, rim, of_coverage, on_screen, texture_gradient,
-    )  # fmt: skip
+        width,
+        faces,
+        uv,
+        texture,
+        projected,
+        outline,
+        pixels,
+        coverage,
+        codes,
+        picture_gradient,
+        scale,
+        near,
+        table,
+        places,
+        rim,
+        of_coverage,
+        on_screen,
+        texture_gradient,
+    )
     if gradient.shape[0] > 0:
         _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_coverage, on_screen)
         to_metres(projected, vertices, lens, on_screen, gradient)

@@ -94,9 +94,15 @@ def _pulled(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]
 
 @torch.library.custom_op("hfb::draw", mutates_args=())
 def draw(
-    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    soft: Sequence[float], mean: bool, threads: int,
-) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+    vertices: Tensor,
+    texture: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lens: Sequence[float],
+    soft: Sequence[float],
+    mean: bool,
+    threads: int,
+) -> tuple[Tensor, list[Tensor]]:
     """Pictures of S bodies, and what the way back needs.
 
     Args:
@@ -121,9 +127,15 @@ def draw(
 
 @draw.register_fake
 def _(
-    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    soft: Sequence[float], mean: bool, threads: int,
-) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+    vertices: Tensor,
+    texture: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lens: Sequence[float],
+    soft: Sequence[float],
+    mean: bool,
+    threads: int,
+) -> tuple[Tensor, list[Tensor]]:
     context, coloured = torch.library.get_ctx(), texture.shape[0] > 0
 
     def whole(*size: int | torch.SymInt) -> Tensor:
@@ -146,9 +158,18 @@ def _(
 
 @torch.library.custom_op("hfb::draw_gradient", mutates_args=())
 def draw_gradient(
-    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    of_pictures: Tensor,
+    vertices: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lens: Sequence[float],
+    soft: Sequence[float],
+    mean: bool,
+    kept: Sequence[Tensor],
+    of_vertices: bool,
+    of_texture: bool,
+    threads: int,
+) -> tuple[Tensor, Tensor]:
     """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
@@ -164,9 +185,18 @@ def _block(parts: Sequence[Any]) -> Block:
 
 @draw_gradient.register_fake
 def _(
-    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
-    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    of_pictures: Tensor,
+    vertices: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lens: Sequence[float],
+    soft: Sequence[float],
+    mean: bool,
+    kept: Sequence[Tensor],
+    of_vertices: bool,
+    of_texture: bool,
+    threads: int,
+) -> tuple[Tensor, Tensor]:
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
     side = kept[0].shape[0] if of_texture else 0
     return gradient, vertices.new_empty(side, side, 3)
@@ -185,9 +215,7 @@ def _backward(ctx, of_pictures, *_):  # type: ignore[no-untyped-def]
         return None, None, *no_gradient
     vertices, uv, *tables = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and ctx.coloured
-    gradients = draw_gradient(
-        of_pictures, vertices, uv, tables[:3], *ctx.numbers, tables[3:], *wanted, ctx.threads
-    )  # fmt: skip
+    gradients = draw_gradient(of_pictures, vertices, uv, tables[:3], *ctx.numbers, tables[3:], *wanted, ctx.threads)
     return *(gradient if want else None for gradient, want in zip(gradients, wanted, strict=True)), *no_gradient
 
 

@@ -210,10 +210,19 @@ def _cut_near(first, at, n_edges, box, found, pieces, n):
         store_lanes(found, STEPS + at, steps)
         for lane in range(LANES):
             _put_piece(
-                pieces, n, first + at + lane, np.int32(found[ROW + lane]), np.int32(found[COLUMN + lane]),
-                box[2] - box[0], found[FROM + lane], found[TO + lane], np.uint8(np.int32(found[MARK + lane])),
-                found[LEFT + lane], found[RIGHT + lane], found[NEAR + lane],
-            )  # fmt: skip
+                pieces,
+                n,
+                first + at + lane,
+                np.int32(found[ROW + lane]),
+                np.int32(found[COLUMN + lane]),
+                box[2] - box[0],
+                found[FROM + lane],
+                found[TO + lane],
+                np.uint8(np.int32(found[MARK + lane])),
+                found[LEFT + lane],
+                found[RIGHT + lane],
+                found[NEAR + lane],
+            )
             n += found[STEPS + at + lane] >= 0.0
         sideways = if_less(t_r, t_c, 0.0, 1.0)
         c, r = c + along * sideways, r + down * (1.0 - sideways)

@@ -165,9 +165,25 @@ def _cover_slabs(base, m, at_left, member, part, n, heights, active, lines, span
 
 @njit(**LOOP)
 def resolve(
-    unsure, newest, counts, pixels, windings, width, outline, projected, older, edge, span, weights,
-    member, part, heights, sorted_heights, active, lines,
-):  # fmt: skip
+    unsure,
+    newest,
+    counts,
+    pixels,
+    windings,
+    width,
+    outline,
+    projected,
+    older,
+    edge,
+    span,
+    weights,
+    member,
+    part,
+    heights,
+    sorted_heights,
+    active,
+    lines,
+):
     """Replace the mean winding of the unsure pixels by their covered share; fill the weights of their pieces."""
     for slot in range(unsure.shape[0]):
         m, pixel = counts[slot], pixels[unsure[slot]]

@@ -213,8 +213,11 @@ def _set_up(projected, faces, candidates, box, found):
     for n in range(0, candidates.shape[0], LANES):
         x0, y0, z0 = load_lanes(found, X0 + n), load_lanes(found, Y0 + n), load_lanes(found, Z0 + n)
         x1, y1, x2, y2 = (
-            load_lanes(found, X1 + n), load_lanes(found, Y1 + n), load_lanes(found, X2 + n), load_lanes(found, Y2 + n)
-        )  # fmt: skip
+            load_lanes(found, X1 + n),
+            load_lanes(found, Y1 + n),
+            load_lanes(found, X2 + n),
+            load_lanes(found, Y2 + n),
+        )
         store_lanes(found, Z1 + n, load_lanes(found, Z1 + n) - z0)
         store_lanes(found, Z2 + n, load_lanes(found, Z2 + n) - z0)
         inverse = lanes(1.0) / ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0))

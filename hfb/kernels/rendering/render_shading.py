@@ -168,9 +168,18 @@ def _mix(n, texture, table, places, colours):
     for m in range(n):
         t00, at = np.int64(places[TEXEL + m]), 4 * np.int64(places[SLOT + m])
         mix_texels(
-            texture, t00, t00 + right, t00 + down, t00 + down + right,
-            table[W00 + m], table[W01 + m], table[W10 + m], table[W11 + m], colours, at,
-        )  # fmt: skip
+            texture,
+            t00,
+            t00 + right,
+            t00 + down,
+            t00 + down + right,
+            table[W00 + m],
+            table[W01 + m],
+            table[W10 + m],
+            table[W11 + m],
+            colours,
+            at,
+        )
 
 
 @njit(**LOOP)
@@ -225,9 +234,18 @@ def _ask_texels(n, texture, picture_gradient, table, places, texture_gradient):
         table[G00 + m], table[G01 + m], table[G10 + m], table[G11 + m] = g00, g01, g10, g11
         if texture_gradient.shape[0] > 0:
             add_to_texels(
-                texture_gradient, t00, t01, t10, t11,
-                table[W00 + m], table[W01 + m], table[W10 + m], table[W11 + m], picture_gradient, at,
-            )  # fmt: skip
+                texture_gradient,
+                t00,
+                t01,
+                t10,
+                t11,
+                table[W00 + m],
+                table[W01 + m],
+                table[W10 + m],
+                table[W11 + m],
+                picture_gradient,
+                at,
+            )
 
 
 @njit(**LOOP)
@@ -305,9 +323,24 @@ def _ask(n, texture, picture_gradient, scale, table, places, of_coverage, textur
 
 @njit(**LOOP)
 def _ask_faces(
-    n, width, faces, uv, texture, projected, pixels, coverage, codes, picture_gradient, scale, near, table, places,
-    of_coverage, on_screen, texture_gradient,
-):  # fmt: skip
+    n,
+    width,
+    faces,
+    uv,
+    texture,
+    projected,
+    pixels,
+    coverage,
+    codes,
+    picture_gradient,
+    scale,
+    near,
+    table,
+    places,
+    of_coverage,
+    on_screen,
+    texture_gradient,
+):
     _gather_faces(n, width, pixels, codes, coverage, scale, projected, faces, uv, near, places)
     _untangle(n, near, table)
     _weigh_corners(n, table)
@@ -318,9 +351,25 @@ def _ask_faces(
 
 @njit(**LOOP)
 def shade_gradient(
-    width, faces, uv, texture, projected, outline, pixels, coverage, codes,
-    picture_gradient, scale, near, table, places, rim, of_coverage, on_screen, texture_gradient,
-):  # fmt: skip
+    width,
+    faces,
+    uv,
+    texture,
+    projected,
+    outline,
+    pixels,
+    coverage,
+    codes,
+    picture_gradient,
+    scale,
+    near,
+    table,
+    places,
+    rim,
+    of_coverage,
+    on_screen,
+    texture_gradient,
+):
     """Way back of `shade`: fills the coverage's gradient, adds to the corners' (V, 4; the last unused) and to the
     texture's. An empty `on_screen` or `texture_gradient` leaves that one out."""
     n, n_rim = 0, 0
@@ -333,14 +382,44 @@ def shade_gradient(
             of_coverage[m] = scale * np.float64(picture_gradient[np.uint32(pixels[m]), 3])
         if n == BATCH:
             _ask_faces(
-                n, width, faces, uv, texture, projected, pixels, coverage, codes, picture_gradient, scale, near, table,
-                places, of_coverage, on_screen, texture_gradient,
-            )  # fmt: skip
+                n,
+                width,
+                faces,
+                uv,
+                texture,
+                projected,
+                pixels,
+                coverage,
+                codes,
+                picture_gradient,
+                scale,
+                near,
+                table,
+                places,
+                of_coverage,
+                on_screen,
+                texture_gradient,
+            )
             n = 0
     _ask_faces(
-        n, width, faces, uv, texture, projected, pixels, coverage, codes, picture_gradient, scale, near, table,
-        places, of_coverage, on_screen, texture_gradient,
-    )  # fmt: skip
+        n,
+        width,
+        faces,
+        uv,
+        texture,
+        projected,
+        pixels,
+        coverage,
+        codes,
+        picture_gradient,
+        scale,
+        near,
+        table,
+        places,
+        of_coverage,
+        on_screen,
+        texture_gradient,
+    )
     for first in range(0, n_rim, BATCH):
         n = min(n_rim - first, BATCH)
         for q in range(n):

@@ -29,10 +29,14 @@ TWO = wp.constant(wp.float64(2.0))
 
 @wp.kernel
 def pull_faces(
-    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
-    uv: wp.array2d(dtype=wp.vec2d), codes: wp.array3d(dtype=wp.int32), pulls: wp.array3d(dtype=wp.vec3d),
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d),
+    codes: wp.array3d(dtype=wp.int32),
+    pulls: wp.array3d(dtype=wp.vec3d),
     on_corners: wp.array3d(dtype=wp.vec3d),
-):  # fmt: skip
+):
     """Gradients of each face's corners (x, y, 1/z) through the colours it shows. Threads: bodies, faces.
 
     A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of its 1/z
@@ -92,11 +96,19 @@ def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64
 
 @wp.kernel
 def pull_edges(
-    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
-    edge_vertices: wp.array2d(dtype=wp.int32), edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d),
-    begins: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3i), shares: wp.array(dtype=wp.vec2d),
-    codes: wp.array3d(dtype=wp.int32), pulls: wp.array3d(dtype=wp.vec3d), on_ends: wp.array3d(dtype=wp.vec3d),
-):  # fmt: skip
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d),
+    begins: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    shares: wp.array(dtype=wp.vec2d),
+    codes: wp.array3d(dtype=wp.int32),
+    pulls: wp.array3d(dtype=wp.vec3d),
+    on_ends: wp.array3d(dtype=wp.vec3d),
+):
     """Gradients of the ends of each outline edge, in the order of `edge_vertices`. Threads: bodies, edges.
 
     Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. An edge
@@ -136,12 +148,18 @@ def pull_edges(
 
 @wp.kernel
 def gather(
-    vertices: wp.array3d(dtype=Any), projected: wp.array2d(dtype=wp.vec3d),
-    lenses: wp.array2d(dtype=wp.float64), subframes: wp.int32,
-    corner_begins: wp.array(dtype=wp.int32), corners: wp.array(dtype=wp.int32),
-    end_begins: wp.array(dtype=wp.int32), ends: wp.array(dtype=wp.int32),
-    on_corners: wp.array3d(dtype=wp.vec3d), on_ends: wp.array3d(dtype=wp.vec3d), gradient: wp.array3d(dtype=Any),
-):  # fmt: skip
+    vertices: wp.array3d(dtype=Any),
+    projected: wp.array2d(dtype=wp.vec3d),
+    lenses: wp.array2d(dtype=wp.float64),
+    subframes: wp.int32,
+    corner_begins: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    end_begins: wp.array(dtype=wp.int32),
+    ends: wp.array(dtype=wp.int32),
+    on_corners: wp.array3d(dtype=wp.vec3d),
+    on_ends: wp.array3d(dtype=wp.vec3d),
+    gradient: wp.array3d(dtype=Any),
+):
     """Gradient of each vertex [1/m] from those of the corners and ends that it is. Threads: bodies, vertices.
 
     corners: numbers 3 f + k of each vertex's corners, its first at corner_begins; ends: 2 e + k likewise. The chain

@@ -57,9 +57,14 @@ def _launch(kernel: object, size: Sequence[int], tensor: Tensor, *arguments: obj
 
 @torch.library.custom_op("hfb::draw_by_warp", mutates_args=())
 def draw_by_warp(
-    vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor], lenses: Tensor, size: Sequence[int],
+    vertices: Tensor,
+    textures: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lenses: Tensor,
+    size: Sequence[int],
     near: float,
-) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+) -> tuple[Tensor, list[Tensor]]:
     """Mean pictures of runs of bodies, and what the way back needs.
 
     Args:
@@ -120,9 +125,14 @@ def draw_by_warp(
 
 @draw_by_warp.register_fake
 def _(
-    vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor], lenses: Tensor, size: Sequence[int],
+    vertices: Tensor,
+    textures: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lenses: Tensor,
+    size: Sequence[int],
     near: float,
-) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+) -> tuple[Tensor, list[Tensor]]:
     pieces, coloured = torch.library.get_ctx().new_dynamic_size(), textures.shape[1] > 0
     bodies, (height, width) = vertices.shape[0], size
 
@@ -143,9 +153,16 @@ def _(
 
 @torch.library.custom_op("hfb::draw_by_warp_gradient", mutates_args=())
 def draw_by_warp_gradient(
-    of_pictures: Tensor, vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lenses: Tensor, kept: Sequence[Tensor], of_vertices: bool, of_textures: bool,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    of_pictures: Tensor,
+    vertices: Tensor,
+    textures: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lenses: Tensor,
+    kept: Sequence[Tensor],
+    of_vertices: bool,
+    of_textures: bool,
+) -> tuple[Tensor, Tensor]:
     """Gradients of the vertices (B, V, 3) and of the textures (G, A, A, 3), empty where not asked for."""
     projected, front, begins, place, shares, alpha, codes = kept
     bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
@@ -180,9 +197,16 @@ def draw_by_warp_gradient(
 
 @draw_by_warp_gradient.register_fake
 def _(
-    of_pictures: Tensor, vertices: Tensor, textures: Tensor, uv: Tensor, topology: Sequence[Tensor],
-    lenses: Tensor, kept: Sequence[Tensor], of_vertices: bool, of_textures: bool,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+    of_pictures: Tensor,
+    vertices: Tensor,
+    textures: Tensor,
+    uv: Tensor,
+    topology: Sequence[Tensor],
+    lenses: Tensor,
+    kept: Sequence[Tensor],
+    of_vertices: bool,
+    of_textures: bool,
+) -> tuple[Tensor, Tensor]:
     gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
     return gradient, torch.empty_like(textures) if of_textures else textures.new_empty(1, 0, 0, 3)
 

@@ -56,11 +56,22 @@ def in_steps(area: wp.float64) -> wp.int64:
 
 @wp.func
 def lay_down(
-    start: wp.vec3d, along: wp.vec2d, t_from: wp.float64, t_to: wp.float64,
-    b: wp.int32, e: wp.int32, row: wp.int32, column: wp.int32, n: wp.int32,
-    winding: wp.array3d(dtype=wp.int64), newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3i), span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d),
-):  # fmt: skip
+    start: wp.vec3d,
+    along: wp.vec2d,
+    t_from: wp.float64,
+    t_to: wp.float64,
+    b: wp.int32,
+    e: wp.int32,
+    row: wp.int32,
+    column: wp.int32,
+    n: wp.int32,
+    winding: wp.array3d(dtype=wp.int64),
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d),
+):
     """Add piece number n, of edge e of all bodies', to its pixel's winding and chain; with a column of -1 it lies left
     of the picture."""
     cover = in_steps((t_to - t_from) * along[1])
@@ -102,11 +113,21 @@ def cell_at(position: wp.float64, size: wp.int32) -> wp.int32:
 
 @wp.func
 def walk(
-    start: wp.vec3d, along: wp.vec2d, t_from: wp.float64, t_to: wp.float64, beside: wp.bool, b: wp.int32, e: wp.int32,
-    n: wp.int32, winding: wp.array3d(dtype=wp.int64), newest: wp.array3d(dtype=wp.int32),
-    older: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3i), span: wp.array(dtype=wp.vec2d),
+    start: wp.vec3d,
+    along: wp.vec2d,
+    t_from: wp.float64,
+    t_to: wp.float64,
+    beside: wp.bool,
+    b: wp.int32,
+    e: wp.int32,
+    n: wp.int32,
+    winding: wp.array3d(dtype=wp.int64),
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d),
     line: wp.array(dtype=wp.vec4d),
-) -> wp.int32:  # fmt: skip
+) -> wp.int32:
     """Lay down the pieces of a stretch of an edge, numbered from n on; returns the number after the last.
 
     beside: the stretch lies left of the picture: only its rows count.
@@ -147,11 +168,18 @@ def walk(
 
 @wp.kernel
 def wind(
-    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8),
-    edge_vertices: wp.array2d(dtype=wp.int32), edge_faces: wp.array2d(dtype=wp.int32), begins: wp.array(dtype=wp.int32),
-    winding: wp.array3d(dtype=wp.int64), newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3i), span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d),
-):  # fmt: skip
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32),
+    begins: wp.array(dtype=wp.int32),
+    winding: wp.array3d(dtype=wp.int64),
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d),
+):
     """Cut the outline at the pixel borders. Threads: bodies, edges.
 
     begins: number of each edge's first piece (bodies x edges + 1). winding (zeros before): in UNITs, one column more
@@ -238,13 +266,21 @@ def may_overlap(
 
 @wp.kernel
 def cover(
-    running: wp.array3d(dtype=wp.int64), newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.vec3i), span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d),
-    projected: wp.array2d(dtype=wp.vec3d), edge_vertices: wp.array2d(dtype=wp.int32),
-    seen: wp.array3d(dtype=wp.int64), mask: wp.int64,
-    alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), shares: wp.array(dtype=wp.vec2d),
+    running: wp.array3d(dtype=wp.int64),
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d),
+    projected: wp.array2d(dtype=wp.vec3d),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    seen: wp.array3d(dtype=wp.int64),
+    mask: wp.int64,
+    alpha: wp.array3d(dtype=wp.float64),
+    codes: wp.array3d(dtype=wp.int32),
+    shares: wp.array(dtype=wp.vec2d),
     base: wp.array3d(dtype=wp.int32),
-):  # fmt: skip
+):
     """Each pixel's covered share, where layers do not overlap in it. Threads: bodies, rows, columns.
 
     running: sums of `winding` along the rows. codes: what the pixel shows, a face f as f, the outline edge e closest to
@@ -296,10 +332,16 @@ def cover(
 
 @wp.kernel
 def part(
-    newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.vec3i),
-    span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d), base: wp.array3d(dtype=wp.int32),
-    edges: wp.int32, shares: wp.array(dtype=wp.vec2d), areas: wp.array(dtype=wp.float64),
-):  # fmt: skip
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.vec3i),
+    span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d),
+    base: wp.array3d(dtype=wp.int32),
+    edges: wp.int32,
+    shares: wp.array(dtype=wp.vec2d),
+    areas: wp.array(dtype=wp.float64),
+):
     """What each piece adds to the covered share of a pixel in which layers may overlap. Threads: pieces.
 
     edges: of one body. shares: as of `cover`.
@@ -317,10 +359,14 @@ def part(
 
 @wp.kernel
 def join(
-    newest: wp.array3d(dtype=wp.int32), older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
-    base: wp.array3d(dtype=wp.int32), areas: wp.array(dtype=wp.float64), shares: wp.array(dtype=wp.vec2d),
+    newest: wp.array3d(dtype=wp.int32),
+    older: wp.array(dtype=wp.int32),
+    line: wp.array(dtype=wp.vec4d),
+    base: wp.array3d(dtype=wp.int32),
+    areas: wp.array(dtype=wp.float64),
+    shares: wp.array(dtype=wp.vec2d),
     alpha: wp.array3d(dtype=wp.float64),
-):  # fmt: skip
+):
     """The covered share of the pixels in which layers may overlap, from `part`. Threads: bodies, rows, columns."""
     b, row, column = wp.tid()
     winding = base[b, row, column]

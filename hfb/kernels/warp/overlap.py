@@ -63,9 +63,12 @@ def crossing_of(p: wp.vec4d, q: wp.vec4d) -> wp.float64:
 
 @wp.func
 def next_height(
-    above: wp.float64, piece: wp.int32,
-    newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
-) -> wp.float64:  # fmt: skip
+    above: wp.float64,
+    piece: wp.int32,
+    newest: wp.int32,
+    older: wp.array(dtype=wp.int32),
+    line: wp.array(dtype=wp.vec4d),
+) -> wp.float64:
     """The first height below `above` (y runs down) at which any piece begins or ends, or crosses this one, or the
     bottom; for piece -1, the pixel's left border, nothing crosses."""
     lowest, best = above + THIN, wp.float64(ONE)
@@ -97,9 +100,13 @@ def step_of(at: wp.vec4d, y: wp.float64) -> wp.int32:
 
 @wp.func
 def winding_to_left(
-    base: wp.int32, piece: wp.int32, y: wp.float64,
-    newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d),
-) -> wp.int32:  # fmt: skip
+    base: wp.int32,
+    piece: wp.int32,
+    y: wp.float64,
+    newest: wp.int32,
+    older: wp.array(dtype=wp.int32),
+    line: wp.array(dtype=wp.vec4d),
+) -> wp.int32:
     """Winding number just left of a piece at a height; of the pixel's left border for piece -1.
 
     Down the left border it falls by 1 where a piece comes in and rises by 1 where one goes out.
@@ -160,9 +167,14 @@ def area_from_border(
 
 @wp.func
 def area_from_piece(
-    piece: wp.int32, base: wp.int32, newest: wp.int32, older: wp.array(dtype=wp.int32),
-    span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d), shares: wp.array(dtype=wp.vec2d),
-) -> wp.float64:  # fmt: skip
+    piece: wp.int32,
+    base: wp.int32,
+    newest: wp.int32,
+    older: wp.array(dtype=wp.int32),
+    span: wp.array(dtype=wp.vec2d),
+    line: wp.array(dtype=wp.vec4d),
+    shares: wp.array(dtype=wp.vec2d),
+) -> wp.float64:
     """What the stretches of a piece that separate body from background change of it; adds their shares.
 
     Which stretches these are changes only where the piece meets another, or another begins or ends.

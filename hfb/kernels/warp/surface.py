@@ -39,10 +39,17 @@ def face_weights(centre: wp.vec2d, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> wp.
 
 @wp.func
 def point_seen(
-    b: wp.int32, row: wp.int32, column: wp.int32, code: wp.int32,
-    projected: wp.array2d(dtype=wp.vec3d), front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32),
-    edge_vertices: wp.array2d(dtype=wp.int32), edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d),
-) -> wp.vec2d:  # fmt: skip
+    b: wp.int32,
+    row: wp.int32,
+    column: wp.int32,
+    code: wp.int32,
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d),
+) -> wp.vec2d:
     """Texture coordinates of what a pixel shows: a face's point at its centre, or the point of an outline edge
     closest to it; perspective-correct."""
     centre = wp.vec2d(wp.float64(column) + HALF, wp.float64(row) + HALF)
@@ -90,11 +97,18 @@ def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, colum
 
 @wp.kernel
 def shade(
-    alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
-    front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
-    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
-    subframes: wp.int32, pictures: wp.array4d(dtype=Any),
-):  # fmt: skip
+    alpha: wp.array3d(dtype=wp.float64),
+    codes: wp.array3d(dtype=wp.int32),
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d),
+    textures: wp.array4d(dtype=Any),
+    subframes: wp.int32,
+    pictures: wp.array4d(dtype=Any),
+):
     """Mean of each run of `subframes` bodies: coverage times the texture (bilinear, clamped at its border), and the
     coverage; of empty textures the coverage alone. Threads: pictures, rows, columns."""
     n, row, column = wp.tid()
@@ -126,9 +140,13 @@ def shade(
 
 @wp.func
 def add_in_steps(
-    value: wp.vec3d, steps: wp.float64, g: wp.int32, row: wp.int32, column: wp.int32,
+    value: wp.vec3d,
+    steps: wp.float64,
+    g: wp.int32,
+    row: wp.int32,
+    column: wp.int32,
     total: wp.array4d(dtype=wp.int64),
-):  # fmt: skip
+):
     """Add a colour to a texel as whole numbers of steps: a sum whose order does not matter."""
     for q in range(3):
         wp.atomic_add(total, g, row, column, q, wp.int64(wp.floor(value[q] * steps + HALF)))
@@ -136,12 +154,21 @@ def add_in_steps(
 
 @wp.kernel
 def pull_pixels(
-    alpha: wp.array3d(dtype=wp.float64), codes: wp.array3d(dtype=wp.int32), projected: wp.array2d(dtype=wp.vec3d),
-    front: wp.array2d(dtype=wp.uint8), faces: wp.array2d(dtype=wp.int32), edge_vertices: wp.array2d(dtype=wp.int32),
-    edge_faces: wp.array2d(dtype=wp.int32), uv: wp.array2d(dtype=wp.vec2d), textures: wp.array4d(dtype=Any),
-    subframes: wp.int32, of_pictures: wp.array4d(dtype=Any), steps: wp.array(dtype=wp.float64),
-    pulls: wp.array3d(dtype=wp.vec3d), of_textures: wp.array4d(dtype=wp.int64),
-):  # fmt: skip
+    alpha: wp.array3d(dtype=wp.float64),
+    codes: wp.array3d(dtype=wp.int32),
+    projected: wp.array2d(dtype=wp.vec3d),
+    front: wp.array2d(dtype=wp.uint8),
+    faces: wp.array2d(dtype=wp.int32),
+    edge_vertices: wp.array2d(dtype=wp.int32),
+    edge_faces: wp.array2d(dtype=wp.int32),
+    uv: wp.array2d(dtype=wp.vec2d),
+    textures: wp.array4d(dtype=Any),
+    subframes: wp.int32,
+    of_pictures: wp.array4d(dtype=Any),
+    steps: wp.array(dtype=wp.float64),
+    pulls: wp.array3d(dtype=wp.vec3d),
+    of_textures: wp.array4d(dtype=wp.int64),
+):
     """Way back of `shade` to what each pixel shows. Threads: bodies, rows, columns.
 
     pulls: gradients of its coverage, u and v. of_textures (zeros before): in steps, of which there are `steps` to one;

@@ -60,9 +60,14 @@ def _loaded(config: MattingConfig, changed: int) -> Matting:
     if config.method == "rvm":
         return RobustVideoMatting(config.weights, config.tile_px, config.half)
     return BackgroundMattingV2(
-        config.weights, config.backbone_scale, config.refine_mode, config.refine_pixels, config.refine_threshold,
-        config.tile_px, config.half,
-    )  # fmt: skip
+        config.weights,
+        config.backbone_scale,
+        config.refine_mode,
+        config.refine_pixels,
+        config.refine_threshold,
+        config.tile_px,
+        config.half,
+    )
 
 
 class BackgroundMattingV2:

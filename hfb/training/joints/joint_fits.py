@@ -83,8 +83,10 @@ class Gym(Studio):
         step_s = 1 / 30 / (opens or last)
         seen = Observation(
             *(torch.from_numpy(one).float() for one in (np.stack(frames), plate, np.stack(mattes))),
-            shot.lens, (last - first) * step_s, (opens or last) * step_s,
-        )  # fmt: skip
+            shot.lens,
+            (last - first) * step_s,
+            (opens or last) * step_s,
+        )
         return Watched(shot, exposures, seen, np.stack(alphas))
 
     def _matte(self, frame: np.ndarray, plate: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -111,10 +113,11 @@ class Gym(Studio):
         samples = []
         for number, ((first, last), window, start) in enumerate(zip(exposures, windows, firsts, strict=True)):
             pictures = [
-                picture_channels(one.frames_linear[number].numpy(), seen.plate_linear.numpy(),
-                                 one.mattes[number].numpy(), window)
+                picture_channels(
+                    one.frames_linear[number].numpy(), seen.plate_linear.numpy(), one.mattes[number].numpy(), window
+                )
                 for one in (seen, again)
-            ]  # fmt: skip
+            ]
             middle = (first + last) // 2
             fitted = person.joints_of(turns[number], places[number])
             truth = torch.stack([window.to_units(one) for one in (shot.joints[[first, middle, last]], fitted)])

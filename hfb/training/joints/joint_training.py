@@ -53,9 +53,13 @@ def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor, view
     sign = sign.unflatten(0, (-1, views))[:, 0]
     tall = ((claim.log_height - height_m.log()) / claim.height_scale).square() / 2 + claim.height_scale.log()
     loss: torch.Tensor = (
-        10 * joints + 5 * (_bones(claim.joints - middle) * axes).abs().mean() + 0.3 * likelihood
-        + 6 * torch.minimum(forth, back).mean() + 0.05 * (sign * moved).mean() + _TALL * tall.mean()
-    )  # fmt: skip
+        10 * joints
+        + 5 * (_bones(claim.joints - middle) * axes).abs().mean()
+        + 0.3 * likelihood
+        + 6 * torch.minimum(forth, back).mean()
+        + 0.05 * (sign * moved).mean()
+        + _TALL * tall.mean()
+    )
     if views == 1:
         return loss
     wrong = (claim.joints - middle).unflatten(0, (-1, views))

@@ -46,9 +46,21 @@ class Rows:
         file = {name: torch.from_numpy(np.asarray(values)) for name, values in read_arrays(path).items()}
         mirror, rows = list(MIRROR), []
         for row in range(len(file["joints"])):
-            cues = DepthCues(*(file[name][row].float() for name in (
-                "fitted", "starts", "fitted_lengths", "perspective", "unit_m", "claimed", "claimed_scale", "shown"
-            )))  # fmt: skip
+            cues = DepthCues(
+                *(
+                    file[name][row].float()
+                    for name in (
+                        "fitted",
+                        "starts",
+                        "fitted_lengths",
+                        "perspective",
+                        "unit_m",
+                        "claimed",
+                        "claimed_scale",
+                        "shown",
+                    )
+                )
+            )
             lifted, truth = cues.lifted(), _depth(file["joints"][row])
             both = facts_both_ways(cues, lifted).transpose(0, 1)
             deep = {name: _depth(file[name][row]) for name in ("claimed", "shown", "fitted")}

@@ -51,12 +51,20 @@ class JointGym(Gym):
             window = claim.windows[number]
             perspective = torch.tensor(window.units_to_tangents())
             truth, fitted = watched.shot.joints[(first + last) // 2], person.joints_of(turns[number], places[number])[0]
-            frames.append({
-                "joints": window.to_units(truth), "starts": window.to_units(self._guessed(start)),
-                "unit_m": truth[0, 2] * perspective, "perspective": perspective, "lengths": bone_lengths(truth),
-                "fitted": window.to_units(fitted), "fitted_lengths": lengths_in_window(fitted, perspective),
-                "claimed": claim.middle[number], "claimed_scale": claim.scale[number], "shown": again.middle[number],
-            })  # fmt: skip
+            frames.append(
+                {
+                    "joints": window.to_units(truth),
+                    "starts": window.to_units(self._guessed(start)),
+                    "unit_m": truth[0, 2] * perspective,
+                    "perspective": perspective,
+                    "lengths": bone_lengths(truth),
+                    "fitted": window.to_units(fitted),
+                    "fitted_lengths": lengths_in_window(fitted, perspective),
+                    "claimed": claim.middle[number],
+                    "claimed_scale": claim.scale[number],
+                    "shown": again.middle[number],
+                }
+            )
         drawn = {name: torch.stack([frame[name] for frame in frames]).detach().numpy() for name in frames[0]}
         return drawn | {"lengths": drawn["lengths"][0]}
 

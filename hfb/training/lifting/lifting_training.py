@@ -42,9 +42,12 @@ def measure(network: LiftingNetwork, fitted: Fitted, alone: bool) -> dict[str, f
         off = _looked_at(network, fitted, torch.full((len(truth),), alone))[0] - truth
     mm = 1000 * fitted.unit_m[:, :1]
     figures = {
-        "start": (start - truth).norm(dim=-1), "given": (across - truth[..., :2]).norm(dim=-1),
-        "joints": off.norm(dim=-1), "across": off[..., :2].norm(dim=-1), "depth": off[..., 2].abs(),
-    }  # fmt: skip
+        "start": (start - truth).norm(dim=-1),
+        "given": (across - truth[..., :2]).norm(dim=-1),
+        "joints": off.norm(dim=-1),
+        "across": off[..., :2].norm(dim=-1),
+        "depth": off[..., 2].abs(),
+    }
     return {name: round(float((values * mm).mean()), 1) for name, values in figures.items()}
 
 

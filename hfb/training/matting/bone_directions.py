@@ -13,12 +13,17 @@ from hfb.typing import Array, Float
 
 # Our name -> the joint's name in the two families of files.
 _NAMES = {
-    "hips": ("CC_Base_Hip", "hip"), "neck": ("CC_Base_NeckTwist01", "neck"), "head": ("CC_Base_Head", "head"),
-    "left_hip": ("CC_Base_L_Thigh", "lThigh"), "left_knee": ("CC_Base_L_Calf", "lShin"),
-    "left_ankle": ("CC_Base_L_Foot", "lFoot"), "left_toe": ("CC_Base_L_ToeBase", "lFoot_end"),
-    "left_shoulder": ("CC_Base_L_Upperarm", "lShldr"), "left_elbow": ("CC_Base_L_Forearm", "lForeArm"),
+    "hips": ("CC_Base_Hip", "hip"),
+    "neck": ("CC_Base_NeckTwist01", "neck"),
+    "head": ("CC_Base_Head", "head"),
+    "left_hip": ("CC_Base_L_Thigh", "lThigh"),
+    "left_knee": ("CC_Base_L_Calf", "lShin"),
+    "left_ankle": ("CC_Base_L_Foot", "lFoot"),
+    "left_toe": ("CC_Base_L_ToeBase", "lFoot_end"),
+    "left_shoulder": ("CC_Base_L_Upperarm", "lShldr"),
+    "left_elbow": ("CC_Base_L_Forearm", "lForeArm"),
     "left_wrist": ("CC_Base_L_Hand", "lHand"),
-}  # fmt: skip
+}
 _NAMES |= {
     ours.replace("left", "right"): (cc.replace("_L_", "_R_"), "r" + daz[1:])
     for ours, (cc, daz) in _NAMES.items()
@@ -117,9 +122,12 @@ def poses_at(
         ("right", (2, 5, 8, 11, 14, 17, 19, 21, 23)),
     ):
         chain = (
-            (hip, 0, knee, "hip", "knee"), (knee, hip, ankle, "knee", "ankle"), (ankle, knee, foot, "ankle", "toe"),
-            (shoulder, 9, elbow, "shoulder", "elbow"), (elbow, shoulder, wrist, "elbow", "wrist"),
-        )  # fmt: skip
+            (hip, 0, knee, "hip", "knee"),
+            (knee, hip, ankle, "knee", "ankle"),
+            (ankle, knee, foot, "ankle", "toe"),
+            (shoulder, 9, elbow, "shoulder", "elbow"),
+            (elbow, shoulder, wrist, "elbow", "wrist"),
+        )
         for joint, parent, child, start, end in chain:
             bone = at[f"{side}_{end}"] - at[f"{side}_{start}"]
             world[:, joint] = _swing(world[:, parent], rest[child] - rest[joint], bone)

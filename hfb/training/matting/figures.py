@@ -258,8 +258,17 @@ def _thing(kind: str, at: dict[str, np.ndarray], size: float, rng: np.random.Gen
         across = (left - right) / np.maximum(np.linalg.norm(left - right, axis=-1, keepdims=True), 2)
         wide = size * rng.uniform(0.1, 0.45)
         lift = np.array([0, -size * rng.uniform(0, 0.3)])
-        return [np.stack([left + across * size * 0.12 + lift, low_left + across * wide, low_right - across * wide,
-                          right - across * size * 0.12 + lift], 1)]  # fmt: skip
+        return [
+            np.stack(
+                [
+                    left + across * size * 0.12 + lift,
+                    low_left + across * wide,
+                    low_right - across * wide,
+                    right - across * size * 0.12 + lift,
+                ],
+                1,
+            )
+        ]
     if kind == "legs":
         return [_capsule(at[f"{s}_hip"], at[f"{s}_knee"], size * 0.2) for s in ("left", "right")] + [
             _capsule(at[f"{s}_knee"], at[f"{s}_ankle"], size * rng.uniform(0.12, 0.24)) for s in ("left", "right")

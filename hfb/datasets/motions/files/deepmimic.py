@@ -18,9 +18,19 @@ _MAX_BYTES, _SNIFFED = 64 << 20, 4096
 _COLUMNS = 44
 _MAX_FRAMES = 1 << 20
 _ORDER = (
-    ("Chest", 4), ("Head", 4), ("RightHip", 4), ("RightKnee", 1), ("RightAnkle", 4), ("RightShoulder", 4),
-    ("RightElbow", 1), ("LeftHip", 4), ("LeftKnee", 1), ("LeftAnkle", 4), ("LeftShoulder", 4), ("LeftElbow", 1),
-)  # fmt: skip
+    ("Chest", 4),
+    ("Head", 4),
+    ("RightHip", 4),
+    ("RightKnee", 1),
+    ("RightAnkle", 4),
+    ("RightShoulder", 4),
+    ("RightElbow", 1),
+    ("LeftHip", 4),
+    ("LeftKnee", 1),
+    ("LeftAnkle", 4),
+    ("LeftShoulder", 4),
+    ("LeftElbow", 1),
+)
 """Joints after the root in a frame, and how many numbers each has; the neck's joint turns the head."""
 _SKELETON = {
     "Hips": ("", (0.0, 0.0, 0.0)), "Chest": ("Hips", (0.0, 0.236, 0.0)), "Head": ("Chest", (0.0, 0.224, 0.0)),

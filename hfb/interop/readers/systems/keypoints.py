@@ -33,13 +33,42 @@ _NAMES = ("keypoints", "keypoints2d", "keypoints_2d", "joints2d", "joints_2d")
 _LEAST_CONFIDENCE = 0.2
 _MOST = 1 << 17  # of single detections
 _COCO = (
-    None, None, None, None, None, "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist",
-    "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
+    None,
+    None,
+    None,
+    None,
+    None,
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+)
 _OPENPOSE = (
-    None, "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
-    "pelvis", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", *10 * (None,),
-)  # fmt: skip
+    None,
+    "neck",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "pelvis",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    *10 * (None,),
+)
 _LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
 _MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
 _REACH = 0.4
@@ -168,9 +197,14 @@ def _person(
     frames = np.array([one.number for one in found], np.int64)
     images = tuple(one.image for one in found if one.image is not None)
     return PoseTrack(
-        SYSTEM, name, frames, size, pixels=pixels, K=np.tile(K, (len(found), 1, 1)),
+        SYSTEM,
+        name,
+        frames,
+        size,
+        pixels=pixels,
+        K=np.tile(K, (len(found), 1, 1)),
         images=images if len(images) == len(found) else None,
-    )  # fmt: skip
+    )
 
 
 def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:

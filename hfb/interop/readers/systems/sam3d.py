@@ -146,6 +146,11 @@ def _person(name: str, rows: list[_Seen], size: tuple[int, int]) -> PoseTrack:
     frames = np.array([one.number for one in rows], np.int64)
     images = tuple(one.image for one in rows if one.image is not None)
     return PoseTrack(
-        SYSTEM, name, frames, size_seen(K, size), joints=np.stack([one.joints for one in rows]), K=K,
+        SYSTEM,
+        name,
+        frames,
+        size_seen(K, size),
+        joints=np.stack([one.joints for one in rows]),
+        K=K,
         images=images if len(images) == len(rows) else None,
-    )  # fmt: skip
+    )

@@ -12,12 +12,20 @@ _RAW_BRANDS = (b"crx ",)
 _HEIF_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"heif")
 _AVIF_BRANDS = (b"avif", b"avis")
 _OTHERS = {
-    b"8BPS": "a Photoshop document", b"\xff\x0a": "a JPEG XL picture",
-    b"\0\0\0\x0cJXL ": "a JPEG XL picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
-    b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\x76\x2f\x31\x01": "an OpenEXR picture",
-    b"#?RADIANCE": "a Radiance HDR picture", b"%PDF": "a PDF document", b"SIMPLE  =": "a FITS picture",
-    b"P5": "a PGM picture", b"P6": "a PPM picture", b"SDPX": "a DPX picture", b"XPDS": "a DPX picture",
-}  # fmt: skip
+    b"8BPS": "a Photoshop document",
+    b"\xff\x0a": "a JPEG XL picture",
+    b"\0\0\0\x0cJXL ": "a JPEG XL picture",
+    b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture",
+    b"\x76\x2f\x31\x01": "an OpenEXR picture",
+    b"#?RADIANCE": "a Radiance HDR picture",
+    b"%PDF": "a PDF document",
+    b"SIMPLE  =": "a FITS picture",
+    b"P5": "a PGM picture",
+    b"P6": "a PPM picture",
+    b"SDPX": "a DPX picture",
+    b"XPDS": "a DPX picture",
+}
 
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _SUBFILE, _SUB_DIRECTORIES = 256, 257, 258, 259, 262, 254, 330
 _DNG_VERSION, _SAMPLE_FORMAT = 50706, 339

@@ -90,10 +90,16 @@ def _gray_tiff(data: bytes, directory: Directory, plane: int, planes: int, width
     each = len(parts) // planes
     parts = parts[plane * each : (plane + 1) * each]
     tags: dict[int, tuple[int, ...]] = {
-        _WIDTH: (width,), _HEIGHT: (number(directory, _HEIGHT, 0),), _BITS: (bits,), _PHOTOMETRIC: (1,), _SAMPLES: (1,),
-        _COMPRESSION: (number(directory, _COMPRESSION, 1),), counts_tag: tuple(count for _, count in parts),
-        _PREDICTOR: (number(directory, _PREDICTOR, 1),), _FILL_ORDER: (number(directory, _FILL_ORDER, 1),),
-    }  # fmt: skip
+        _WIDTH: (width,),
+        _HEIGHT: (number(directory, _HEIGHT, 0),),
+        _BITS: (bits,),
+        _PHOTOMETRIC: (1,),
+        _SAMPLES: (1,),
+        _COMPRESSION: (number(directory, _COMPRESSION, 1),),
+        counts_tag: tuple(count for _, count in parts),
+        _PREDICTOR: (number(directory, _PREDICTOR, 1),),
+        _FILL_ORDER: (number(directory, _FILL_ORDER, 1),),
+    }
     kept = (_TILE_WIDTH, _TILE_HEIGHT) if tiled else (_ROWS_PER_STRIP,)
     tags |= {tag: (number(directory, tag, number(directory, _HEIGHT, 0)),) for tag in kept}
     order = ">" if data[:2] == b"MM" else "<"

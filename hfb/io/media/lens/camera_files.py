@@ -136,9 +136,15 @@ def _from_toml(name: str, part: Any, where: str) -> CalibratedCamera:
     width, height = _size(_numbers(part, "size", (2,), where), where)
     distortion, fisheye = _distortion(part, "distortions", where)
     return CalibratedCamera(
-        str(part.get("name", name)), width, height, _matrix(part, "matrix", where), distortion,
-        _rotation(part, "rotation", where), _vector(part, "translation", where), fisheye=fisheye,
-    )  # fmt: skip
+        str(part.get("name", name)),
+        width,
+        height,
+        _matrix(part, "matrix", where),
+        distortion,
+        _rotation(part, "rotation", where),
+        _vector(part, "translation", where),
+        fisheye=fisheye,
+    )
 
 
 def _from_json(name: str, part: Any, where: str) -> CalibratedCamera:
@@ -149,9 +155,17 @@ def _from_json(name: str, part: Any, where: str) -> CalibratedCamera:
     if not isinstance(first, int) or isinstance(first, bool) or first < 0 or not isinstance(video, str | None):
         raise InputError(f"{where}: first_frame must be a number of 0 or more and video a file's name.")
     return CalibratedCamera(
-        name, width, height, _matrix(part, "K", where), distortion, _rotation(part, "R_world_to_cam", where),
-        _vector(part, "t_world_to_cam", where), video, first, fisheye,
-    )  # fmt: skip
+        name,
+        width,
+        height,
+        _matrix(part, "K", where),
+        distortion,
+        _rotation(part, "R_world_to_cam", where),
+        _vector(part, "t_world_to_cam", where),
+        video,
+        first,
+        fisheye,
+    )
 
 
 def _json_cameras(path: Path) -> dict[str, Any]:

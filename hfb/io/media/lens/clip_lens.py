@@ -19,9 +19,18 @@ from hfb.typing import Array, Float
 
 _MATRIX = ("cameramatrix", "matrix", "k", "mtx", "intrinsicmatrix", "intrinsics", "intrinsic", "cameraintrinsics")
 _DISTORTION = (
-    "distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoefs", "distortions", "distortion", "dist",
-    "distk1k2p1p2", "distortionparameters", "distcoef", "d",
-)  # fmt: skip
+    "distortioncoefficients",
+    "distortioncoeffs",
+    "distcoeffs",
+    "distcoefs",
+    "distortions",
+    "distortion",
+    "dist",
+    "distk1k2p1p2",
+    "distortionparameters",
+    "distcoef",
+    "d",
+)
 _WIDTH, _HEIGHT = ("imagewidth", "width"), ("imageheight", "height")
 _SIZE = ("size", "resolution", "imagesize", "imgsize")
 _MOST_SECTIONS = 200

@@ -12,29 +12,112 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.typing import Array, Float
 
-_STANDARD = frozenset((
-    "none", "nodistortion", "perspective", "pinhole", "simplepinhole", "plumbbob", "radtan", "radtan5", "radtan8",
-    "radialtangential", "brown", "brownconrady", "distortionbrownconrady", "opencv", "fullopencv", "opencv5",
-    "opencv8", "rational", "rationalpolynomial", "thinprism", "tilted", "standard", "polynomial", "frame",
-))  # fmt: skip
-_FISHEYE = frozenset((
-    "equidistant", "equi", "equidistant4", "equidist", "fisheye", "fisheyeopencv", "opencvfisheye",
-    "fisheyepolynomial", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "distortionkannalabrandt4", "kb",
-    "kb4", "kb8", "equidistantfisheye", "fisheyeequidistant",
-))  # fmt: skip
-_OTHER = frozenset((
-    "fov", "atan", "ftheta", "distortionftheta", "omni", "omnidirectional", "mei", "catadioptric", "ds",
-    "doublesphere", "ucm", "eucm", "unified", "extendedunified", "fullunifiedmodel", "division", "divisionmodel",
-    "scaramuzza", "ocam", "ocamcalib", "equisolid", "equisolidfisheye", "stereographic", "orthographic",
-    "orthogonal", "dual", "spherical", "cylindrical", "panoramic", "inversebrownconrady",
-    "distortioninversebrownconrady", "modifiedbrownconrady", "distortionmodifiedbrownconrady", "fisheye62",
-    "fisheye624", "thinprismfisheye", "radtanthinprismfisheye", "simpleradial", "radial", "simpleradialfisheye",
-    "radialfisheye",
-))  # fmt: skip
-_PINHOLE_AT_ZERO = frozenset((
-    "division", "divisionmodel", "inversebrownconrady", "distortioninversebrownconrady", "modifiedbrownconrady",
-    "distortionmodifiedbrownconrady", "simpleradial", "radial",
-))  # fmt: skip
+_STANDARD = frozenset(
+    (
+        "none",
+        "nodistortion",
+        "perspective",
+        "pinhole",
+        "simplepinhole",
+        "plumbbob",
+        "radtan",
+        "radtan5",
+        "radtan8",
+        "radialtangential",
+        "brown",
+        "brownconrady",
+        "distortionbrownconrady",
+        "opencv",
+        "fullopencv",
+        "opencv5",
+        "opencv8",
+        "rational",
+        "rationalpolynomial",
+        "thinprism",
+        "tilted",
+        "standard",
+        "polynomial",
+        "frame",
+    )
+)
+_FISHEYE = frozenset(
+    (
+        "equidistant",
+        "equi",
+        "equidistant4",
+        "equidist",
+        "fisheye",
+        "fisheyeopencv",
+        "opencvfisheye",
+        "fisheyepolynomial",
+        "kannalabrandt",
+        "kannalabrandt4",
+        "kannalabrandt8",
+        "distortionkannalabrandt4",
+        "kb",
+        "kb4",
+        "kb8",
+        "equidistantfisheye",
+        "fisheyeequidistant",
+    )
+)
+_OTHER = frozenset(
+    (
+        "fov",
+        "atan",
+        "ftheta",
+        "distortionftheta",
+        "omni",
+        "omnidirectional",
+        "mei",
+        "catadioptric",
+        "ds",
+        "doublesphere",
+        "ucm",
+        "eucm",
+        "unified",
+        "extendedunified",
+        "fullunifiedmodel",
+        "division",
+        "divisionmodel",
+        "scaramuzza",
+        "ocam",
+        "ocamcalib",
+        "equisolid",
+        "equisolidfisheye",
+        "stereographic",
+        "orthographic",
+        "orthogonal",
+        "dual",
+        "spherical",
+        "cylindrical",
+        "panoramic",
+        "inversebrownconrady",
+        "distortioninversebrownconrady",
+        "modifiedbrownconrady",
+        "distortionmodifiedbrownconrady",
+        "fisheye62",
+        "fisheye624",
+        "thinprismfisheye",
+        "radtanthinprismfisheye",
+        "simpleradial",
+        "radial",
+        "simpleradialfisheye",
+        "radialfisheye",
+    )
+)
+_PINHOLE_AT_ZERO = frozenset(
+    (
+        "division",
+        "divisionmodel",
+        "inversebrownconrady",
+        "distortioninversebrownconrady",
+        "modifiedbrownconrady",
+        "distortionmodifiedbrownconrady",
+        "simpleradial",
+        "radial",
+    )
+)
 """Other models that are a pinhole where all of their coefficients are zero."""
 
 _MODEL_KEYS = ("distortionmodel", "distortiontype", "modeltype", "projectionmodel", "projectiontype", "projection")

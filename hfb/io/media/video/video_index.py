@@ -204,12 +204,23 @@ def index_video(path: Path) -> VideoIndex:
     told = len(np.unique(stamps)) == count
     ordered = stamps if told else np.arange(count)
     index = VideoIndex(
-        path, ordered, np.array(sorted(packets.keys), np.int64), even_times(ordered * base, rate[0], base), height,
-        width, 16 if is_deep(first) else 8, rate, aspect, exposure,
+        path,
+        ordered,
+        np.array(sorted(packets.keys), np.int64),
+        even_times(ordered * base, rate[0], base),
+        height,
+        width,
+        16 if is_deep(first) else 8,
+        rate,
+        aspect,
+        exposure,
         loss=f"{path.name} is damaged or cut off: {lost}" if lost else None,
-        tick_s=base, colours=colours, capture=capture, interlaced=interlaced,
+        tick_s=base,
+        colours=colours,
+        capture=capture,
+        interlaced=interlaced,
         remarks=(*remarks, *((_SLOW.format(path.name),) if slow else ())),
-    )  # fmt: skip
+    )
     if not told:
         return index.by_number(f"{path.name} {'repeats or lacks' if len(stamps) else 'has no'} time stamps")
     return index.by_number(_OTHERS_STAMPS.format(path.name)) if packets.as_decoded else index

@@ -32,7 +32,7 @@ class Entry:
 
 
 PROGRAMS = {
-    "clips": Entry("joints.clips", "cut long BVH recordings into clips of eight seconds"),
+    "clips": Entry("joints.cut_recordings", "cut long BVH recordings into clips of eight seconds"),
     "joints-bank": Entry("joints.joint_bank", "draw blurred people with known joints"),
     "joints-fits": Entry("joints.joint_fits", "draw such people and what a fit makes of them"),
     "joints-doubles": Entry("joints.doubles", "draw such people with doubles that stand for a fit"),
