@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from flows.runtime.own_files import among_own_files
 from hfb.errors import Busy, InputError, NotNow
 from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
@@ -170,10 +171,11 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        Occupied: a file would take the place of one that hfb did not put there.
+        Occupied, NotNow: a file would take the place of one that hfb did not put there.
     """
     if not _published(out).known:
-        yield out
+        with among_own_files(out, names) as folder:
+            yield folder
         return
     with workplace(out) as folder:
         staging = folder / _STAGING
