@@ -16,6 +16,7 @@ from tasks.inputs.inputs import Inputs
 from tasks.inputs.video_inputs import VideoInputs
 from tasks.results.present_files import find_present
 from tasks.results.stored_runs import fetch_file, find_run, readable_store
+from tasks.tracking.hidden_options import for_pictures
 from tasks.tracking.recipe import RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def pictures_of(run_words: str, inputs_folder: Path | None = None) -> Iterator[P
                 f"run {run.title} does not say which pictures it was made from: only runs of `hfb fit`, `hfb demo` and "
                 "`hfb video` of this version on do; run its own command again with --export.films"
             )
-        recipe = read_recipe(path, run.title)
+        recipe = for_pictures(read_recipe(path, run.title), run.title)
         places = find_present(
             {role: file for role, file in recipe.files.items() if role.startswith(_PICTURES)}, inputs_folder
         )
