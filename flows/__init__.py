@@ -6,7 +6,7 @@ before any module of this package can import them. What the user has set is left
 
 import os
 
-from flows.runtime.prefect_home import use_own_home
+from hfb.flows.runtime.prefect_home import use_own_home
 
 _SETTINGS = {
     # nothing is reported to anybody

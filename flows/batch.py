@@ -11,27 +11,27 @@ from typing import Any
 
 from prefect import flow
 
-from flows.people import run_clip
-from flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from flows.runtime.workplace import workplace
 from hfb.config import RunConfig
 from hfb.errors import InputError, NotNow, ServerLost, Unavailable
+from hfb.flows.people import run_clip
+from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
+from hfb.flows.runtime.workplace import workplace
 from hfb.interop.writers.names import RESULT
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
 from hfb.io.toml_file import read_toml, to_record
-from tasks.batch.batch_ledger import Entry, Ledger, pause_s, set_aside, stamp_of
-from tasks.batch.batch_summary import PAGE, BatchSummary
-from tasks.batch.notifications import ClipTrouble, notify, notify_end
-from tasks.core.handles import files_in
-from tasks.core.result_folder import is_unfinished
-from tasks.inputs.clip_places import ClipPlace, find_clips
-from tasks.inputs.out_place import check_batch_out, check_not_clips
-from tasks.inputs.video_inputs import check_options, take_video_inputs
-from tasks.telemetry import progress
-from tasks.telemetry.displays import shown_somewhere
-from tasks.tracking import tracking
-from tasks.workers.engine import Engine, engine_of
+from hfb.tasks.batch.batch_ledger import Entry, Ledger, pause_s, set_aside, stamp_of
+from hfb.tasks.batch.batch_summary import PAGE, BatchSummary
+from hfb.tasks.batch.notifications import ClipTrouble, notify, notify_end
+from hfb.tasks.core.handles import files_in
+from hfb.tasks.core.result_folder import is_unfinished
+from hfb.tasks.inputs.clip_places import ClipPlace, find_clips
+from hfb.tasks.inputs.out_place import check_batch_out, check_not_clips
+from hfb.tasks.inputs.video_inputs import check_options, take_video_inputs
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.tracking import tracking
+from hfb.tasks.workers.engine import Engine, engine_of
 
 _STILL_S = 3.0  # a file that was written to so recently may still be on its way
 _LOG = "batch.json"
@@ -51,7 +51,7 @@ def batch(
     again: bool = False,
     store: str | None = None,
 ) -> dict[str, Any]:
-    """Every clip of a folder through `flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
+    """Every clip of a folder through `hfb.flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
 
     One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
 
@@ -60,7 +60,7 @@ def batch(
         attempts: failures after which a clip is set aside; wait_s: before the second attempt, doubled for each further.
         watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
         again: take clips that were set aside once more.
-        workers, store: see `tasks.workers.engine.engine_of`.
+        workers, store: see `hfb.tasks.workers.engine.engine_of`.
 
     Returns:
         clips, done, set_aside, waiting (numbers), ``out`` and ``page``.

@@ -8,19 +8,19 @@ from typing import Any, Literal
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from flows.runtime.reaper import mark_owner
-from flows.runtime.workplace import publish, workplace
 from hfb.config import InitConfig, MattingConfig, Record
 from hfb.datasets.case import case_name
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
+from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.workplace import publish, workplace
 from hfb.interop.writers.names import REPORT
 from hfb.io.safe_folder import check_tree
-from tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
-from tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
-from tasks.benchmark.cases import (
+from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
+from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
+from hfb.tasks.benchmark.cases import (
     CaseHandle,
     ReadyHandle,
     SourcesHandle,
@@ -31,15 +31,15 @@ from tasks.benchmark.cases import (
     see_case,
     set_name,
 )
-from tasks.benchmark.judge_case import judge_case
-from tasks.core.result_records import records_in
-from tasks.inputs.inputs import input_file, networks_at_hand
-from tasks.inputs.out_place import check_sources_out
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.workers.engine import Engine
-from tasks.workers.many import Outcome, run_all
-from tasks.workers.workers import worker_count, workers
+from hfb.tasks.benchmark.judge_case import judge_case
+from hfb.tasks.core.result_records import records_in
+from hfb.tasks.inputs.inputs import input_file, networks_at_hand
+from hfb.tasks.inputs.out_place import check_sources_out
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.workers.engine import Engine
+from hfb.tasks.workers.many import Outcome, run_all
+from hfb.tasks.workers.workers import worker_count, workers
 
 
 class BenchmarkPlan(Record):

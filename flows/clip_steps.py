@@ -9,16 +9,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from flows.runtime.trouble import ServerWatch
 from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
+from hfb.flows.runtime.trouble import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
-from hfb.tracking.clip_bodies import key_frames
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from tasks.core.task import Step
-from tasks.core.video_handles import (
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
+from hfb.tasks.core.task import Step
+from hfb.tasks.core.video_handles import (
     ClipBodiesHandle,
     FootageHandle,
     JoinedHandle,
@@ -26,19 +25,20 @@ from tasks.core.video_handles import (
     TrackHandle,
     WindowHandle,
 )
-from tasks.inputs.given_networks import tell_networks
-from tasks.inputs.video_inputs import VideoInputs
-from tasks.results.export_files import ExportsHandle
-from tasks.results.films import films_of
-from tasks.results.result_report import ReportParts, page_film, write_report
-from tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
-from tasks.telemetry import progress
-from tasks.video.given_result import find_given_body, looks_at, pictures_of, read_result
-from tasks.video.video_clip import find_background, find_person, look_at_clip
-from tasks.video.video_frames import extract_frames, find_body_between, find_key_body, find_matte
-from tasks.video.video_look import draw_clip, judge_clip, score_frames
-from tasks.video.video_windows import fill_bodies, fit_clip_window, join_clip, mend_fronts, settle_person
-from tasks.workers.many import Outcome, run_all
+from hfb.tasks.inputs.given_networks import tell_networks
+from hfb.tasks.inputs.video_inputs import VideoInputs
+from hfb.tasks.results.export_files import ExportsHandle
+from hfb.tasks.results.films import films_of
+from hfb.tasks.results.result_report import ReportParts, page_film, write_report
+from hfb.tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
+from hfb.tasks.telemetry import progress
+from hfb.tasks.video.given_result import find_given_body, looks_at, pictures_of, read_result
+from hfb.tasks.video.video_clip import find_background, find_person, look_at_clip
+from hfb.tasks.video.video_frames import extract_frames, find_body_between, find_key_body, find_matte
+from hfb.tasks.video.video_look import draw_clip, judge_clip, score_frames
+from hfb.tasks.video.video_windows import fill_bodies, fit_clip_window, join_clip, mend_fronts, settle_person
+from hfb.tasks.workers.many import Outcome, run_all
+from hfb.tracking.clip_bodies import key_frames
 
 _CHUNK = 16  # frames per task where a task per frame would cost more than its work
 _SHOWN = 6

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.summary import number_text
-from flows.runtime.workplace import check_writable
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import MotionDifference, motion_difference
+from hfb.flows.runtime.summary import number_text
+from hfb.flows.runtime.workplace import check_writable
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.pictures import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
@@ -22,11 +22,11 @@ from hfb.report.page import Html, small_picture
 from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
-from tasks.inputs.out_place import check_no_clip
-from tasks.results.fitted_body import fitted_body, named_body
-from tasks.results.run_comparison import RunComparison, Words, compare_records
-from tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
-from tasks.telemetry import progress
+from hfb.tasks.inputs.out_place import check_no_clip
+from hfb.tasks.results.fitted_body import fitted_body, named_body
+from hfb.tasks.results.run_comparison import RunComparison, Words, compare_records
+from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from hfb.tasks.telemetry import progress
 
 _PICTURES = ("strip.png", "sheet.png", "gallery.png")
 _MOTION, _TEXTURE, _RESULT = "motion.npz", "texture.png", "result.json"

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from flows.fit_image import fit_image
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
+from hfb.flows.fit_image import fit_image
 from hfb.io.safe_folder import check_tree
-from tasks.telemetry import progress
+from hfb.tasks.telemetry import progress
 
 _EXAMPLE = "example"
 

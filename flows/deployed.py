@@ -15,25 +15,25 @@ from typing import Annotated, Any, Literal
 from prefect import flow
 from pydantic import Field
 
-from flows import batch as every_clip
-from flows import fit_image, people, train_prior
-from flows.benchmark import run_benchmark
-from flows.cli import judging
-from flows.runtime import places
-from flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from flows.runtime.trouble import told_plainly
-from flows.runtime.workplace import check_writable
-from flows.train_prior import TrainingPlan
 from hfb.config import RunConfig, preset
+from hfb.flows import batch as every_clip
+from hfb.flows import fit_image, people, train_prior
+from hfb.flows.benchmark import run_benchmark
+from hfb.flows.cli import judging
+from hfb.flows.runtime import places
+from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
+from hfb.flows.runtime.trouble import told_plainly
+from hfb.flows.runtime.workplace import check_writable
+from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
-from tasks.batch.metrics import served
-from tasks.batch.notifications import addresses_of, notifying
-from tasks.inputs.video_inputs import take_video_inputs
-from tasks.telemetry.displays import shown_somewhere
-from tasks.tracking import tracking
-from tasks.tracking.store_place import check_store, tracking_uri
-from tasks.workers.engine import engine_of
+from hfb.tasks.batch.metrics import served
+from hfb.tasks.batch.notifications import addresses_of, notifying
+from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.store_place import check_store, tracking_uri
+from hfb.tasks.workers.engine import engine_of
 
 Count = Annotated[int, Field(ge=1)]
 Workers = Count | str  # as --workers
@@ -244,7 +244,7 @@ def _on_a_worker(
     /,
     **files: Path | str | Sequence[Path | str] | None,
 ) -> Iterator[None]:
-    """What `flows.runtime.running` sets up around a command, after a look at where the parameters point.
+    """What `hfb.flows.runtime.running` sets up around a command, after a look at where the parameters point.
 
     A store that does not answer is told before anything is done.
     """

@@ -7,20 +7,20 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
-from flows.runtime.workplace import beside_result
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
+from hfb.flows.runtime.workplace import beside_result
 from hfb.interop.writers.files import Exported, write_motion_file
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
 from hfb.interop.writers.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
 from hfb.io.media.pictures import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
-from tasks.inputs.out_place import check_no_clip
-from tasks.results.fitted_body import fitted_body, named_body
-from tasks.results.found_result import TEXTURE, FoundResult, found_result
-from tasks.telemetry import progress
+from hfb.tasks.inputs.out_place import check_no_clip
+from hfb.tasks.results.fitted_body import fitted_body, named_body
+from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"
 _FOLDER = "export"
@@ -83,8 +83,8 @@ def _draw_films(
     folder: Path, films: Sequence[Film], place: FoundResult, exported: Exported, inputs: Path | None
 ) -> list[Path]:
     """The films; what they need is found before anything is written."""
-    from tasks.results.earlier_result import earlier_shot
-    from tasks.results.films import write_film
+    from hfb.tasks.results.earlier_result import earlier_shot
+    from hfb.tasks.results.films import write_film
 
     assert exported.body is not None
     texture = place.folder / TEXTURE

@@ -8,34 +8,34 @@ from typing import Any
 
 from prefect import flow
 
-from flows.runtime.reaper import mark_owner
-from flows.runtime.workplace import publish, workplace
 from hfb.config import RunConfig
 from hfb.evaluation.warnings import ResultWarning
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
+from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.workplace import publish, workplace
 from hfb.interop.writers.names import CURVES, RECORD, REPORT
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
-from tasks.core.result_records import records_in
-from tasks.core.task import code_version
-from tasks.image.evaluate import evaluate
-from tasks.image.first_body import first_body, given_body
-from tasks.image.fit_motion import fit_motion
-from tasks.image.matte import matte
-from tasks.image.prepare import prepare
-from tasks.image.strip import strip
-from tasks.inputs.given_networks import tell_networks
-from tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
-from tasks.results.export_files import export_files
-from tasks.results.films import films_of
-from tasks.results.result_report import ReportParts, add_report, fit_curves, page_film, write_report
-from tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.tracking.record import fit_record, record
-from tasks.tracking.run_record import keep_for_later
-from tasks.video.given_result import Look, body_of_result, needed, read_result
-from tasks.video.video_windows import mend_fronts
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
+from hfb.tasks.core.result_records import records_in
+from hfb.tasks.core.task import code_version
+from hfb.tasks.image.evaluate import evaluate
+from hfb.tasks.image.first_body import first_body, given_body
+from hfb.tasks.image.fit_motion import fit_motion
+from hfb.tasks.image.matte import matte
+from hfb.tasks.image.prepare import prepare
+from hfb.tasks.image.strip import strip
+from hfb.tasks.inputs.given_networks import tell_networks
+from hfb.tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
+from hfb.tasks.results.export_files import export_files
+from hfb.tasks.results.films import films_of
+from hfb.tasks.results.result_report import ReportParts, add_report, fit_curves, page_film, write_report
+from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.record import fit_record, record
+from hfb.tasks.tracking.run_record import keep_for_later
+from hfb.tasks.video.given_result import Look, body_of_result, needed, read_result
+from hfb.tasks.video.video_windows import mend_fronts
 
 
 @flow(name="fit-image", persist_result=False, on_running=[mark_owner])

@@ -9,19 +9,19 @@ from typing import Any
 
 from prefect import flow
 
-from flows.runtime.clip_place import clip_place
-from flows.runtime.reaper import mark_owner
-from flows.runtime.workplace import mark_unfinished, publish, workplace
-from flows.video import run_video
 from hfb.config import RunConfig
 from hfb.errors import Busy, InputError
+from hfb.flows.runtime.clip_place import clip_place
+from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.workplace import mark_unfinished, publish, workplace
+from hfb.flows.video import run_video
 from hfb.io.safe_folder import check_ordinary
-from tasks.core.task import code_version
-from tasks.core.video_handles import PersonSeen
-from tasks.inputs.video_inputs import VideoInputs, video_hashes
-from tasks.telemetry import progress
-from tasks.video.video_clip import find_background, find_everyone, look_at_clip
-from tasks.workers.engine import Engine
+from hfb.tasks.core.task import code_version
+from hfb.tasks.core.video_handles import PersonSeen
+from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
+from hfb.tasks.telemetry import progress
+from hfb.tasks.video.video_clip import find_background, find_everyone, look_at_clip
+from hfb.tasks.workers.engine import Engine
 
 _log = logging.getLogger(__name__)
 _KEPT = (
@@ -38,7 +38,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
 
     Raises:
         InputError: something given cannot be used; of everyone: nobody is seen, or nobody's motion was found.
-        Unavailable: see `flows.video.run_video`.
+        Unavailable: see `hfb.flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
         return run_video(inputs, out, config, engine)
@@ -78,7 +78,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
         InputError: nobody is seen, or the clip cannot be used.
     """
 
-    # A closure, as in `flows.video.run_video`.
+    # A closure, as in `hfb.flows.video.run_video`.
     def everyone(clip: str) -> tuple[PersonSeen, ...]:
         footage = look_at_clip(inputs, config.video.average, config.camera, config.exposure, folder)
         plate = find_background(footage, inputs.plate, inputs.background, folder)

@@ -6,15 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.workplace import workplace
 from hfb.errors import InputError, NotNow
+from hfb.flows.runtime.workplace import workplace
 from hfb.interop.writers.names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.footage_names import natural_order
-from tasks.results.stored_runs import find_run, result_facts
-from tasks.telemetry import progress
-from tasks.tracking.run_record import RunHandle, checked_files, read_kept, write_run
-from tasks.tracking.tracking import StoreLost
+from hfb.tasks.results.stored_runs import find_run, result_facts
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking.run_record import RunHandle, checked_files, read_kept, write_run
+from hfb.tasks.tracking.tracking import StoreLost
 
 
 def record_folder(folder: Path) -> dict[str, Any]:

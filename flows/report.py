@@ -7,23 +7,23 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.workplace import INTERMEDIATE, beside_result, check_writable
 from hfb.body.model import Body
 from hfb.errors import InputError
+from hfb.flows.runtime.workplace import INTERMEDIATE, beside_result, check_writable
 from hfb.interop.writers.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.motion.motion_file import load_motion
 from hfb.report.result_facts import read_facts
-from tasks.core.handles import FileHandle, sha256_of
-from tasks.inputs.inputs import input_file
-from tasks.results.fitted_body import fitted_body, named_body
-from tasks.results.found_result import TEXTURE, FoundResult, found_result
-from tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
-from tasks.results.stored_runs import StoredRun, find_run
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.tracking.store_place import check_store, tracking_uri
+from hfb.tasks.core.handles import FileHandle, sha256_of
+from hfb.tasks.inputs.inputs import input_file
+from hfb.tasks.results.fitted_body import fitted_body, named_body
+from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
+from hfb.tasks.results.stored_runs import StoredRun, find_run
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
 _OTHERS = {"texture": TEXTURE, "strip": "strip.png", "alternatives": "alternatives.npz"}
 _FETCHED = (RESULT, CURVES, *_OTHERS.values(), FILM_NAMES["slowmotion"])
@@ -128,7 +128,7 @@ def _fits_a_page(film: Path) -> bool:
 
 
 def _drawn_again(place: FoundResult, run: StoredRun, body: Body, inputs: Path | None, made: Path) -> Path:
-    from tasks.results.earlier_result import earlier_shot
+    from hfb.tasks.results.earlier_result import earlier_shot
 
     motion, _ = load_motion(place.motion)
     with (

@@ -11,29 +11,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from flows.fit_image import fit_image_again
-from flows.runtime.workplace import INTERMEDIATE
-from flows.video import run_video
 from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
+from hfb.flows.fit_image import fit_image_again
+from hfb.flows.runtime.workplace import INTERMEDIATE
+from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
-from tasks.core.handles import FileHandle, sha256_of
-from tasks.core.repetition import Repetition, repeating
-from tasks.core.result_folder import unfinished_files
-from tasks.core.task import code_version
-from tasks.inputs.inputs import Inputs, networks_at_hand
-from tasks.inputs.out_place import check_clip_out, check_pictures_out
-from tasks.inputs.video_inputs import VideoInputs
-from tasks.results.present_files import find_present
-from tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.tracking.environment import environment
-from tasks.tracking.hidden_options import with_options
-from tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
+from hfb.tasks.core.handles import FileHandle, sha256_of
+from hfb.tasks.core.repetition import Repetition, repeating
+from hfb.tasks.core.result_folder import unfinished_files
+from hfb.tasks.core.task import code_version
+from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
+from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
+from hfb.tasks.inputs.video_inputs import VideoInputs
+from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.environment import environment
+from hfb.tasks.tracking.hidden_options import with_options
+from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
 VERDICT = "rerun.json"

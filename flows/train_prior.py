@@ -10,21 +10,21 @@ from typing import Any, Literal
 from prefect import flow
 from pydantic import Field
 
-from flows.runtime.reaper import mark_owner
-from flows.runtime.workplace import workplace
 from hfb.config import Record
 from hfb.errors import InputError
+from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.workplace import workplace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.priors.training_spec import MotionTraining, PoseTraining
-from tasks.benchmark.cases import listing_of
-from tasks.core.handles import FileHandle
-from tasks.core.result_records import records_in
-from tasks.core.task import code_version
-from tasks.inputs.out_place import check_sources_out
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
+from hfb.tasks.benchmark.cases import listing_of
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.result_records import records_in
+from hfb.tasks.core.task import code_version
+from hfb.tasks.inputs.out_place import check_sources_out
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
 
 
 class TrainingPlan(Record):

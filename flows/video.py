@@ -11,25 +11,37 @@ from typing import Any
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
-from flows.clip_steps import Fitted, Scene, draw, film, find_first_bodies, fit_windows, join, report, score, see, warn
-from flows.runtime.clip_place import clip_place
-from flows.runtime.reaper import mark_owner
-from flows.runtime.trouble import ask_server
-from flows.runtime.workplace import publish
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
+from hfb.flows.clip_steps import (
+    Fitted,
+    Scene,
+    draw,
+    film,
+    find_first_bodies,
+    fit_windows,
+    join,
+    report,
+    score,
+    see,
+    warn,
+)
+from hfb.flows.runtime.clip_place import clip_place
+from hfb.flows.runtime.reaper import mark_owner
+from hfb.flows.runtime.trouble import ask_server
+from hfb.flows.runtime.workplace import publish
 from hfb.interop.writers.names import CURVES, RECORD, REPORT
-from tasks.core.handles import FileHandle
-from tasks.core.task import code_version
-from tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
-from tasks.inputs.inputs import with_height
-from tasks.inputs.video_inputs import VideoInputs, video_hashes
-from tasks.results.export_files import export_files
-from tasks.results.result_report import ReportParts, add_report, clip_curves
-from tasks.tracking.video_record import ClipRecord
-from tasks.video.video_look import draw_texture
-from tasks.workers.engine import Engine
-from tasks.workers.workers import busy_share, worker_count
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.task import code_version
+from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
+from hfb.tasks.inputs.inputs import with_height
+from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
+from hfb.tasks.results.export_files import export_files
+from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves
+from hfb.tasks.tracking.video_record import ClipRecord
+from hfb.tasks.video.video_look import draw_texture
+from hfb.tasks.workers.engine import Engine
+from hfb.tasks.workers.workers import busy_share, worker_count
 
 _SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
 _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0

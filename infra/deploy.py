@@ -36,7 +36,7 @@ from prefect.exceptions import ObjectNotFound
 from prefect.utilities.templating import apply_values
 from prefect.workers.utilities import get_default_base_job_template_for_infrastructure_type
 
-from tasks.telemetry.secrets import without_secrets
+from hfb.tasks.telemetry.secrets import without_secrets
 
 _HERE = Path(__file__).parent
 _BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
@@ -108,7 +108,7 @@ def _container(kind: str) -> dict[str, Any]:
         "image": os.environ["HFB_IMAGE"],
         "image_pull_policy": "IfNotPresent",
         "env": {name: os.environ[name] for name in _PASSED_ON if name in os.environ},
-        "command": "python -P -m flows.runtime.deployment_run",
+        "command": "python -P -m hfb.flows.runtime.deployment_run",
     }
     if kind == "docker":
         given["volumes"] = [one for one in os.environ.get("HFB_VOLUMES", "").split(",") if one]

@@ -12,11 +12,11 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
-from tasks.core.handles import FileHandle, digest
-from tasks.core.task import code_version, task
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.tracking.run_record import RunHandle
+from hfb.tasks.core.handles import FileHandle, digest
+from hfb.tasks.core.task import code_version, task
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.run_record import RunHandle
 
 PARTS = ("trained", "held_out", "tested")
 Training = MotionTraining | PoseTraining

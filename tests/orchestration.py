@@ -40,7 +40,7 @@ def prefect_api() -> str:
     from prefect.context import refresh_global_settings_context
     from prefect.logging.configuration import setup_logging
 
-    from flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.surroundings import PrefectServer
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
@@ -52,7 +52,7 @@ def prefect_api() -> str:
 def _migrated_store() -> Path:
     """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
     path = _session_folder() / "migrated.db"
-    from tasks.tracking import tracking
+    from hfb.tasks.tracking import tracking
 
     tracking.client_of(f"sqlite:///{path}").get_experiment_by_name("none")
     return path

@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
-from flows.cli.options import add_config_flags, run_config
 from hfb.config import RunConfig
 from hfb.datasets.clip_making import MadeClip, make_clip
-from tasks.workers.engine import Engine
+from hfb.flows.cli.options import add_config_flags, run_config
+from hfb.tasks.workers.engine import Engine
 from tests.orchestration import _session_folder, mlflow_rows, orchestrated
 
 FRAMES = 12
@@ -58,8 +58,8 @@ def run_clip(
     background: str | None = None,
 ) -> dict[str, Any]:
     """`hfb video` of the small options in this process."""
-    from flows.video import run_video
-    from tasks.inputs.video_inputs import take_video_inputs
+    from hfb.flows.video import run_video
+    from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config = small_config(*more)
     return run_video(take_video_inputs(source, config, None, background, truth), out, config, workers)
@@ -98,7 +98,7 @@ def started(out: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
     words = ["video", str(made.truth.parent), "--truth", str(made.truth), "--out", str(out), "--workers", "2", "--json"]
     with shown(out).open("a") as messages:
         return subprocess.Popen(
-            [sys.executable, "-m", "flows.cli.cli", *words, *SMALL_OPTIONS, *more], stdout=subprocess.PIPE,
+            [sys.executable, "-m", "hfb.flows.cli.cli", *words, *SMALL_OPTIONS, *more], stdout=subprocess.PIPE,
             stderr=messages, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), **environment},
             # tests that run in the background of a shell would hand down that Ctrl-C is ignored
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hfb.report.batch_page import CLIPS_PER_PAGE, strip_thumbnail
-from tasks.batch.batch_summary import BatchSummary
+from hfb.tasks.batch.batch_summary import BatchSummary
 from tests.browser import CHROMIUM, browser, opened
 
 LINK = "http://127.0.0.1:5000/#/experiments/1"

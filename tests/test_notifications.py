@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from flows.batch import batch
-from flows.cli.cli import main
-from flows.deployed import batch as deployed_batch
 from hfb.errors import InputError
-from tasks.batch import notifications
-from tasks.batch.notifications import ClipTrouble, addresses_of, notify, notifying
+from hfb.flows.batch import batch
+from hfb.flows.cli.cli import main
+from hfb.flows.deployed import batch as deployed_batch
+from hfb.tasks.batch import notifications
+from hfb.tasks.batch.notifications import ClipTrouble, addresses_of, notify, notifying
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_config
 

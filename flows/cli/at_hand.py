@@ -7,8 +7,8 @@ import json
 import os
 from pathlib import Path
 
-from flows.runtime import summary
 from hfb.errors import InputError
+from hfb.flows.runtime import summary
 
 
 def add_models_flags(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +33,7 @@ def models(given: argparse.Namespace) -> None:
     if given.files and given.action != "fetch":
         raise InputError("--from goes with `hfb models fetch`")
     if given.action == "fetch":
-        from tasks.telemetry import displays, progress
+        from hfb.tasks.telemetry import displays, progress
 
         with progress.showing(displays.display_for(quiet=given.quiet)), progress.step("pose networks"):
             networks = fetch_networks(progress.say, given.files, given.force)
@@ -48,7 +48,7 @@ def models(given: argparse.Namespace) -> None:
 
 def runs(given: argparse.Namespace) -> None:
     """`hfb runs`: this process becomes the server of MLflow's pages."""
-    from tasks.tracking.store_place import SMALL_SERVER, pages_command
+    from hfb.tasks.tracking.store_place import SMALL_SERVER, pages_command
 
     command = pages_command(given.port)
     url = f"http://127.0.0.1:{given.port}"

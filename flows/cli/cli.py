@@ -20,15 +20,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from flows.cli import at_hand, clips, exporting, judging, recording, repeating, reporting, training
-from flows.cli.options import add_config_flags, run_config
-from flows.runtime import summary
-from flows.runtime.prefect_home import check_home
-from flows.runtime.running import Chain, report, tell, through_prefect, when_ready
 from hfb import __version__
 from hfb.errors import InputError, ServerLost, Unavailable
-from tasks.telemetry.secrets import without_secrets
-from tasks.workers.engine import engine_of
+from hfb.flows.cli import at_hand, clips, exporting, judging, recording, repeating, reporting, training
+from hfb.flows.cli.options import add_config_flags, run_config
+from hfb.flows.runtime import summary
+from hfb.flows.runtime.prefect_home import check_home
+from hfb.flows.runtime.running import Chain, report, tell, through_prefect, when_ready
+from hfb.tasks.telemetry.secrets import without_secrets
+from hfb.tasks.workers.engine import engine_of
 
 if TYPE_CHECKING:
     from hfb.evaluation.experiments import Experiment
@@ -200,7 +200,7 @@ def _command(
 
 
 def _fit(given: argparse.Namespace) -> None:
-    from tasks.inputs.inputs import assumptions, take_inputs
+    from hfb.tasks.inputs.inputs import assumptions, take_inputs
 
     config = run_config(given)
     out = given.out or Path("runs") / given.frames[0].stem
@@ -210,7 +210,7 @@ def _fit(given: argparse.Namespace) -> None:
             print(f"hfb: {assumed}", file=sys.stderr)
 
     def load() -> Chain:
-        from flows.fit_image import fit_image
+        from hfb.flows.fit_image import fit_image
 
         return when_ready(lambda: fit_image(given.frames, given.background, out, config, given.clip))
 
@@ -223,7 +223,7 @@ def _demo(given: argparse.Namespace) -> None:
     out = given.out or Path("runs/demo")
 
     def load() -> Chain:
-        from flows.demo import fit_example
+        from hfb.flows.demo import fit_example
 
         return lambda ready: fit_example(out, config, ready)
 
@@ -241,7 +241,7 @@ def _synth(given: argparse.Namespace) -> None:
     out, engine = given.out or Path("runs") / f"{given.set}-cases", engine_of(given.workers, given.store)
 
     def load() -> Chain:
-        from flows.benchmark import run_synthesis
+        from hfb.flows.benchmark import run_synthesis
 
         return when_ready(lambda: run_synthesis(spec, given.count, out, engine))
 
@@ -273,7 +273,7 @@ def _benchmarked(
     engine = engine_of(given.workers, given.store)
 
     def load() -> Chain:
-        from flows.benchmark import run_benchmark
+        from hfb.flows.benchmark import run_benchmark
 
         plan = judging.plan_of(given, frames)
         return when_ready(lambda: run_benchmark(plan, out, engine, experiment))
@@ -285,7 +285,7 @@ def _train_prior(given: argparse.Namespace) -> None:
     out = given.out or training.DEFAULT_OUT[given.kind]
 
     def load() -> Chain:
-        from flows.train_prior import train_prior
+        from hfb.flows.train_prior import train_prior
 
         plan = training.plan_of(given)
         return when_ready(lambda: train_prior(plan, out))
@@ -303,7 +303,7 @@ def _complain(message: str, as_json: bool, code: int) -> int:
 
 
 def _unexpected(error: Exception) -> str:
-    from flows.runtime.surroundings import log_path
+    from hfb.flows.runtime.surroundings import log_path
 
     logging.getLogger("hfb").exception("unexpected")
     where = f"the log is {log_path()}" if logging.getLogger().handlers else "no log was kept"

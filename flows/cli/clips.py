@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.cli.judging import add_worker_flags, positive
-from flows.cli.options import run_config
-from flows.runtime.running import Chain, surrounded, tell, through_prefect, when_ready
 from hfb.errors import InputError
-from tasks.batch.notifications import FORMS, VARIABLE, addresses_of, notifying
-from tasks.inputs.out_place import check_batch_out, default_out
-from tasks.workers.engine import engine_of
+from hfb.flows.cli.judging import add_worker_flags, positive
+from hfb.flows.cli.options import run_config
+from hfb.flows.runtime.running import Chain, surrounded, tell, through_prefect, when_ready
+from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, notifying
+from hfb.tasks.inputs.out_place import check_batch_out, default_out
+from hfb.tasks.workers.engine import engine_of
 
 VIDEO_KEYS = (
     "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
@@ -64,14 +64,14 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
 
 def video(given: argparse.Namespace) -> None:
     """`hfb video`."""
-    from tasks.inputs.video_inputs import take_video_inputs
+    from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
     out = given.out or default_out(given.source)
     inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone, out)
 
     def load() -> Chain:
-        from flows.people import run_clip
+        from hfb.flows.people import run_clip
 
         return when_ready(lambda: run_clip(inputs, out, config, engine))
 
@@ -83,7 +83,7 @@ def video(given: argparse.Namespace) -> None:
 
 def batch(given: argparse.Namespace) -> int:
     """`hfb batch`: 1 where a clip has no result, as for other failures."""
-    from tasks.inputs.clip_places import find_clips
+    from hfb.tasks.inputs.clip_places import find_clips
 
     config = run_config(given)
     engine_of(given.workers, given.store)  # what is wrong with it is said at once
@@ -93,7 +93,7 @@ def batch(given: argparse.Namespace) -> int:
     addresses = addresses_of(given.notify)
 
     def load() -> Chain:
-        from flows.batch import batch as every_clip
+        from hfb.flows.batch import batch as every_clip
 
         options = config.model_dump(mode="json")
         pace = (given.attempts, given.wait, given.watch, given.again, given.store)
@@ -116,7 +116,7 @@ def synth_clip(given: argparse.Namespace) -> None:
         raise InputError(f"`hfb synth clip` makes one clip, and {other} is for the cases of a set: leave it out")
     out = given.out or Path("runs/clip")
     with surrounded(given, out, recorded=False):
-        from tasks.telemetry import progress
+        from hfb.tasks.telemetry import progress
 
         with progress.step("libraries"):
             from hfb.datasets.clip_making import make_clip

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from flows.runtime.running import goes_to, libraries, surrounded, tell
 from hfb.config import ExportConfig, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
+from hfb.flows.runtime.running import goes_to, libraries, surrounded, tell
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
@@ -35,7 +35,7 @@ def export(given: argparse.Namespace) -> None:
     formats, meshes = asked_formats(given.formats) if given.formats or not films else ((), ())
     with surrounded(given, given.out or goes_to(given.source), recorded=False):
         with libraries():
-            from flows.export import export_result
+            from hfb.flows.export import export_result
         rate = given.amass_rate or _RATE
         result = export_result(given.source, given.out, formats, meshes, given.body, rate, films, given.inputs)
     tell(given, result, export_text(result))

@@ -16,8 +16,8 @@ from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, metho
 from hfb.io.toml_file import to_record
 
 if TYPE_CHECKING:
-    from flows.benchmark import BenchmarkPlan
     from hfb.evaluation.experiments import Experiment
+    from hfb.flows.benchmark import BenchmarkPlan
 
 SETS = ("bt-amass", "bc-cape", "b-aist")
 EXPERIMENTS = Path(__file__).parents[2] / "infra" / "experiments"
@@ -100,7 +100,7 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
 
 def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
     """Everything that decides a benchmark's figures, from its flags."""
-    from flows.benchmark import BenchmarkPlan
+    from hfb.flows.benchmark import BenchmarkPlan
 
     start = given.start or ("estimated" if given.set == "b-aist" else "simulated")
     return BenchmarkPlan(

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.running import libraries, surrounded, tell
+from hfb.flows.runtime.running import libraries, surrounded, tell
 
 
 def add_record_flags(parser: argparse.ArgumentParser) -> None:
@@ -19,8 +19,8 @@ def record_result(given: argparse.Namespace) -> None:
     """Run `hfb record`."""
     with surrounded(given, given.source):
         with libraries():
-            from flows.record import record_folder
-            from tasks.tracking import tracking
+            from hfb.flows.record import record_folder
+            from hfb.tasks.tracking import tracking
 
             tracking.open_store()
         result = record_folder(given.source)

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flows.cli.judging import cores, positive
-from flows.runtime.running import Chain, libraries, surrounded, tell, through_prefect, when_ready
-from flows.runtime.summary import number_text
 from hfb.errors import InputError
+from hfb.flows.cli.judging import cores, positive
+from hfb.flows.runtime.running import Chain, libraries, surrounded, tell, through_prefect, when_ready
+from hfb.flows.runtime.summary import number_text
 
 DIFFERS = 3
 """Exit code: the run was repeated and came out otherwise."""
@@ -50,7 +50,7 @@ def rerun(given: argparse.Namespace) -> int:
     options = _named(given.option)
 
     def load() -> Chain:
-        from flows.rerun import plan_rerun, run_again
+        from hfb.flows.rerun import plan_rerun, run_again
 
         plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers, options)
         return when_ready(lambda: run_again(plan))
@@ -73,7 +73,7 @@ def compare(given: argparse.Namespace) -> None:
     """`hfb compare`."""
     with surrounded(given, given.out or Path("runs")):
         with libraries():
-            from flows.compare import compare_runs
+            from hfb.flows.compare import compare_runs
         result = compare_runs((given.run_a, given.run_b, *given.more), given.out)
     tell(given, result, compare_text(result))
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.running import goes_to, libraries, surrounded, tell
+from hfb.flows.runtime.running import goes_to, libraries, surrounded, tell
 
 
 def add_report_flags(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +22,7 @@ def report_result(given: argparse.Namespace) -> None:
     """Run `hfb report`."""
     with surrounded(given, given.out or goes_to(given.source), recorded=False):
         with libraries():
-            from flows.report import make_report
+            from hfb.flows.report import make_report
         result = make_report(given.source, given.out, given.body, given.inputs)
     tell(given, result, report_text(result))
 

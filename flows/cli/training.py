@@ -11,7 +11,7 @@ from hfb.io.toml_file import to_record
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 
 if TYPE_CHECKING:
-    from flows.train_prior import TrainingPlan
+    from hfb.flows.train_prior import TrainingPlan
 
 DEFAULT_OUT = {"motion": Path("runs/motion_prior.safetensors"), "pose": Path("runs/pose_prior.safetensors")}
 
@@ -46,7 +46,7 @@ def plan_of(given: argparse.Namespace) -> TrainingPlan:
     Raises:
         InputError: a number that no training takes.
     """
-    from flows.train_prior import TrainingPlan
+    from hfb.flows.train_prior import TrainingPlan
 
     content: dict[str, Any] = {"motions": given.motions, "kind": given.kind, "seed": given.seed}
     content |= {"tests": given.test, "held_out": given.held_out}

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from flows.runtime.trouble import told_plainly
-from flows.runtime.workplace import workplace
-from tasks.core.result_records import records_in
-from tasks.workers.engine import Engine
-from tasks.workers.workers import workers
+from hfb.flows.runtime.trouble import told_plainly
+from hfb.flows.runtime.workplace import workplace
+from hfb.tasks.core.result_records import records_in
+from hfb.tasks.workers.engine import Engine
+from hfb.tasks.workers.workers import workers
 
 
 @contextmanager
@@ -18,8 +18,8 @@ def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
     """The folder for intermediate files, held for this process alone, with the engine's workers at hand.
 
     Raises:
-        InputError: see `flows.runtime.workplace.workplace` and `tasks.workers.workers.workers`.
-        Unavailable: see `flows.runtime.trouble.told_plainly`.
+        InputError: see `hfb.flows.runtime.workplace.workplace` and `hfb.tasks.workers.workers.workers`.
+        Unavailable: see `hfb.flows.runtime.trouble.told_plainly`.
     """
     with (
         told_plainly(out),

@@ -26,8 +26,8 @@ from prefect.runner._starter_engine import EngineCommandStarter
 from prefect.states import Crashed
 from prefect.utilities.processutils import command_to_string
 
-ENTRYPOINTS = frozenset(f"flows.deployed.{name}" for name in ("fit", "video", "batch", "benchmark", "train"))
-COMMAND = "python -P -m flows.runtime.deployment_run"
+ENTRYPOINTS = frozenset(f"hfb.flows.deployed.{name}" for name in ("fit", "video", "batch", "benchmark", "train"))
+COMMAND = "python -P -m hfb.flows.runtime.deployment_run"
 _ENGINE = command_to_string([sys.executable, "-P", "-m", "prefect.engine"])  # -P: not what lies in the current folder
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from hfb.errors import InputError, NotNow
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.safe_folder import check_ordinary, is_regular, read_file
-from tasks.core.handles import sha256_of
+from hfb.tasks.core.handles import sha256_of
 
 OWN_FILES = ".hfb-files.json"
 _LIMIT_BYTES = 1 << 20

@@ -16,7 +16,7 @@ from prefect.client.schemas.objects import StateType
 from prefect.context import FlowRunContext
 from prefect.states import Crashed
 
-from tasks.tracking.ownership import is_abandoned, owner
+from hfb.tasks.tracking.ownership import is_abandoned, owner
 
 _OWNER_LABEL = "hfb.owner"
 _UNFINISHED = [StateType.RUNNING.value, StateType.PENDING.value, StateType.CANCELLING.value]

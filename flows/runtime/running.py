@@ -13,8 +13,8 @@ from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any
 
-from flows.runtime import summary
-from tasks.telemetry.secrets import hidden_in, without_secrets
+from hfb.flows.runtime import summary
+from hfb.tasks.telemetry.secrets import hidden_in, without_secrets
 
 Chain = Callable[[Callable[[], None]], dict[str, Any]]
 """Does the work; calls what it is given before it needs the server."""
@@ -23,12 +23,12 @@ Chain = Callable[[Callable[[], None]], dict[str, Any]]
 def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:
     """Start the server, import the method while it starts, then run the chain."""
     with surrounded(given, out):
-        from tasks.telemetry import progress
+        from hfb.tasks.telemetry import progress
 
         with libraries():
-            from flows.runtime.surroundings import PrefectServer
-            from flows.runtime.trouble import told_plainly
-            from tasks.tracking import tracking
+            from hfb.flows.runtime.surroundings import PrefectServer
+            from hfb.flows.runtime.trouble import told_plainly
+            from hfb.tasks.tracking import tracking
 
             server = PrefectServer()
             chain = load()
@@ -38,7 +38,7 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
             with progress.step("Prefect's server"):
                 server.wait()
             with suppress(Exception):  # tidying up after others must not stop this run
-                from flows.runtime.reaper import end_abandoned_flow_runs
+                from hfb.flows.runtime.reaper import end_abandoned_flow_runs
 
                 end_abandoned_flow_runs()
 
@@ -49,12 +49,12 @@ def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Cha
 @contextmanager
 def surrounded(given: argparse.Namespace, out: Path, recorded: bool = True) -> Iterator[None]:
     """A log, a folder that can be written, a store that answers (where one is needed), and a display."""
-    from flows.runtime.prefect_home import make_home
-    from flows.runtime.surroundings import check_api_url, keep_log
-    from flows.runtime.workplace import check_writable
-    from tasks.batch.metrics import served
-    from tasks.telemetry import displays, progress
-    from tasks.tracking.store_place import check_store, tracking_uri
+    from hfb.flows.runtime.prefect_home import make_home
+    from hfb.flows.runtime.surroundings import check_api_url, keep_log
+    from hfb.flows.runtime.workplace import check_writable
+    from hfb.tasks.batch.metrics import served
+    from hfb.tasks.telemetry import displays, progress
+    from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
     keep_log(given.verbose)
     check_writable(out)
@@ -92,10 +92,10 @@ def results_alone_on_stdout() -> Iterator[None]:
 @contextmanager
 def libraries() -> Iterator[None]:
     """The step in which a command imports what it needs, Prefect first."""
-    from tasks.telemetry import progress
+    from hfb.tasks.telemetry import progress
 
     with progress.step("libraries"), unwatched_by_gc():
-        from flows.runtime.surroundings import load_prefect
+        from hfb.flows.runtime.surroundings import load_prefect
 
         load_prefect()
         yield
@@ -141,7 +141,7 @@ def report(
     if given.json:
         print(json.dumps(hidden_in({key: result.get(key) for key in keys})))
     elif not given.quiet:
-        from tasks.tracking.store_place import on_server, tracking_uri
+        from hfb.tasks.tracking.store_place import on_server, tracking_uri
 
         local = not on_server(tracking_uri())
         print(without_secrets(summary.text(result, rows, "(`hfb runs` brings this page up)" if local else None)))

@@ -20,12 +20,12 @@ from urllib.request import Request, urlopen
 
 import platformdirs
 
-from flows.runtime.prefect_database import PrefectDatabase
 from hfb.errors import InputError, Unavailable
-from tasks.telemetry import progress
-from tasks.telemetry.secrets import SecretFormatter, shown_address, without_secrets
-from tasks.telemetry.structured_log import JsonFormatter, WithIds
-from tasks.tracking.addresses import check_address, no_answer
+from hfb.flows.runtime.prefect_database import PrefectDatabase
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.secrets import SecretFormatter, shown_address, without_secrets
+from hfb.tasks.telemetry.structured_log import JsonFormatter, WithIds
+from hfb.tasks.tracking.addresses import check_address, no_answer
 
 LOG_VARIABLE = "HFB_LOG"
 _EXAMPLE = "http://127.0.0.1:4200/api"

@@ -13,11 +13,11 @@ import httpx
 from prefect.exceptions import PrefectHTTPStatusError, TerminationSignal
 from prefect.settings import PREFECT_API_URL
 
-from flows.runtime.surroundings import does_not_answer
 from hfb.errors import InputError, ServerLost, Unavailable
-from tasks.core.handles import StaleFile
-from tasks.telemetry.secrets import shown_address
-from tasks.workers.engine import WorkerLost
+from hfb.flows.runtime.surroundings import does_not_answer
+from hfb.tasks.core.handles import StaleFile
+from hfb.tasks.telemetry.secrets import shown_address
+from hfb.tasks.workers.engine import WorkerLost
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _GOES_ON = "what is finished is kept, and the same command goes on from there"

@@ -17,7 +17,7 @@ from prefect.client.orchestration import PrefectClient
 from prefect.client.schemas.objects import FlowRun
 from prefect.workers.base import BaseJobConfiguration, BaseVariables, BaseWorker, BaseWorkerResult
 
-from flows.runtime.deployment_run import COMMAND, entrypoint_of, supervise
+from hfb.flows.runtime.deployment_run import COMMAND, entrypoint_of, supervise
 
 BEAT = "PREFECT_FLOWS_HEARTBEAT_FREQUENCY"
 _SHORTEST_BEAT_S = 30  # Prefect's

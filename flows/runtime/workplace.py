@@ -17,15 +17,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from flows.runtime.own_files import among_own_files
 from hfb.errors import Busy, InputError, NotNow
+from hfb.flows.runtime.own_files import among_own_files
 from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
-from tasks.core.handles import sha256_of
-from tasks.core.result_folder import UNFINISHED, result_content
-from tasks.telemetry.secrets import hidden_in
+from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.core.result_folder import UNFINISHED, result_content
+from hfb.tasks.telemetry.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
 _LOCK, _STAGING = ".lock", "publish"

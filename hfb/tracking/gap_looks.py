@@ -76,9 +76,7 @@ def _in_full_view(
     """Boxes and areas [px] that may be the person's, who was at ``known`` ``away`` frames before or after."""
     height, width = frame.shape[:2]
     rows, columns = _around(known, away, height, width)
-    look, empty = (
-        shrink(srgb_to_linear(np.ascontiguousarray(one[rows, columns])), _LOOK_PX) for one in (frame, plate)
-    )
+    look, empty = (shrink(srgb_to_linear(np.ascontiguousarray(one[rows, columns])), _LOOK_PX) for one in (frame, plate))
     seen = alpha(look, empty * exposure_gain(look, empty))
     scale = (rows.stop - rows.start) / seen.shape[0]
     edge, high = _IN_VIEW * max(height, width), known[3] - known[1]
@@ -96,9 +94,7 @@ def _in_full_view(
             yield box, area
 
 
-def _is_of(
-    others: Sequence[Track], box: Float[Array, "4"], frame: int, last: int, known: Float[Array, "4"]
-) -> bool:
+def _is_of(others: Sequence[Track], box: Float[Array, "4"], frame: int, last: int, known: Float[Array, "4"]) -> bool:
     """Whether somebody else is nearer, where they are in this frame or were when the person was last seen."""
     nearest = _way(box, known)
     for other in others:

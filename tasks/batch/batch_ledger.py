@@ -21,7 +21,7 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
-from tasks.core.handles import digest
+from hfb.tasks.core.handles import digest
 
 _FOUND_AGAIN = "finished clips are found again in their folders"
 _LONGEST_REASON, _DAY_S = 2000, 86_400.0

@@ -18,8 +18,8 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
 from hfb.report.result_facts import read_facts
-from tasks.batch.batch_ledger import set_aside
-from tasks.telemetry import progress
+from hfb.tasks.batch.batch_ledger import set_aside
+from hfb.tasks.telemetry import progress
 
 if TYPE_CHECKING:
     from hfb.report.batch_page import BatchClip, BatchCounts

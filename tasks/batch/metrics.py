@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
-from tasks.telemetry import progress
-from tasks.telemetry.progress import Shown
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.progress import Shown
 
 if TYPE_CHECKING:
     from wsgiref.simple_server import WSGIServer
@@ -66,7 +66,7 @@ class Metrics:
         self._left.labels(shown.label).set(shown.total - shown.done)
 
     def end(self, shown: Shown, failed: bool) -> None:
-        from tasks.workers.workers import busy_share
+        from hfb.tasks.workers.workers import busy_share
 
         with self._lock:
             self._counted.pop(shown, None)

@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
 from hfb.errors import InputError
-from tasks.telemetry import progress
+from hfb.tasks.telemetry import progress
 
 VARIABLE = "HFB_NOTIFY"
 """Addresses for whoever would not have them in a command, divided by blanks."""

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from hfb.interop.writers.names import REPORT
 from hfb.io.atomic import write_bytes_atomic
-from tasks.benchmark.benchmark_results import ResultsHandle
-from tasks.benchmark.judge_case import JudgedHandle
-from tasks.core.handles import FileHandle
-from tasks.core.task import code_version, task
-from tasks.tracking.environment import environment
-from tasks.tracking.tracking import flatten
+from hfb.tasks.benchmark.benchmark_results import ResultsHandle
+from hfb.tasks.benchmark.judge_case import JudgedHandle
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.task import code_version, task
+from hfb.tasks.tracking.environment import environment
+from hfb.tasks.tracking.tracking import flatten
 
 if TYPE_CHECKING:
     from hfb.evaluation.experiments import Experiment

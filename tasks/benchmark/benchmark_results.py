@@ -11,11 +11,11 @@ import numpy as np
 
 from hfb.config import Record
 from hfb.io.atomic import write_bytes_atomic
-from tasks.benchmark.judge_case import JudgedHandle
-from tasks.core.handles import FileHandle, digest
-from tasks.core.task import code_version, task
-from tasks.tracking import tracking
-from tasks.tracking.run_record import RunHandle
+from hfb.tasks.benchmark.judge_case import JudgedHandle
+from hfb.tasks.core.handles import FileHandle, digest
+from hfb.tasks.core.task import code_version, task
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.run_record import RunHandle
 
 _SHOWN_RANKS = (0.05, 0.25, 0.5, 0.75, 0.95)
 

@@ -15,13 +15,13 @@ from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import read_clip
-from tasks.core.handles import ClipHandle, FileHandle, digest
-from tasks.core.task import task
-from tasks.image.matte import matte
-from tasks.image.prepare import prepare
-from tasks.inputs.given_networks import check_networks
-from tasks.telemetry import progress
-from tasks.workers.workers import compute, spread
+from hfb.tasks.core.handles import ClipHandle, FileHandle, digest
+from hfb.tasks.core.task import task
+from hfb.tasks.image.matte import matte
+from hfb.tasks.image.prepare import prepare
+from hfb.tasks.inputs.given_networks import check_networks
+from hfb.tasks.telemetry import progress
+from hfb.tasks.workers.workers import compute, spread
 
 Spec = SetSpec | RealSpec
 
@@ -176,7 +176,7 @@ def _see(
     from hfb.datasets.truth import load_truth_of
     from hfb.evaluation.judge import judge_start
     from hfb.motion.static_pose import load_first_body
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     if start == "estimated":
         check_networks(init, networks)
@@ -210,8 +210,8 @@ def _starts(
         if missing:
             raise InputError(f"{case.folder} has no {missing[0]}: real video is started with --start estimated")
         return tuple(FileHandle.of(path) for path in case.start_paths())
-    from tasks.image.first_body import first_body
-    from tasks.video.video_windows import mend_fronts
+    from hfb.tasks.image.first_body import first_body
+    from hfb.tasks.video.video_windows import mend_fronts
 
     numbers = tuple(range(case.frames))
     found: Any = tuple(first_body.fn(clip, index, mattes, body, init, (), folder) for index in numbers)

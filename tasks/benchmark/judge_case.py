@@ -11,11 +11,11 @@ from hfb.datasets.case import Case
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.io.atomic import write_bytes_atomic
-from tasks.benchmark.cases import ReadyHandle
-from tasks.core.handles import FileHandle
-from tasks.core.scene import load_chosen_body, load_observation
-from tasks.core.task import task
-from tasks.workers.workers import compute, spread
+from hfb.tasks.benchmark.cases import ReadyHandle
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.scene import load_chosen_body, load_observation
+from hfb.tasks.core.task import task
+from hfb.tasks.workers.workers import compute, spread
 
 
 class JudgedHandle(FileHandle):

@@ -13,8 +13,8 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.io.media.pictures import read_matte, read_picture_srgb
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
+from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.typing import Array
-from tasks.core.handles import ClipHandle, FileHandle
 
 
 def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:

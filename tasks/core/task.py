@@ -32,13 +32,13 @@ from prefect.results import get_result_store
 from prefect.states import Completed, State
 
 import hfb
-import tasks
-from tasks.core import repetition
-from tasks.core.handles import StaleFile, digest, files_in, unchanged
-from tasks.core.parcels import Kept, Parcel
-from tasks.core.stopped import Stopped
-from tasks.telemetry import progress
-from tasks.telemetry.structured_log import about, ids_of
+import hfb.tasks
+from hfb.tasks.core import repetition
+from hfb.tasks.core.handles import StaleFile, digest, files_in, unchanged
+from hfb.tasks.core.parcels import Kept, Parcel
+from hfb.tasks.core.stopped import Stopped
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.structured_log import about, ids_of
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")

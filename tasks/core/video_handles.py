@@ -6,7 +6,7 @@ from typing import Literal
 
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 
 _Row = tuple[float, float, float]
 

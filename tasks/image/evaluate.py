@@ -10,9 +10,9 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
 from hfb.rendering.backends import make_rasterizer
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
-from tasks.core.scene import load_chosen_body, load_observation, load_texture
-from tasks.core.task import task
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
+from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
+from hfb.tasks.core.task import task
 
 
 @task("evaluation")

@@ -5,11 +5,11 @@ from pathlib import Path
 from hfb.config import InitConfig
 from hfb.initialization.initializer import make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.scene import load_chosen_body, load_observation
+from hfb.tasks.core.task import task
+from hfb.tasks.inputs.given_networks import with_pose_network
 from hfb.tracking.clip_bodies import front_doubt
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.core.scene import load_chosen_body, load_observation
-from tasks.core.task import task
-from tasks.inputs.given_networks import with_pose_network
 
 
 @task("first body")

@@ -12,10 +12,10 @@ from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
-from tasks.core.scene import load_chosen_body, load_observation
-from tasks.core.task import task
-from tasks.telemetry import progress
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
+from hfb.tasks.core.scene import load_chosen_body, load_observation
+from hfb.tasks.core.task import task
+from hfb.tasks.telemetry import progress
 
 
 @task("fit")

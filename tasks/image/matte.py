@@ -5,10 +5,10 @@ from pathlib import Path
 from hfb.config import MattingConfig
 from hfb.io.media.pictures import write_matte
 from hfb.matting.methods import make_matting
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.scene import load_picture
-from tasks.core.task import task
-from tasks.inputs.given_networks import with_matting_network
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.scene import load_picture
+from hfb.tasks.core.task import task
+from hfb.tasks.inputs.given_networks import with_matting_network
 
 
 @task("matte")

@@ -8,10 +8,10 @@ from hfb.errors import InputError
 from hfb.io.clip import Clip
 from hfb.io.media.picture_decoding import decode_picture, doubt_depths
 from hfb.photometry import Transfer, as_srgb
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.inputs.inputs import told_exposure_s
 from hfb.typing import Array, Float
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.task import task
-from tasks.inputs.inputs import told_exposure_s
 
 _DEFAULT_FPS = 30.0
 

@@ -8,9 +8,9 @@ from hfb.io.media.pictures import write_png
 from hfb.motion.motion_file import load_motion
 from hfb.rendering.backends import make_rasterizer
 from hfb.report.strip import draw_strip
-from tasks.core.handles import ClipHandle, FileHandle, FitHandle
-from tasks.core.scene import load_chosen_body, load_observation, load_texture
-from tasks.core.task import task
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
+from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
+from hfb.tasks.core.task import task
 
 
 @task("strip")

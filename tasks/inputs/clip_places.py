@@ -13,9 +13,9 @@ from hfb.io.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.io.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, others_in, pictures_in
 from hfb.io.names import is_text, shown_name
 from hfb.io.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
-from tasks.core.handles import FileHandle, StaleFile
-from tasks.core.result_folder import result_content
-from tasks.inputs.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
+from hfb.tasks.core.handles import FileHandle, StaleFile
+from hfb.tasks.core.result_folder import result_content
+from hfb.tasks.inputs.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
 
 RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
 """What a folder of results holds beside the clips' own folders; letter cases are one on some disks."""

@@ -10,8 +10,8 @@ from hfb.errors import InputError
 from hfb.interop.readers.beside import companions
 from hfb.networks.files import check_network_file
 from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
-from tasks.core.handles import FileHandle, sha256_of
-from tasks.telemetry import progress
+from hfb.tasks.core.handles import FileHandle, sha256_of
+from hfb.tasks.telemetry import progress
 
 _OWN_MATTING = ("bgmv2", "rvm")
 

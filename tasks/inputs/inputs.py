@@ -10,9 +10,9 @@ from hfb.interop.writers.names import check_formats
 from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.io.names import is_text
 from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
-from tasks.core.handles import FileHandle, files_in
-from tasks.inputs.given_networks import init_files, matting_file
-from tasks.inputs.out_place import check_pictures_out
+from hfb.tasks.core.handles import FileHandle, files_in
+from hfb.tasks.inputs.given_networks import init_files, matting_file
+from hfb.tasks.inputs.out_place import check_pictures_out
 
 _OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
 """Entries of clip.toml that say nothing about single pictures, whose plate is given."""

@@ -9,11 +9,11 @@ from hfb.config import Record, RunConfig
 from hfb.errors import InputError
 from hfb.interop.writers.names import check_formats
 from hfb.io.clip import Clip, PersonChoice, read_clip
-from tasks.core.handles import FileHandle, digest
-from tasks.inputs.clip_places import plate_beside, resolve_source
-from tasks.inputs.given_networks import matting_file
-from tasks.inputs.inputs import input_file, input_files, optional_file, pose_networks, result_files
-from tasks.inputs.out_place import check_clip_out
+from hfb.tasks.core.handles import FileHandle, digest
+from hfb.tasks.inputs.clip_places import plate_beside, resolve_source
+from hfb.tasks.inputs.given_networks import matting_file
+from hfb.tasks.inputs.inputs import input_file, input_files, optional_file, pose_networks, result_files
+from hfb.tasks.inputs.out_place import check_clip_out
 
 _FOUND: tuple[Literal["median"], Literal["still"]] = ("median", "still")
 
@@ -54,7 +54,7 @@ def take_video_inputs(
     """Everything the user names, hashed.
 
     Args:
-        source: see `tasks.inputs.clip_places.resolve_source`.
+        source: see `hfb.tasks.inputs.clip_places.resolve_source`.
         background: a file, ``"median"`` or ``"still"``; wins over clip.toml, which wins over a plate beside the clip.
         everyone: whatever clip.toml says of the person, all who are seen (or are in its file of tracks).
         out: where results go, to be checked.

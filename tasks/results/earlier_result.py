@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Literal
 
 from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
-from tasks.core.handles import ClipHandle
-from tasks.inputs.inputs import Inputs
-from tasks.inputs.video_inputs import VideoInputs
-from tasks.results.present_files import find_present
-from tasks.results.stored_runs import fetch_file, find_run, readable_store
-from tasks.tracking.hidden_options import for_pictures
-from tasks.tracking.recipe import RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
+from hfb.tasks.core.handles import ClipHandle
+from hfb.tasks.inputs.inputs import Inputs
+from hfb.tasks.inputs.video_inputs import VideoInputs
+from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.stored_runs import fetch_file, find_run, readable_store
+from hfb.tasks.tracking.hidden_options import for_pictures
+from hfb.tasks.tracking.recipe import RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from hfb.io.media.footage import Footage
     from hfb.motion.sampled import SampledMotion
     from hfb.report.slow_motion import Shot
+    from hfb.tasks.core.video_handles import FootageHandle
     from hfb.typing import Array
-    from tasks.core.video_handles import FootageHandle
 
 _PICTURES = ("frame_", "background", "video", "calibration")
 """Roles of the files that pictures come from; networks, priors and truths are not needed to look at a result."""
@@ -95,7 +95,7 @@ def earlier_shot(
     from hfb.io.media.pictures import read_picture_srgb
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.slow_motion import Shot
-    from tasks.core.scene import in_light
+    from hfb.tasks.core.scene import in_light
 
     drawing = FitConfig()  # wherever the result was computed, this machine has the default
     with pictures_of(run_words, inputs_folder) as seen:
@@ -112,8 +112,8 @@ def earlier_shot(
 
 
 def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, _folder: Path) -> Pictures:
-    from tasks.core.scene import load_camera, load_picture
-    from tasks.image.prepare import prepare
+    from hfb.tasks.core.scene import load_camera, load_picture
+    from hfb.tasks.image.prepare import prepare
 
     inputs = recipe_inputs(Inputs, recipe, places, run)
     clip: ClipHandle = prepare.fn(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
@@ -127,8 +127,8 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str
 
 def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, folder: Path) -> Pictures:
     from hfb.io.media.pictures import read_picture_srgb
-    from tasks.core.scene import in_light, load_camera
-    from tasks.video.video_clip import find_background, load_footage, look_at_clip
+    from hfb.tasks.core.scene import in_light, load_camera
+    from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
 
     inputs = recipe_inputs(VideoInputs, recipe, places, run)
     seen: FootageHandle = look_at_clip.fn(inputs, config.video.average, config.camera, config.exposure, folder)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, cast
 from hfb.config import ExportConfig, Record
 from hfb.errors import InputError
 from hfb.interop.writers.names import FILE_NAMES, NEEDS_BODY
-from tasks.core.handles import FileHandle
-from tasks.core.task import task
-from tasks.telemetry import progress
-from tasks.workers.workers import compute
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.telemetry import progress
+from hfb.tasks.workers.workers import compute
 
 if TYPE_CHECKING:
     from hfb.body.model import BetasSpace
@@ -51,7 +51,7 @@ def _export_files(
 ) -> ExportsHandle:
     from hfb.interop.writers.files import Exported, write_motion_file
     from hfb.motion.motion_file import load_motion
-    from tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body
 
     moving, space = load_motion(motion.path)
     exported = Exported(

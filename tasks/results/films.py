@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from hfb.config import Film, FitConfig, RunConfig
 from hfb.interop.writers.names import FILM_NAMES
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.task import task
-from tasks.results.export_files import ExportsHandle
-from tasks.telemetry import progress
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.results.export_files import ExportsHandle
+from hfb.tasks.telemetry import progress
 
 if TYPE_CHECKING:
     from hfb.report.slow_motion import Shot
@@ -106,7 +106,7 @@ def shot_of(
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.slow_motion import Shot
-    from tasks.core.scene import load_camera, load_chosen_body, load_picture, load_texture
+    from hfb.tasks.core.scene import load_camera, load_chosen_body, load_picture, load_texture
 
     return Shot(
         motion=load_motion(motion.path)[0],

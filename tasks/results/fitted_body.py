@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
-from tasks.core.result_folder import result_content
+from hfb.tasks.core.result_folder import result_content
 
 if TYPE_CHECKING:
     from hfb.body.model import Body

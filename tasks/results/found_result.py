@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
 from hfb.io.safe_folder import check_readable
-from tasks.core.result_folder import check_result
+from hfb.tasks.core.result_folder import check_result
 
 if TYPE_CHECKING:
-    from tasks.results.stored_runs import StoredRun
+    from hfb.tasks.results.stored_runs import StoredRun
 
 MOTION, TEXTURE = "motion.npz", "texture.png"
 
@@ -71,7 +71,7 @@ def found_result(source: str, names: Sequence[str], inner: Sequence[str] = ()) -
         return
     if path.suffix or len(path.parts) > 1:
         raise InputError(f"there is no {source}: give a result's folder, its {MOTION}, or a run's id")
-    from tasks.results.stored_runs import fetch_file, find_run, readable_store
+    from hfb.tasks.results.stored_runs import fetch_file, find_run, readable_store
 
     run = find_run(source)
     with tempfile.TemporaryDirectory() as fetched, readable_store():

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hfb.errors import InputError
-from tasks.core.handles import sha256_of
-from tasks.telemetry import progress
-from tasks.tracking.recipe import GivenFile
+from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking.recipe import GivenFile
 
 
 def find_present(files: Mapping[str, GivenFile], folder: Path | None) -> dict[str, Path]:

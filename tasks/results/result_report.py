@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 from hfb.config import FitConfig, Record
 from hfb.errors import InputError
 from hfb.interop.writers.names import CURVES, PAGE_FILM, REPORT
-from tasks.core.handles import ClipHandle, FileHandle, FitHandle
-from tasks.core.task import task
-from tasks.core.video_handles import WindowHandle
-from tasks.results.films import shot_of, watched
-from tasks.telemetry import progress
-from tasks.telemetry.secrets import hidden_in
-from tasks.tracking import tracking
-from tasks.tracking.environment import environment
-from tasks.workers.workers import compute
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.core.video_handles import WindowHandle
+from hfb.tasks.results.films import shot_of, watched
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.secrets import hidden_in
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.environment import environment
+from hfb.tasks.workers.workers import compute
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
@@ -65,7 +65,7 @@ def clip_curves(
 def page_film(
     clip: ClipHandle, motion: FileHandle, texture: FileHandle, body: FileHandle | None, config: FitConfig, folder: Path
 ) -> FileHandle:
-    """The small slow-motion film of the page; arguments as in `tasks.results.films.make_films`."""
+    """The small slow-motion film of the page; arguments as in `hfb.tasks.results.films.make_films`."""
     return FileHandle.of(write_page_film(shot_of(clip, motion, texture, body, config), motion.sha256, folder))
 
 
@@ -176,7 +176,7 @@ def _repeat(facts: Mapping[str, Any]) -> str | None:
 
 
 def _write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
-    from tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body
 
     path = folder / REPORT
     write_page(parts, load_chosen_body(parts.body), facts, environment(), path)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from hfb.config import FitConfig, Record
 from hfb.evaluation.warnings import Look, ResultWarning, find_warnings
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.task import task
-from tasks.telemetry import progress
-from tasks.workers.workers import compute
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.telemetry import progress
+from hfb.tasks.workers.workers import compute
 
 _MOST_LOOKS, _LOOK_PX = 15, 480
 
@@ -74,7 +74,7 @@ def _look_for_warnings(
     from hfb.motion.motion_file import load_motion
     from hfb.photometry import linear_to_srgb
     from hfb.rendering.backends import make_rasterizer
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     found, _ = load_motion(motion.path)
     model, rasterizer = load_chosen_body(body), make_rasterizer("coverage", config.rasterizer, config.threads)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from tasks.results.stored_runs import StoredRun
+from hfb.tasks.results.stored_runs import StoredRun
 
 _ENVIRONMENT = ("version.", "code", "platform", "processor", "device")
 _FIRST = ("eval/", "rerun/", "time/", "fit/", "loss/total")

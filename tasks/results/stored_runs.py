@@ -15,10 +15,10 @@ from hfb.interop.writers.names import RECORD, RESULT
 from hfb.io.json_file import read_json
 from hfb.io.media.footage_names import natural_order
 from hfb.io.safe_folder import special_kind
-from tasks.core.result_folder import check_result
-from tasks.telemetry.secrets import without_secrets
-from tasks.tracking import tracking
-from tasks.tracking.store_place import tracking_uri
+from hfb.tasks.core.result_folder import check_result
+from hfb.tasks.telemetry.secrets import without_secrets
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.store_place import tracking_uri
 
 _SHORTEST_PREFIX, _ID_LENGTH = 4, 32
 _PAGE = 1000

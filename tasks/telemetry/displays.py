@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from tasks.telemetry.progress import Display, Shown, showing, shown_to_somebody
+from hfb.tasks.telemetry.progress import Display, Shown, showing, shown_to_somebody
 
 _OFTEN_S, _SELDOM_S, _LONG_S = 10.0, 60.0, 300.0
 _NEARLY = 1 - 1e-6
@@ -184,6 +184,6 @@ def printable(line: str) -> str:
 
 
 def _artifacts() -> Display:
-    from tasks.telemetry.progress_artifacts import Artifacts
+    from hfb.tasks.telemetry.progress_artifacts import Artifacts
 
     return Artifacts()

@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from tasks.telemetry.secrets import without_secrets
+from hfb.tasks.telemetry.secrets import without_secrets
 
 
 @dataclass(eq=False)

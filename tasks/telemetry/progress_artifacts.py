@@ -17,7 +17,7 @@ from contextvars import Context, copy_context
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tasks.telemetry.progress import Shown
+from hfb.tasks.telemetry.progress import Shown
 
 if TYPE_CHECKING:
     from uuid import UUID

@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Any
 
-from tasks.telemetry.secrets import without_secrets
+from hfb.tasks.telemetry.secrets import without_secrets
 
 _given: ContextVar[dict[str, Any]] = ContextVar("ids", default={})  # noqa: B039 (never changed, only replaced)
 _OF_PREFECT = {"flow_run": "flow_run_id", "task": "task_name"}

@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 from hfb.errors import InputError
-from tasks.telemetry.secrets import without_login, without_secrets
-from tasks.tracking.patience import within
+from hfb.tasks.telemetry.secrets import without_login, without_secrets
+from hfb.tasks.tracking.patience import within
 
 _ASKS_FOR_A_LOGIN = (401, 403)
 _HOST = re.compile(r"[^\s/\\@<>\"'`{}|^%]+")

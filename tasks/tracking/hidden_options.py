@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from hfb.errors import InputError
-from tasks.telemetry.secrets import HIDDEN
-from tasks.tracking.recipe import Recipe, places_of_paths
+from hfb.tasks.telemetry.secrets import HIDDEN
+from hfb.tasks.tracking.recipe import Recipe, places_of_paths
 
 _INPUTS = "inputs"
 _OF_PICTURES = (_INPUTS, "camera", "exposure", "video")

@@ -10,8 +10,8 @@ from typing import Any, Literal, TypeVar
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
 from hfb.io.toml_file import to_record
-from tasks.core.handles import FileHandle
-from tasks.inputs.inputs import input_files
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.inputs.inputs import input_files
 
 RECIPE = "recipe.json"
 """The artifact's name."""
@@ -38,7 +38,7 @@ class Recipe(Record):
             whatever else the command was told.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
-        code: `tasks.core.task.code_version` then.
+        code: `hfb.tasks.core.task.code_version` then.
     """
 
     format: Literal[1] = 1
@@ -62,9 +62,9 @@ def recipe(
     """What there is to know about a run that has just come to its end.
 
     Args:
-        inputs: a record of handles, such as `tasks.inputs.inputs.Inputs`.
+        inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
-        code: `tasks.core.task.code_version()`.
+        code: `hfb.tasks.core.task.code_version()`.
         options: plain values that are neither configuration nor input.
     """
     files = {

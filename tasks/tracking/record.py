@@ -9,11 +9,11 @@ from typing import Any
 
 from hfb.config import RunConfig
 from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RESULT
-from tasks.core.handles import FileHandle, FitHandle, ScoresHandle, digest
-from tasks.core.task import code_version, task
-from tasks.inputs.inputs import Inputs, input_hashes
-from tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
-from tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, write_run
+from hfb.tasks.core.handles import FileHandle, FitHandle, ScoresHandle, digest
+from hfb.tasks.core.task import code_version, task
+from hfb.tasks.inputs.inputs import Inputs, input_hashes
+from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
+from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, write_run
 
 _ARTIFACTS = ("strip.png", "motion.npz", "texture.png", "alternatives.npz", CURVES, *EXPORTED_NAMES)
 _MATTE = "matte_"
@@ -27,7 +27,7 @@ def record(of_run: RunRecord, files: dict[str, FileHandle]) -> RunHandle:
         files: the files that the run leaves, by name.
 
     Raises:
-        tasks.tracking.tracking.StoreLost: the store cannot be reached; the result itself does not depend on it.
+        hfb.tasks.tracking.tracking.StoreLost: the store cannot be reached; the result itself does not depend on it.
     """
     return write_run(of_run, {name: file.path for name, file in files.items()})
 

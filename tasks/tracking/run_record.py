@@ -13,10 +13,10 @@ from hfb.errors import InputError
 from hfb.interop.writers.names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.toml_file import to_record
-from tasks.core.handles import FileHandle, sha256_of
-from tasks.telemetry.secrets import hidden_in
-from tasks.tracking import tracking
-from tasks.tracking.recipe import RECIPE
+from hfb.tasks.core.handles import FileHandle, sha256_of
+from hfb.tasks.telemetry.secrets import hidden_in
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.recipe import RECIPE
 
 _LIMIT_BYTES = 64 << 20
 _CONTENTS = (RESULT, "config.json", RECIPE)
@@ -42,7 +42,7 @@ class RunRecord(Record):
     """A run as it is recorded.
 
     Attributes:
-        key: decides which run it is; see `tasks.tracking.tracking.recorded_run`.
+        key: decides which run it is; see `hfb.tasks.tracking.tracking.recorded_run`.
         points: values by metric and step.
         files: published files by name.
         contents: artifacts of plain values by name.

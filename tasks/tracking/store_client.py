@@ -13,9 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from hfb.errors import InputError, NotNow
-from tasks.telemetry.secrets import without_secrets
-from tasks.tracking.patience import Patience
-from tasks.tracking.store_place import make_folder, on_database, on_server, sqlite_file, tracking_uri, upgrade_command
+from hfb.tasks.telemetry.secrets import without_secrets
+from hfb.tasks.tracking.patience import Patience
+from hfb.tasks.tracking.store_place import (
+    make_folder,
+    on_database,
+    on_server,
+    sqlite_file,
+    tracking_uri,
+    upgrade_command,
+)
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -44,7 +51,7 @@ def client() -> MlflowClient:
 
 @functools.cache
 def client_of(uri: str) -> MlflowClient:
-    """The client of a store, whose calls wait no longer than `tasks.tracking.patience` allows.
+    """The client of a store, whose calls wait no longer than `hfb.tasks.tracking.patience` allows.
 
     Raises:
         StoreLost: its tables are of another version of MLflow.

@@ -16,8 +16,8 @@ from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 import platformdirs
 
 from hfb.errors import InputError, NotNow
-from tasks.telemetry.secrets import shown_address, without_secrets
-from tasks.tracking.addresses import check_address, no_answer
+from hfb.tasks.telemetry.secrets import shown_address, without_secrets
+from hfb.tasks.tracking.addresses import check_address, no_answer
 
 LOCAL_PORT = 5000
 LOCAL_PAGES = f"http://127.0.0.1:{LOCAL_PORT}"

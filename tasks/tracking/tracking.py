@@ -1,6 +1,6 @@
 """MLflow: one run per problem, found again by what went in.
 
-Only this module and `tasks.tracking.store_client` import mlflow.
+Only this module and `hfb.tasks.tracking.store_client` import mlflow.
 
 Where: ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's own data folder, with its artifacts
 beside it. Everything goes through a client with an explicit run id: MLflow's fluent run belongs to one thread,
@@ -19,15 +19,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tasks.core import repetition
-from tasks.core.handles import digest
-from tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
-from tasks.tracking.environment import environment
-from tasks.tracking.ownership import is_abandoned, owner
-from tasks.tracking.patience import within
-from tasks.tracking.store_client import StoreLost as StoreLost
-from tasks.tracking.store_client import client, client_of, patience, store_losses, usable_store
-from tasks.tracking.store_place import LOCAL_PAGES, on_server, sqlite_file, tracking_uri
+from hfb.tasks.core import repetition
+from hfb.tasks.core.handles import digest
+from hfb.tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
+from hfb.tasks.tracking.environment import environment
+from hfb.tasks.tracking.ownership import is_abandoned, owner
+from hfb.tasks.tracking.patience import within
+from hfb.tasks.tracking.store_client import StoreLost as StoreLost
+from hfb.tasks.tracking.store_client import client, client_of, patience, store_losses, usable_store
+from hfb.tasks.tracking.store_place import LOCAL_PAGES, on_server, sqlite_file, tracking_uri
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -140,7 +140,7 @@ def open_store() -> None:
     Runs that a killed process left RUNNING are ended.
 
     Raises:
-        InputError: see `tasks.tracking.store_client.usable_store`.
+        InputError: see `hfb.tasks.tracking.store_client.usable_store`.
     """
     uri = tracking_uri()
     patience(uri).another_try()  # it may be back

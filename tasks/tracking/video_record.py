@@ -13,13 +13,13 @@ from typing import Any
 
 from hfb.config import RunConfig
 from hfb.interop.writers.names import RESULT
-from tasks.core.handles import FileHandle, digest
-from tasks.core.task import code_version
-from tasks.inputs.video_inputs import VideoInputs, video_hashes
-from tasks.telemetry import progress
-from tasks.tracking import tracking
-from tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
-from tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, keep_for_later
+from hfb.tasks.core.handles import FileHandle, digest
+from hfb.tasks.core.task import code_version
+from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
+from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
+from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, keep_for_later
 
 _SHOWN = 120  # characters of MLflow's own account, which goes on for lines
 _AT_ONCE = 16  # points that are worth a transaction of their own

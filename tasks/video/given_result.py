@@ -7,10 +7,10 @@ from pathlib import Path
 
 from hfb.config import Record
 from hfb.errors import InputError
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.core.task import task
-from tasks.core.video_handles import BodyFound, FootageHandle
-from tasks.workers.workers import compute
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.core.video_handles import BodyFound, FootageHandle
+from hfb.tasks.workers.workers import compute
 
 _MOST_LOOKS = 8
 
@@ -90,7 +90,7 @@ def looks_at(footage: FootageHandle, mattes: Mapping[int, FileHandle], first: in
     Args:
         mattes: by the clip's numbers. first: see `ResultHandle.number_in_clip`; of our own motions there is one person.
     """
-    from tasks.video.video_clip import load_footage
+    from hfb.tasks.video.video_clip import load_footage
 
     known = load_footage(footage)
     middle = (known.first if first is None else first) + known.average // 2
@@ -106,7 +106,7 @@ def pictures_of(
     Args:
         files: of the clip. first: where --init.frame tells the numbers, names tell nothing.
     """
-    from tasks.video.video_clip import load_footage
+    from hfb.tasks.video.video_clip import load_footage
 
     if first is not None:
         return (), 0
@@ -207,7 +207,7 @@ def _read_result(
     from hfb.interop.readers.sniff import choose_person, read_tracks
     from hfb.interop.track_bodies import share_on_matte, with_poses
     from hfb.io.media.pictures import read_matte
-    from tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body
 
     model = load_chosen_body(body)
     tracks = read_tracks([file.path for file in files], height, width, ClipPictures(pictures, frames))
@@ -244,7 +244,7 @@ def _body_of_result(
     from hfb.interop.track_bodies import body_at, on_matte
     from hfb.motion.static_pose import save_first_body
     from hfb.rendering.backends import make_rasterizer
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     track, model = load_track(result.path), load_chosen_body(body)
     seen = load_observation(clip, mattes)
@@ -271,7 +271,7 @@ def _find_given_body(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
-    from tasks.video.video_clip import load_footage
+    from hfb.tasks.video.video_clip import load_footage
 
     known = load_footage(footage)
     at = result.number_in_clip(number, first, known.first, known.average, known.average / known.interval_s)

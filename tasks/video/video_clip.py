@@ -15,12 +15,12 @@ import numpy as np
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import Clip, PersonChoice
-from tasks.core.handles import FileHandle, unchanged
-from tasks.core.task import task
-from tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
-from tasks.image.prepare import calibration
-from tasks.inputs.video_inputs import VideoInputs
-from tasks.workers.workers import compute
+from hfb.tasks.core.handles import FileHandle, unchanged
+from hfb.tasks.core.task import task
+from hfb.tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
+from hfb.tasks.image.prepare import calibration
+from hfb.tasks.inputs.video_inputs import VideoInputs
+from hfb.tasks.workers.workers import compute
 
 if TYPE_CHECKING:
     from hfb.io.media.footage import Footage

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.core.task import task
-from tasks.core.video_handles import BodyFound, FootageHandle, FramesHandle, MatteHandle
-from tasks.inputs.given_networks import check_networks, with_matting_network, with_pose_network
-from tasks.workers.workers import compute, spread
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FramesHandle, MatteHandle
+from hfb.tasks.inputs.given_networks import check_networks, with_matting_network, with_pose_network
+from hfb.tasks.workers.workers import compute, spread
 
 _Box = tuple[float, float, float, float]
 
@@ -76,7 +76,7 @@ def find_body_between(
 
 def _extract(footage: FootageHandle, start: int, stop: int, folder: Path) -> FramesHandle:
     from hfb.io.media.pictures import write_png
-    from tasks.video.video_clip import reading
+    from hfb.tasks.video.video_clip import reading
 
     paths = []
     with reading(footage, start, stop) as pictures:
@@ -103,8 +103,8 @@ def _matte(
 
     from hfb.io.media.pictures import write_matte
     from hfb.matting.methods import make_matting
+    from hfb.tasks.core.scene import load_picture
     from hfb.tracking.tracks import keep_person, surroundings
-    from tasks.core.scene import load_picture
 
     frame, plate = (load_picture(one, still).numpy() for one in (still.frames[0], still.background))
     # A matte is of the largest thing that differs, which may be somebody else: each is then looked at alone.
@@ -130,8 +130,8 @@ def _key_body(
     folder: Path,
 ) -> BodyFound:
     from hfb.initialization.initializer import make_initializer
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
     from hfb.tracking.clip_bodies import front_doubt
-    from tasks.core.scene import load_chosen_body, load_observation
 
     check_networks(config, networks)
     initializer = make_initializer(with_pose_network(config, networks))
@@ -153,8 +153,8 @@ def _body_between(
     folder: Path,
 ) -> BodyFound:
     from hfb.motion.static_pose import load_first_body
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
     from hfb.tracking.clip_bodies import body_between
-    from tasks.core.scene import load_chosen_body, load_observation
 
     seen = load_observation(still, (matte,))
     around = {frame: load_first_body(first.path) for frame, first in known}

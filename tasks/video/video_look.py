@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.task import task
-from tasks.core.video_handles import FrameScoresHandle
-from tasks.workers.workers import compute, spread
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.task import task
+from hfb.tasks.core.video_handles import FrameScoresHandle
+from hfb.tasks.workers.workers import compute, spread
 
 if TYPE_CHECKING:
     from hfb.motion.sampled import SampledMotion
@@ -100,7 +100,7 @@ def _score_frames(
     from hfb.fitting.clip_person import load_person
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     whole, _ = load_motion(motion.path)
     texture, model = load_person(person.path).texture, load_chosen_body(body)
@@ -151,7 +151,7 @@ def _draw_clip(
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.strip import draw_strip
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     picture = draw_strip(
         load_observation(clip, mattes),

@@ -10,10 +10,10 @@ from typing import Any
 
 from hfb.config import FitConfig
 from hfb.io.atomic import write_bytes_atomic
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from tasks.core.task import AtOnce, task
-from tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, WindowHandle
-from tasks.workers.workers import compute, remote, spread
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
+from hfb.tasks.core.task import AtOnce, task
+from hfb.tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, WindowHandle
+from hfb.tasks.workers.workers import compute, remote, spread
 
 
 @task("fronts and backs")
@@ -93,8 +93,8 @@ def join_clip(
 
 def _mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], folder: Path) -> ClipBodiesHandle:
     from hfb.motion.static_pose import load_first_body
+    from hfb.tasks.video.video_frames import saved_body
     from hfb.tracking.clip_bodies import agree_on_front
-    from tasks.video.video_frames import saved_body
 
     found = agree_on_front(
         {n: load_first_body(one.path) for n, one in zip(numbers, firsts, strict=True)},
@@ -114,8 +114,8 @@ def _fill_bodies(
     import numpy as np
 
     from hfb.motion.static_pose import load_first_body
+    from hfb.tasks.video.video_frames import saved_body
     from hfb.tracking.clip_bodies import fill_missed
-    from tasks.video.video_frames import saved_body
 
     known = dict(zip(numbers, firsts, strict=True))
     whole = fill_missed(
@@ -157,7 +157,7 @@ def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
     from hfb.motion.static_pose import load_first_body
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
-    from tasks.core.scene import load_chosen_body, load_observation
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     body, priors, _, config, seed, _ = calls[0][5:]
     scenes = [
@@ -190,7 +190,7 @@ def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, f
     from hfb.fitting.clip.person import agree_on_person
     from hfb.fitting.clip.windows import load_window
     from hfb.fitting.clip_person import save_person
-    from tasks.core.scene import load_chosen_body
+    from hfb.tasks.core.scene import load_chosen_body
 
     path = folder / "person.npz"
     save_person(path, agree_on_person([load_window(one.path) for one in windows], load_chosen_body(body)))
@@ -212,8 +212,8 @@ def _join(
     from hfb.fitting.clip.windows import load_window
     from hfb.fitting.clip_person import load_person
     from hfb.motion.motion_file import save_motion
-    from tasks.core.scene import load_chosen_body
-    from tasks.video.video_clip import load_timing
+    from hfb.tasks.core.scene import load_chosen_body
+    from hfb.tasks.video.video_clip import load_timing
 
     model = load_chosen_body(body)
     joined = join_windows(

@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from hfb.errors import InputError, NotNow
-from tasks.core.handles import FileHandle, files_in, with_files
-from tasks.core.task import code_version
-from tasks.telemetry.secrets import without_secrets
-from tasks.workers.engine import Engine, WorkerLost
-from tasks.workers.shared_store import shared_store
+from hfb.tasks.core.handles import FileHandle, files_in, with_files
+from hfb.tasks.core.task import code_version
+from hfb.tasks.telemetry.secrets import without_secrets
+from hfb.tasks.workers.engine import Engine, WorkerLost
+from hfb.tasks.workers.shared_store import shared_store
 
 R = TypeVar("R")
 _log = logging.getLogger(__name__)

@@ -11,10 +11,10 @@ from typing import Any, Generic, TypeVar
 
 from prefect.futures import PrefectFuture
 
-from tasks.core.parcels import Kept, Parcel, parcels
-from tasks.core.task import Step
-from tasks.telemetry import progress
-from tasks.workers.workers import shared_out, stop_computing, worker_count
+from hfb.tasks.core.parcels import Kept, Parcel, parcels
+from hfb.tasks.core.task import Step
+from hfb.tasks.telemetry import progress
+from hfb.tasks.workers.workers import shared_out, stop_computing, worker_count
 
 R = TypeVar("R")
 

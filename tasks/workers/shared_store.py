@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
-from tasks.core.handles import FileHandle, StaleFile, files_in, sha256_of, with_files
-from tasks.telemetry.secrets import without_secrets
+from hfb.tasks.core.handles import FileHandle, StaleFile, files_in, sha256_of, with_files
+from hfb.tasks.telemetry.secrets import without_secrets
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem

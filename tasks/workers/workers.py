@@ -23,12 +23,12 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from tasks.core.stopped import Stopped
-from tasks.telemetry.structured_log import WithIds, about, ids_now
-from tasks.workers.engine import Engine, WorkerLost
+from hfb.tasks.core.stopped import Stopped
+from hfb.tasks.telemetry.structured_log import WithIds, about, ids_now
+from hfb.tasks.workers.engine import Engine, WorkerLost
 
 if TYPE_CHECKING:
-    from tasks.workers.clusters import Cluster
+    from hfb.tasks.workers.clusters import Cluster
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -161,7 +161,7 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
     _shared = _Shared()
     try:
         if engine.remote:
-            from tasks.workers.clusters import Cluster
+            from hfb.tasks.workers.clusters import Cluster
 
             _cluster = Cluster(engine)
         if engine.kind == "threads":

@@ -15,7 +15,7 @@ from tests.bench.test_bench_raster import ours, there_and_back
 
 def test_help(scale: Scale, figures: Figures) -> None:
     def show() -> None:
-        arguments = [sys.executable, "-m", "flows.cli.cli", "--help"]
+        arguments = [sys.executable, "-m", "hfb.flows.cli.cli", "--help"]
         subprocess.run(arguments, env=jobs.environment(), check=True, stdout=subprocess.DEVNULL)
 
     found = interleaved({"help": show}, min(scale.rounds // 5 + 1, 5))["help"]

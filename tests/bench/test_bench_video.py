@@ -39,7 +39,7 @@ def _run(folder: Path, frames: int, height: int) -> tuple[dict, float]:
     options = ["--background", clip.background, "--clip", clip.clip, "--out", folder / f"out_{frames}", "--json"]
     began = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli.cli", "video", str(clip.source), *map(str, options)],
+        [sys.executable, "-m", "hfb.flows.cli.cli", "video", str(clip.source), *map(str, options)],
         env=jobs.environment(folder), capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

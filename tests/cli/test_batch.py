@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 
 
 def test_the_exit_code_tells_of_a_clip_without_a_result(

@@ -53,7 +53,7 @@ def test_demo_from_nothing(tmp_path: Path) -> None:
         "OUTSIDE_LOG": str(outside),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli.cli", "demo", "--out", str(tmp_path / "out"), "--json", *TINY_OPTIONS,
+        [sys.executable, "-m", "hfb.flows.cli.cli", "demo", "--out", str(tmp_path / "out"), "--json", *TINY_OPTIONS,
          "--export.report", "true"],
         capture_output=True, text=True, env=environment, timeout=300,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 from hfb.io.media.pictures import read_picture_srgb, write_png
 from tests.orchestration import TINY_OPTIONS, Problem
 
@@ -95,7 +95,7 @@ def test_a_place_that_cannot_be_written(
 
 
 def test_two_at_once(problem: Problem, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from flows.runtime.workplace import workplace
+    from hfb.flows.runtime.workplace import workplace
 
     with workplace(tmp_path / "out"):
         code = main(
@@ -158,7 +158,7 @@ def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str, t
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), variable: "abc"}
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli.cli", "report", str(tmp_path), "--quiet"], env=environment,
+        [sys.executable, "-m", "hfb.flows.cli.cli", "report", str(tmp_path), "--quiet"], env=environment,
         capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     (told,) = done.stderr.strip().splitlines()
@@ -175,12 +175,12 @@ def test_the_unexpected_points_to_the_log(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    import tasks.image.matte
+    import hfb.tasks.image.matte
 
     def broken(config: object) -> None:
         raise RuntimeError("a wire came loose")
 
-    monkeypatch.setattr(tasks.image.matte, "make_matting", broken)
+    monkeypatch.setattr(hfb.tasks.image.matte, "make_matting", broken)
     # a command that an earlier test of this process ran logs into that test's folder
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
     out = tmp_path / "out"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from flows.cli.cli import main
-from flows.runtime.own_files import OWN_FILES
 from hfb.body.assets import load_default_body
+from hfb.flows.cli.cli import main
+from hfb.flows.runtime.own_files import OWN_FILES
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.pictures import write_png
 from hfb.motion.motion_file import load_motion, save_motion
@@ -143,7 +143,7 @@ def test_what_a_killed_export_left_is_hfbs(
         write_bytes_atomic(path, data)
 
     with monkeypatch.context() as patched:
-        patched.setattr("flows.runtime.own_files.write_bytes_atomic", killed)
+        patched.setattr("hfb.flows.runtime.own_files.write_bytes_atomic", killed)
         assert main(words) != 0
     assert written == [OWN_FILES, "motion.bvh"]
     assert main(words) == 0

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli import judging
-from flows.cli.cli import main
 from hfb.datasets.case import load_case
+from hfb.flows.cli import judging
+from hfb.flows.cli.cli import main
 
 TOML = """
 [fit]

@@ -8,7 +8,7 @@ import pytest
 HEAVY = {"torch", "prefect", "mlflow", "numba", "numpy", "cv2", "scipy", "rich"}
 PROGRAM = """
 import sys
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 try:
     code = main(sys.argv[1:])
 except SystemExit as end:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.options import add_config_flags, run_config
 from hfb.config import RunConfig, preset
 from hfb.errors import InputError
+from hfb.flows.cli.options import add_config_flags, run_config
 
 
 def config_of(*words: str, file: Path | None = None) -> RunConfig:

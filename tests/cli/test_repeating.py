@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-import flows.rerun
-from flows.cli.cli import main
-from flows.fit_image import fit_image
+import hfb.flows.rerun
+from hfb.flows.cli.cli import main
+from hfb.flows.fit_image import fit_image
 from tests.flows.test_fit_image import TINY
 from tests.orchestration import Problem
 
@@ -43,14 +43,14 @@ def test_rerun_and_compare(
     # the recorded motion is another one: what was repeated differs from it
     (recorded,) = (path for path in (tmp_path / "mlflow-artifacts" / run_id).rglob("motion.npz"))
     recorded.unlink()
-    real = flows.rerun.plan_rerun
+    real = hfb.flows.rerun.plan_rerun
 
-    def of_another(*words: object) -> flows.rerun.Plan:
+    def of_another(*words: object) -> hfb.flows.rerun.Plan:
         plan = real(*words)
         plan.results["motion.npz"] = "0" * 64
         return plan
 
-    monkeypatch.setattr(flows.rerun, "plan_rerun", of_another)
+    monkeypatch.setattr(hfb.flows.rerun, "plan_rerun", of_another)
     assert main(["rerun", run_id]) == 3
     assert "Not the same motion" in capsys.readouterr().out
 

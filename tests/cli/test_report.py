@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
 from hfb.body.assets import load_default_body
+from hfb.flows.cli.cli import main
 from hfb.motion.motion_file import save_motion
 from tests.interop.writers.motions import motion_of
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 
 
 @pytest.fixture(autouse=True)

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
-from flows.runtime.running import results_alone_on_stdout
-from tasks.telemetry import displays
+from hfb.flows.cli.cli import main
+from hfb.flows.runtime.running import results_alone_on_stdout
+from hfb.tasks.telemetry import displays
 from tests.orchestration import TINY_OPTIONS, Problem
 
 _WIDTH = 60
@@ -24,9 +24,9 @@ _ROOT = Path(__file__).parents[2]
 # Steps, log lines from this thread, another one and a worker process, and a long line, while a bar turns.
 LOGGING = """
 import logging, sys, threading, time
-from flows.runtime.surroundings import keep_log
-from tasks.telemetry import displays, progress
-from tasks.workers.workers import compute, workers
+from hfb.flows.runtime.surroundings import keep_log
+from hfb.tasks.telemetry import displays, progress
+from hfb.tasks.workers.workers import compute, workers
 
 def warn(words):
     logging.getLogger("hfb.test").warning(words)
@@ -97,7 +97,7 @@ def test_bars_swallow_no_log_line(tmp_path: Path) -> None:
 
 def test_a_command_in_a_terminal(tmp_path: Path) -> None:
     words = ["synth", "clip", "--frames", "2", "--size", "64", "--out", "clip"]
-    code, sent = in_terminal([sys.executable, "-m", "flows.cli.cli", *words], tmp_path)
+    code, sent = in_terminal([sys.executable, "-m", "hfb.flows.cli.cli", *words], tmp_path)
     assert code == 0, sent
     lines = left_on(sent)
     assert any(re.fullmatch(r"  frames +\d+\.\d s", line) for line in lines)
@@ -121,7 +121,7 @@ def test_through_pipes(tmp_path: Path) -> None:
     words = [
         sys.executable,
         "-m",
-        "flows.cli.cli",
+        "hfb.flows.cli.cli",
         "synth",
         "clip",
         "--frames",
@@ -144,7 +144,7 @@ def test_a_reader_that_goes_away() -> None:
     """As in `hfb models | head -c 1`."""
     reading, writing = os.pipe()
     os.close(reading)
-    words = [sys.executable, "-m", "flows.cli.cli", "models", "--json"]
+    words = [sys.executable, "-m", "hfb.flows.cli.cli", "models", "--json"]
     settings = {**os.environ, "PYTHONPATH": str(_ROOT)}
     done = subprocess.run(words, stdout=writing, stderr=subprocess.PIPE, text=True, env=settings)
     os.close(writing)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 from hfb.priors.load import load_pose_prior
 from tests.flows.test_train_prior import record
 

@@ -26,8 +26,8 @@ def run(kind: str, out: Path, inputs: list[Path], new: bool) -> dict[str, Any]:
 
         more = ("--fit.subframes", "4" if new else "3", "--export.formats", ",".join(formats))
         return run_clip(small_clip(1).truth.parent, out, *more, workers=1)
-    from flows.fit_image import fit_image
     from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
+    from hfb.flows.fit_image import fit_image
 
     fit = FitConfig(subframes=3 if new else 2, texture_px=16, stages=(Stage(size_px=32, iterations=2),))
     export = ExportConfig(films=films, report=False, formats=formats)
@@ -82,7 +82,7 @@ def main(kind: str, out: Path, inputs: list[Path]) -> None:
     """Both results, the second one published as `kill_at_each_step` says."""
 
     run(kind, out, inputs, new=False)
-    module = sys.modules["flows.video" if kind == "video" else "flows.fit_image"]
+    module = sys.modules["hfb.flows.video" if kind == "video" else "hfb.flows.fit_image"]
     publish = module.publish
     counted = []
     module.publish = lambda *given: counted.append(kill_at_each_step(publish, *given))  # type: ignore[attr-defined]

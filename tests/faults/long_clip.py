@@ -44,7 +44,7 @@ def main() -> None:
 
         make_clip(clip, given.frames, given.height, given.width, seed=1)
     command = [
-        sys.executable, "-m", "flows.cli.cli", "video", str(clip), "--truth", str(clip / "truth.npz"), "--json",
+        sys.executable, "-m", "hfb.flows.cli.cli", "video", str(clip), "--truth", str(clip / "truth.npz"), "--json",
         "--workers", str(given.workers), *given.options,
     ]  # fmt: skip
     quiet = given.folder / f"undisturbed-{given.frames}"

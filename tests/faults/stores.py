@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tasks.tracking import tracking
+from hfb.tasks.tracking import tracking
 from tests.faults.servers import Postgres
 
 _HEALTHY = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\nOK"
@@ -105,7 +105,7 @@ def lost(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def assert_recorded_later(out: Path, uri: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """`hfb record` makes the run, names it in the result, and does nothing the second time."""
-    from flows.cli.cli import main
+    from hfb.flows.cli.cli import main
 
     there = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     capsys.readouterr()

@@ -67,7 +67,7 @@ class Batch:
         pace = ["--wait", "1", "--attempts", "8"]
         with (self.folder / "shown").open("a") as shown:
             return subprocess.Popen(
-                [sys.executable, "-m", "flows.cli.cli", *words, *pace, *SMALL_OPTIONS, *LONGER], stdout=subprocess.PIPE,
+                [sys.executable, "-m", "hfb.flows.cli.cli", *words, *pace, *SMALL_OPTIONS, *LONGER], stdout=subprocess.PIPE,
                 stderr=shown, text=True, env=self.environment,
             )  # fmt: skip
 

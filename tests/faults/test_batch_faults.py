@@ -9,9 +9,9 @@ from uuid import UUID
 import pytest
 
 from hfb.config import CameraConfig, ExposureConfig
-from tasks.core.handles import StaleFile
-from tasks.inputs.video_inputs import take_video_inputs
-from tasks.video.video_clip import look_at_clip, reading
+from hfb.tasks.core.handles import StaleFile
+from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.video.video_clip import look_at_clip, reading
 from tests.faults.team_faults import COMPARED, Batch, unfinished
 from tests.orchestration import prefect_api
 from tests.small_clips import LONGER, run_clip, small_clip, small_config
@@ -79,7 +79,7 @@ def test_a_flow_run_whose_end_could_not_be_told(store: Path) -> None:
     from prefect.runtime import flow_run
     from prefect.states import Running
 
-    from flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
+    from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
 
     def whole() -> str:
         return str(flow_run.id)

@@ -14,9 +14,9 @@ from tests.orchestration import TINY_OPTIONS, Problem, mlflow_rows
 FIT = """
 import sys
 from pathlib import Path
-from flows.fit_image import fit_image
+from hfb.flows.fit_image import fit_image
 from hfb.config import ExportConfig, FitConfig, RunConfig, Stage
-from tasks.telemetry import displays, progress
+from hfb.tasks.telemetry import displays, progress
 frame, plate, first, out = map(Path, sys.argv[1:])
 config = RunConfig(
     fit=FitConfig(subframes=2, texture_px=16, stages=(Stage(size_px=32, iterations=40),)),
@@ -26,7 +26,7 @@ with progress.showing(displays.lines_on(sys.stderr, first_s=0.05)):
     fit_image([frame], plate, out, config, first_bodies=[first])
 """
 SERVER = """
-from flows.runtime.surroundings import PrefectServer
+from hfb.flows.runtime.surroundings import PrefectServer
 import time
 print(PrefectServer()._process.pid, flush=True)
 time.sleep(600)
@@ -63,7 +63,7 @@ def test_kill_in_the_middle_of_the_fit(problem: Problem, store: Path, tmp_path: 
 def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path, tmp_path: Path) -> None:
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(tmp_path / "out")]
     victim = subprocess.Popen(
-        [sys.executable, "-m", "flows.cli.cli", *words, *TINY_OPTIONS], stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words, *TINY_OPTIONS], stderr=subprocess.PIPE, text=True,
         # tests that run in the background of a shell, as under nohup, would hand down that Ctrl-C is ignored
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
@@ -79,7 +79,7 @@ def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path
 
 STUCK = """
 import argparse, sys, threading
-from flows.cli import cli
+from hfb.flows.cli import cli
 
 def stuck(given):
     lock = threading.Lock()
@@ -137,10 +137,10 @@ def test_the_temporary_server_ends_with_a_killed_process(tmp_path: Path) -> None
 JUDGE = """
 import sys
 from pathlib import Path
-from flows.benchmark import BenchmarkPlan, run_benchmark
+from hfb.flows.benchmark import BenchmarkPlan, run_benchmark
 from hfb.evaluation.baselines.method_spec import method_spec
 from hfb.datasets.set_spec import SetSpec
-from tasks.telemetry import displays, progress
+from hfb.tasks.telemetry import displays, progress
 if __name__ == "__main__":
     out, toml, workers = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
     plan = BenchmarkPlan(

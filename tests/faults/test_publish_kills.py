@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from flows.export import export_result
-from flows.report import make_report
 from hfb.errors import InputError
-from tasks.core.handles import sha256_of
-from tasks.core.result_folder import is_finished
-from tasks.results.found_result import found_result
-from tasks.results.stored_runs import find_run
+from hfb.flows.export import export_result
+from hfb.flows.report import make_report
+from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.core.result_folder import is_finished
+from hfb.tasks.results.found_result import found_result
+from hfb.tasks.results.stored_runs import find_run
 from tests.faults.killed_publish import run
 from tests.orchestration import Problem
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
 from hfb.errors import InputError, NotNow
-from tasks.tracking import tracking
+from hfb.flows.cli.cli import main
+from hfb.tasks.tracking import tracking
 from tests.cli.conftest import _own_logging  # noqa: F401  (commands run in this process)
 from tests.faults.servers import Postgres, free_port, postgres
 from tests.faults.stores import (

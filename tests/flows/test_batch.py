@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from flows.batch import batch
 from hfb.errors import InputError
+from hfb.flows.batch import batch
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_clip, small_config
 

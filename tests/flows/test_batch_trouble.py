@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.batch import batch
-from flows.cli.cli import main
 from hfb.errors import InputError
+from hfb.flows.batch import batch
+from hfb.flows.cli.cli import main
 from hfb.io.names import shown_name
-from tasks.batch.batch_summary import BatchSummary
-from tasks.inputs.clip_places import find_clips
-from tasks.inputs.inputs import input_file
+from hfb.tasks.batch.batch_summary import BatchSummary
+from hfb.tasks.inputs.clip_places import find_clips
+from hfb.tasks.inputs.inputs import input_file
 from tests.fuzz.hostile import _large_png
 from tests.fuzz.results import FACTS, write_result
 from tests.small_clips import small_config

@@ -7,12 +7,12 @@ import numpy as np
 import pandas
 import pytest
 
-from flows.benchmark import BenchmarkPlan, run_benchmark, run_synthesis
 from hfb.datasets.case import load_case
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import method_spec
+from hfb.flows.benchmark import BenchmarkPlan, run_benchmark, run_synthesis
 from hfb.io.media.pictures import read_picture_srgb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from flows import deployed
-from flows.deployed import Options
-from flows.train_prior import TrainingPlan
 from hfb.errors import InputError
+from hfb.flows import deployed
+from hfb.flows.deployed import Options
+from hfb.flows.train_prior import TrainingPlan
 
 
 def test_a_folder(store: Path, tmp_path: Path) -> None:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from flows.benchmark import BenchmarkPlan, run_benchmark
 from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import method_spec
-from tasks.core.handles import sha256_of
-from tasks.workers.engine import Engine, engine_of
+from hfb.flows.benchmark import BenchmarkPlan, run_benchmark
+from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.workers.engine import Engine, engine_of
 from tests.flows.test_benchmark import TINY_TOML, contents, rows
 from tests.orchestration import mlflow_rows
 from tests.small_clips import assert_every_frame_once, finished, run_clip, small_clip
@@ -78,7 +78,7 @@ def test_a_benchmark_with_a_store(scheduler: str, store: Path, tmp_path: Path) -
 
 
 def test_a_cluster_that_is_not_there(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tasks.workers import clusters
+    from hfb.tasks.workers import clusters
 
     monkeypatch.setattr(clusters, "_ANSWER_S", 1)
     with pytest.raises(InputError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
@@ -103,7 +103,7 @@ def test_what_a_user_writes() -> None:
     ("url", "told"), [("nowhere://x", "give a place such as"), ("s3://key:secret@b/p", "keep the password out")]
 )
 def test_a_store_that_cannot_be_used(url: str, told: str) -> None:
-    from tasks.workers.shared_store import SharedStore
+    from hfb.tasks.workers.shared_store import SharedStore
 
     with pytest.raises(InputError, match=told) as refused:
         SharedStore(url)

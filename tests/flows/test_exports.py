@@ -9,10 +9,10 @@ import av
 import numpy as np
 import pytest
 
-from flows.export import export_result
-from flows.fit_image import fit_image
 from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.flows.export import export_result
+from hfb.flows.fit_image import fit_image
 from hfb.interop.writers.names import EXPORTED_NAMES, FILE_NAMES
 from hfb.motion.motion_file import load_motion
 from tests.orchestration import Problem, mlflow_rows

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from flows.fit_image import fit_image
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.fitting.alternatives import LIMB_NAMES, load_alternatives
+from hfb.flows.fit_image import fit_image
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.pictures import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
@@ -76,7 +76,7 @@ def test_a_plate_that_still_shows_the_person_is_doubted(
 ) -> None:
     """Each time, also where nothing is computed again; a single frame may be misread, so the fit goes on."""
     said: list[str] = []
-    monkeypatch.setattr("tasks.telemetry.progress.say", said.append)
+    monkeypatch.setattr("hfb.tasks.telemetry.progress.say", said.append)
     frame, plate = read_picture_srgb(problem.frame), read_picture_srgb(problem.background)
     person = np.abs(frame - plate).max(-1) > 0.06
     plate[:, :-50][person[:, 50:]] = frame[:, 50:][person[:, 50:]]
@@ -213,7 +213,7 @@ def test_two_frames_agree_on_the_front(
     write_png(other, read_picture_srgb(problem.frame) * 0.999)
     found = load_first_body(problem.first_body)
     answers = iter([found, mirrored_in_depth(found)])
-    monkeypatch.setattr("tasks.image.first_body.make_initializer", lambda config: lambda *scene: next(answers))
+    monkeypatch.setattr("hfb.tasks.image.first_body.make_initializer", lambda config: lambda *scene: next(answers))
     fit_image([problem.frame, other], problem.background, tmp_path / "out", TINY)
     motion, _ = load_motion(tmp_path / "out" / "motion.npz")
     roots = axis_angle_to_matrix(torch.from_numpy(motion.poses[:, :3]))

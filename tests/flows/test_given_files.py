@@ -9,14 +9,14 @@ import joblib
 import numpy as np
 import pytest
 
-from flows.cli.options import add_config_flags, run_config
-from flows.fit_image import fit_image
 from hfb.config import ExportConfig, FitConfig, InitConfig, MattingConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.flows.cli.options import add_config_flags, run_config
+from hfb.flows.fit_image import fit_image
 from hfb.interop.readers.pose_track import load_track, save_track
 from hfb.interop.readers.sniff import read_tracks
 from hfb.motion.static_pose import load_first_body
-from tasks.video.given_result import ResultHandle
+from hfb.tasks.video.given_result import ResultHandle
 from tests.matting.networks import DifferenceMatting, save_scripted
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, finished, run_clip, small_clip
@@ -103,7 +103,7 @@ def test_what_cannot_be_meant_is_said_before_anything_is_made(problem: Problem, 
     ],
 )
 def test_halves_of_an_option(problem: Problem, parts: dict[str, Any], says: str) -> None:
-    from tasks.inputs.inputs import take_inputs
+    from hfb.tasks.inputs.inputs import take_inputs
 
     with pytest.raises(InputError, match=says):
         take_inputs([problem.frame], problem.background, RunConfig(**parts))

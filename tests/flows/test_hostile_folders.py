@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.compare import _check_room
-from flows.export import export_result
-from flows.report import make_report
-from flows.runtime.workplace import beside_result, mark_unfinished, publish, workplace
 from hfb.body.assets import load_default_body
 from hfb.config import RunConfig
 from hfb.datasets.clip_making import _make_room
 from hfb.errors import InputError, NotNow
+from hfb.flows.compare import _check_room
+from hfb.flows.export import export_result
+from hfb.flows.report import make_report
+from hfb.flows.runtime.workplace import beside_result, mark_unfinished, publish, workplace
 from hfb.io.safe_folder import NotOrdinary
 from hfb.motion.motion_file import save_motion
-from tasks.core.result_folder import check_result, is_finished
-from tasks.core.result_records import drop_foreign
-from tasks.results.stored_runs import find_run
+from hfb.tasks.core.result_folder import check_result, is_finished
+from hfb.tasks.core.result_records import drop_foreign
+from hfb.tasks.results.stored_runs import find_run
 from tests.flows.test_workplace import published
 from tests.interop.writers.motions import motion_of
 
@@ -269,7 +269,7 @@ def test_a_comparison_takes_nothing_of_the_users(tmp_path: Path) -> None:
 
 
 def test_the_examples_folder(outside: Path, tmp_path: Path) -> None:
-    from flows.demo import fit_example
+    from hfb.flows.demo import fit_example
 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "example").symlink_to(outside)

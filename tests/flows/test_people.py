@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from flows.people import everyone_in, run_clip
 from hfb.errors import InputError
+from hfb.flows.people import everyone_in, run_clip
 from hfb.motion.motion_file import load_motion
-from tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.inputs.video_inputs import take_video_inputs
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_clip, small_config
 

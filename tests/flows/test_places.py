@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from flows.runtime import places
 from hfb.config import RunConfig
 from hfb.errors import InputError
+from hfb.flows.runtime import places
 
 
 @pytest.fixture

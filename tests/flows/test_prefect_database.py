@@ -13,18 +13,18 @@ from pathlib import Path
 
 import pytest
 
-from flows.runtime.prefect_database import PrefectDatabase, prune, remove_old_files, trouble_with
+from hfb.flows.runtime.prefect_database import PrefectDatabase, prune, remove_old_files, trouble_with
 from tests.orchestration import prefect_api
 
 SERVER = """
 import sys
-from flows.runtime.prefect_home import make_home
-from tasks.telemetry import displays, progress
+from hfb.flows.runtime.prefect_home import make_home
+from hfb.tasks.telemetry import displays, progress
 with progress.showing(displays.lines_on(sys.stderr, first_s=999)):
     make_home()
-    from flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.surroundings import PrefectServer
     PrefectServer().wait()
-    from flows.runtime.reaper import end_abandoned_flow_runs
+    from hfb.flows.runtime.reaper import end_abandoned_flow_runs
     print(end_abandoned_flow_runs())
 """
 

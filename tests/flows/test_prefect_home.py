@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from flows.runtime.prefect_home import check_home, make_home, use_own_home
 from hfb.errors import InputError
+from hfb.flows.runtime.prefect_home import check_home, make_home, use_own_home
 from tests.orchestration import TINY_OPTIONS, Problem
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = """
 import json
-import flows
+import hfb.flows
 from prefect.settings import get_current_settings
 found = get_current_settings()
 print(json.dumps([str(found.home), found.api.url]))
@@ -99,7 +99,7 @@ def command(problem: Problem, folder: Path, **settings: str) -> subprocess.Compl
     }
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(folder / "out")]
     return subprocess.run(
-        [sys.executable, "-m", "flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment, capture_output=True,
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment, capture_output=True,
         text=True, cwd=ROOT, check=False, timeout=500,
     )  # fmt: skip
 

@@ -14,13 +14,13 @@ from urllib.request import urlopen
 
 import pytest
 
-from flows.fit_image import fit_image
-from flows.report import make_report
 from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
-from tasks.core.handles import sha256_of
-from tasks.results.result_report import shows_another_motion
-from tasks.tracking.store_place import SMALL_SERVER, pages_command
+from hfb.flows.fit_image import fit_image
+from hfb.flows.report import make_report
+from hfb.tasks.core.handles import sha256_of
+from hfb.tasks.results.result_report import shows_another_motion
+from hfb.tasks.tracking.store_place import SMALL_SERVER, pages_command
 from tests.browser import CHROMIUM, assert_body_moves, assert_film_plays, browser, opened
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, begun, run_clip, small_clip

@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 import torch
 
-import flows.rerun
-import tasks.image.fit_motion
-from flows.cli.cli import main
-from flows.fit_image import fit_image
-from flows.rerun import plan_rerun, run_again, with_networks
-from flows.video import run_video
+import hfb.flows.rerun
+import hfb.tasks.image.fit_motion
 from hfb.config import ExportConfig, FitConfig, InitConfig, MattingConfig, PriorConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.flows.cli.cli import main
+from hfb.flows.fit_image import fit_image
+from hfb.flows.rerun import plan_rerun, run_again, with_networks
+from hfb.flows.video import run_video
 from hfb.io.media.pictures import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
-from tasks.core.handles import FileHandle
-from tasks.inputs.inputs import Inputs, input_file
-from tasks.inputs.video_inputs import take_video_inputs
-from tasks.results.earlier_result import pictures_of
-from tasks.tracking import tracking
-from tasks.tracking.hidden_options import for_pictures, hidden_options, with_options
-from tasks.tracking.recipe import RECIPE, GivenFile, Recipe
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.inputs.inputs import Inputs, input_file
+from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.results.earlier_result import pictures_of
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.hidden_options import for_pictures, hidden_options, with_options
+from hfb.tasks.tracking.recipe import RECIPE, GivenFile, Recipe
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import small_clip, small_config
 
@@ -123,7 +123,7 @@ def test_a_difference_is_measured(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that computes otherwise: its fits take steps of another length, and its processor has another name."""
-    original = tasks.image.fit_motion.fit
+    original = hfb.tasks.image.fit_motion.fit
 
     def another_machine(observation: Any, first_bodies: Any, body: Any, config: Any, *rest: Any, **more: Any) -> Any:
         stages = tuple(one.model_copy(update={"learning_rate": 0.011}) for one in config.stages)
@@ -131,7 +131,7 @@ def test_a_difference_is_measured(
             observation, first_bodies, body, config.model_copy(update={"stages": stages}), *rest, **more
         )  # fmt: skip
 
-    monkeypatch.setattr(tasks.image.fit_motion, "fit", another_machine)
+    monkeypatch.setattr(hfb.tasks.image.fit_motion, "fit", another_machine)
     same = again(made["mlflow_run_id"])
     assert not same["bit_equal"]
     assert same["same_environment"]
@@ -139,8 +139,8 @@ def test_a_difference_is_measured(
     assert {"motion.npz", "strip.png"} <= set(same["files_that_differ"])
     assert "matte_0.png" not in same["files_that_differ"]
 
-    now = flows.rerun.environment()
-    monkeypatch.setattr(flows.rerun, "environment", lambda: now | {"processor": "another"})
+    now = hfb.flows.rerun.environment()
+    monkeypatch.setattr(hfb.flows.rerun, "environment", lambda: now | {"processor": "another"})
     other = again(made["mlflow_run_id"])
     assert other["changed"] == [f"processor ({now['processor']} then, another now)"]
     assert not other["same_environment"]
@@ -172,13 +172,13 @@ def test_files_that_options_name_move_too(
 def test_an_interrupted_repetition_goes_on(
     made: dict[str, Any], store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import flows.fit_image
+    import hfb.flows.fit_image
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(flows.fit_image, "strip", interrupted)
+        patch.setattr(hfb.flows.fit_image, "strip", interrupted)
         with pytest.raises(KeyboardInterrupt):
             again(made["mlflow_run_id"])
     out = tmp_path / "runs" / f"rerun-{made['mlflow_run_id'][:8]}"
@@ -307,7 +307,7 @@ def test_hidden_options_of_a_recipe() -> None:
 def test_pose_networks_of_then(made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there were no networks `auto` meant the matte alone, also once there are; other ones are refused."""
     here: list[FileHandle] = []
-    monkeypatch.setattr(flows.rerun, "networks_at_hand", lambda choice="auto": tuple(here))
+    monkeypatch.setattr(hfb.flows.rerun, "networks_at_hand", lambda choice="auto": tuple(here))
     frame, plate = tmp_path / "pictures" / "frame.png", tmp_path / "pictures" / "background.png"
     auto = RunConfig(init=InitConfig(method="auto"))
     without = Inputs(frames=(input_file(frame),), background=input_file(plate))

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.train_prior import TrainingPlan, train_prior, work_folder
 from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
+from hfb.flows.train_prior import TrainingPlan, train_prior, work_folder
 from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.priors.load import load_pose_prior

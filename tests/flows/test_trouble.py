@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from prefect.exceptions import TerminationSignal
 
-from flows.runtime.trouble import told_plainly
+from hfb.flows.runtime.trouble import told_plainly
 
 
 def fail_at(end: BaseException) -> None:

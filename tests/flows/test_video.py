@@ -63,7 +63,7 @@ def test_results_and_record() -> None:
 def test_a_median_that_holds_the_person_is_told(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Somebody who never leaves: before the fit on the terminal, in result.json and in the record."""
     said: list[str] = []
-    monkeypatch.setattr("tasks.telemetry.progress.say", said.append)
+    monkeypatch.setattr("hfb.tasks.telemetry.progress.say", said.append)
     result = run_clip(small_clip().source, tmp_path / "out", background="median")
     assert "plate_holds_person" in [one["code"] for one in result["warnings"]]
     assert ("warning/plate_holds_person",) in mlflow_rows(store, _WARNINGS)

@@ -12,7 +12,7 @@ import pytest
 import yaml
 from prefect.client.schemas.objects import FlowRun
 
-from flows.runtime import deployment_run, worker
+from hfb.flows.runtime import deployment_run, worker
 
 _INFRA = Path(__file__).parents[2] / "infra"
 _EVIL: dict[str, Any] = {

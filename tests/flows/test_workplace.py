@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from flows.runtime import workplace as place
-from flows.runtime.workplace import Occupied, beside_result, publish, workplace
-from tasks.core.handles import sha256_of
+from hfb.flows.runtime import workplace as place
+from hfb.flows.runtime.workplace import Occupied, beside_result, publish, workplace
+from hfb.tasks.core.handles import sha256_of
 
 
 def published(out: Path, files: Mapping[str, str], **facts: Any) -> dict[str, Any]:

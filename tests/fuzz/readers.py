@@ -32,11 +32,11 @@ from hfb.motion.static_pose import load_first_body
 from hfb.networks.runtimes import load_network
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_weights import read_networks
+from hfb.tasks.batch.batch_ledger import Ledger
+from hfb.tasks.inputs.clip_places import resolve_source
+from hfb.tasks.results.stored_runs import _id_in
+from hfb.tasks.tracking.recipe import read_recipe
 from hfb.tracking.tracks import ClipFrames, read_track, read_track_names
-from tasks.batch.batch_ledger import Ledger
-from tasks.inputs.clip_places import resolve_source
-from tasks.results.stored_runs import _id_in
-from tasks.tracking.recipe import read_recipe
 from tests.fuzz.results import RESULT_READERS
 
 _SHARP = {"sharp": [[0, 0, 32, 24]], "camera": {"height": 48, "width": 64}}

@@ -26,10 +26,10 @@ from hfb.motion.sampled import SampledMotion
 from hfb.report.result_curves import curves_section, read_curves
 from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
-from tasks.batch.batch_summary import BatchSummary
-from tasks.core.handles import FileHandle
-from tasks.results.fitted_body import named_body
-from tasks.results.result_report import ReportParts, page_text
+from hfb.tasks.batch.batch_summary import BatchSummary
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.results.fitted_body import named_body
+from hfb.tasks.results.result_report import ReportParts, page_text
 
 FACTS: dict[str, Any] = {
     "matte_iou": 0.91, "psnr_db": 31.5, "mpjpe_mm": None, "frames": 2, "sub_frames": 6, "fit_seconds": 3.5,

@@ -27,7 +27,7 @@ import psutil
 from distributed import Client
 
 from hfb.datasets.clip_making import make_clip
-from tasks.core.handles import sha256_of
+from hfb.tasks.core.handles import sha256_of
 from tests.faults.servers import free_port
 from tests.infra.orchestration_cost import processor_s
 
@@ -87,7 +87,7 @@ def run(clip: Path, place: Path, workers: int, settings: Path | None, options: l
     with cluster_of(workers, settings) as address:
         before, began = spent(), time.monotonic()
         ended = subprocess.run(
-            [sys.executable, "-m", "flows.cli.cli", "video", clip, "--out", out,
+            [sys.executable, "-m", "hfb.flows.cli.cli", "video", clip, "--out", out,
              "--workers", f"dask:{address}", *options],
             env=environment, capture_output=True, text=True,
         )  # fmt: skip

@@ -30,12 +30,12 @@ from typing import Any
 import asyncpg
 import psutil
 
-import flows  # noqa: F401 (its settings come before Prefect is imported)
+import hfb.flows  # noqa: F401 (its settings come before Prefect is imported)
 from hfb.motion.static_pose import load_first_body
-from tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
-from tasks.core.video_handles import BodyFound
-from tasks.video import video_frames
-from tasks.video.video_frames import saved_body
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.video_handles import BodyFound
+from hfb.tasks.video import video_frames
+from hfb.tasks.video.video_frames import saved_body
 from tests.faults.servers import Postgres, PrefectProcess, postgres, prefect_server
 from tests.small_clips import SMALL_OPTIONS
 
@@ -58,14 +58,14 @@ def near_body(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
-    """Instead of `tasks.video.video_frames._body_between`: the body of the key frame before."""
+    """Instead of `hfb.tasks.video.video_frames._body_between`: the body of the key frame before."""
     found = load_first_body(known[0][1].path)
     return BodyFound(first=saved_body(folder / f"first_body_{number:06d}.npz", found))
 
 
 def command(arguments: list[str]) -> int:
     """The `hfb` command with that."""
-    from flows.cli import cli
+    from hfb.flows.cli import cli
 
     if arguments[0] == "cheap":
         video_frames._body_between = near_body

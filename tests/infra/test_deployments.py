@@ -11,9 +11,9 @@ import yaml
 from prefect.flows import Flow, load_flow_from_entrypoint
 from prefect.utilities.callables import parameter_schema
 
-from flows.deployed import Options
 from hfb.config import RunConfig, VideoConfig, preset
 from hfb.errors import InputError
+from hfb.flows.deployed import Options
 
 _FILE = yaml.safe_load((Path(__file__).parents[2] / "infra" / "prefect.yaml").read_text())
 _DEPLOYMENTS = {one["name"]: one for one in _FILE["deployments"]}
@@ -46,7 +46,7 @@ def test_a_form_says_what_every_field_means(entrypoint: str) -> None:
 
 def test_a_form_keeps_the_order_in_which_options_are_written() -> None:
     # PostgreSQL keeps the keys of a schema by their length; the page goes by this number.
-    flow = load_flow_from_entrypoint("flows.deployed.fit", use_placeholder_flow=False)
+    flow = load_flow_from_entrypoint("hfb.flows.deployed.fit", use_placeholder_flow=False)
     records = parameter_schema(flow).model_dump()["definitions"]
     for record in (Options, VideoConfig):
         fields = records[record.__name__]["properties"]

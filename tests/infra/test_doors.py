@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import pytest
 
-from flows.runtime.deployment_run import COMMAND
+from hfb.flows.runtime.deployment_run import COMMAND
 from tests.infra.asking import api, ended, prefect_routes, started
 from tests.infra.team import Team, missing, stop
 from tests.orchestration import Problem
@@ -75,7 +75,7 @@ def test_a_deployment_with_other_code_runs_nothing(door: str, here: Team, worker
     evil.write_text(_EVIL.format(marker=str(marker)))
     steps = [{"prefect.deployments.steps.run_shell_script": {"script": f"touch {marker}"}}]
     rows: dict[str, dict[str, Any]] = {
-        "steps": {"entrypoint": "flows.deployed.fit", "pull_steps": steps},
+        "steps": {"entrypoint": "hfb.flows.deployed.fit", "pull_steps": steps},
         "file": {"entrypoint": f"{evil}:fit", "path": str(evil.parent)},
         "module": {"entrypoint": f"{evil.stem}.fit", "pull_steps": [{
             "prefect.deployments.steps.set_working_directory": {"directory": str(evil.parent)}}]},
@@ -92,7 +92,7 @@ def test_hooks_of_a_cancelled_run_are_ours_too(here: Team, worker: None, marker:
     """Prefect's own worker loads a flow, steps first, to run its hooks when the run is cancelled or crashes."""
     steps = [{"prefect.deployments.steps.run_shell_script": {"script": f"touch {marker}"}}]
     with api(here, "prefect_admin") as client:
-        deployment = _deployment(client, "evil-hooks", entrypoint="flows.deployed.fit", pull_steps=steps)
+        deployment = _deployment(client, "evil-hooks", entrypoint="hfb.flows.deployed.fit", pull_steps=steps)
         run = _run(client, deployment)
         client.post(f"/flow_runs/{run}/set_state", json={"state": {"type": "CANCELLING"}, "force": True})
         assert ended(client, run, _ENDED_S)["type"] in ("CANCELLED", "CRASHED")
@@ -104,7 +104,7 @@ def test_the_program_of_a_container_refuses_too(here: Team, deployed: dict[str, 
     steps = [{"prefect.deployments.steps.run_shell_script": {"script": f"touch {marker}"}}]
     with api(here, "prefect_admin") as client:
         flow = _flow_of(client, "fit/fit")["flow_id"]
-        row = {"name": "evil-container", "flow_id": flow, "entrypoint": "flows.deployed.fit", "pull_steps": steps}
+        row = {"name": "evil-container", "flow_id": flow, "entrypoint": "hfb.flows.deployed.fit", "pull_steps": steps}
         made = client.post("/deployments/", json=row)
         run = _run(client, made.json()["id"])
         command = [sys.executable, *COMMAND.split()[1:]]
@@ -278,7 +278,11 @@ def test_commands_on_a_members_machine_are_recorded(here: Team, deployed: dict[s
         "2", "--fit.texture-px", "16", "--export.formats", "none", "--export.films", "none", "--export.report", "false",
     ]  # fmt: skip
     done = subprocess.run(
-        [sys.executable, "-m", "flows.cli.cli", *words], env=environment, capture_output=True, text=True, timeout=240
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["mlflow_run_id"]

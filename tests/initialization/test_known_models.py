@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
+from hfb.flows.cli.cli import main
 from hfb.networks.registry import list_models
 
 

@@ -17,9 +17,9 @@ from hfb.networks import fetch as fetching
 from hfb.networks import mediapipe_files as networks
 from hfb.networks.fetch import NetworkArchive, fetch_networks
 from hfb.networks.mediapipe_files import NetworkFile, list_networks, network_path, networks_in_use
-from tasks.core.handles import FileHandle
-from tasks.inputs.given_networks import check_networks
-from tasks.inputs.inputs import networks_at_hand
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.inputs.given_networks import check_networks
+from hfb.tasks.inputs.inputs import networks_at_hand
 
 CONTENTS = {"a.tflite": b"a" * 100, "b.tflite": b"b" * 50, "c.tflite": b"c" * 70}
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows.export import export_result
-from flows.report import make_report
 from hfb.errors import InputError
 from hfb.fitting.alternatives import load_alternatives
+from hfb.flows.export import export_result
+from hfb.flows.report import make_report
 from hfb.interop.writers.bvh import bvh_text
 from hfb.interop.writers.joint_tables import csv_text
 from hfb.interop.writers.keys import even_keys

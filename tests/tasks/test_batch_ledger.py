@@ -4,7 +4,7 @@ import os
 import time
 from pathlib import Path
 
-from tasks.batch.batch_ledger import Ledger, stamp_of
+from hfb.tasks.batch.batch_ledger import Ledger, stamp_of
 
 
 def test_failures_wait_longer_each_time_and_end_aside(tmp_path: Path) -> None:

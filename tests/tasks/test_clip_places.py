@@ -10,10 +10,10 @@ import pytest
 from hfb.config import InitConfig, RunConfig
 from hfb.errors import InputError, NotNow
 from hfb.io.media.picture_files import footage_files
-from tasks.batch.batch_ledger import stamp_of
-from tasks.core.handles import FileHandle, files_in
-from tasks.inputs.clip_places import find_clips, plate_beside, resolve_source
-from tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.batch.batch_ledger import stamp_of
+from hfb.tasks.core.handles import FileHandle, files_in
+from hfb.tasks.inputs.clip_places import find_clips, plate_beside, resolve_source
+from hfb.tasks.inputs.video_inputs import take_video_inputs
 
 
 def touch(*paths: Path) -> None:

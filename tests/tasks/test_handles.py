@@ -6,8 +6,8 @@ import pytest
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from tasks.benchmark.judge_case import JudgedHandle
-from tasks.core.handles import (
+from hfb.tasks.benchmark.judge_case import JudgedHandle
+from hfb.tasks.core.handles import (
     FileHandle,
     FirstBodyHandle,
     FitHandle,
@@ -17,7 +17,7 @@ from tasks.core.handles import (
     unchanged,
     with_files,
 )
-from tasks.inputs.inputs import Inputs, input_file, input_hashes
+from hfb.tasks.inputs.inputs import Inputs, input_file, input_hashes
 
 
 @pytest.fixture
@@ -113,5 +113,5 @@ def test_what_is_replaced_while_it_is_read_is_seen(file: Path, tmp_path: Path) -
 
 def test_a_file_that_nobody_touched_is_read_once(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handle = FileHandle.of(file)
-    monkeypatch.setattr("tasks.core.handles.sha256_of", lambda path: pytest.fail(f"{path} is read again"))
+    monkeypatch.setattr("hfb.tasks.core.handles.sha256_of", lambda path: pytest.fail(f"{path} is read again"))
     handle.check()

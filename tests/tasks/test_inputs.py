@@ -11,7 +11,7 @@ from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip, read_clip
 from hfb.io.media.pictures import write_png
-from tasks.inputs.inputs import assumptions, take_inputs, with_height
+from hfb.tasks.inputs.inputs import assumptions, take_inputs, with_height
 
 
 def calibrated(folder: Path, distortion: list[float]) -> tuple[Path, Path]:

@@ -10,11 +10,11 @@ from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.errors import InputError
-from tasks.core.handles import FileHandle
-from tasks.core.parcels import parcels
-from tasks.core.result_records import records_in
-from tasks.core.task import AtOnce, task
-from tasks.workers.many import Outcome, run_all
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.parcels import parcels
+from hfb.tasks.core.result_records import records_in
+from hfb.tasks.core.task import AtOnce, task
+from hfb.tasks.workers.many import Outcome, run_all
 from tests.orchestration import prefect_api
 
 _COUNT = 300

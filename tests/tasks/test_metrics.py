@@ -13,9 +13,9 @@ from urllib.request import urlopen
 import pytest
 
 from hfb.errors import InputError
-from tasks.batch.metrics import VARIABLE, served
-from tasks.telemetry import progress
-from tasks.workers.workers import compute, workers
+from hfb.tasks.batch.metrics import VARIABLE, served
+from hfb.tasks.telemetry import progress
+from hfb.tasks.workers.workers import compute, workers
 from tests.small_clips import run_clip, small_clip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hfb.errors import InputError
-from tasks.inputs.out_place import (
+from hfb.tasks.inputs.out_place import (
     check_batch_out,
     check_clip_out,
     check_pictures_out,

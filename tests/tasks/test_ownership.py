@@ -5,9 +5,9 @@ import signal
 import subprocess
 import sys
 
-from tasks.tracking.ownership import is_abandoned, owner
+from hfb.tasks.tracking.ownership import is_abandoned, owner
 
-SLEEPER = "from tasks.tracking.ownership import owner; import time; print(owner(), flush=True); time.sleep(60)"
+SLEEPER = "from hfb.tasks.tracking.ownership import owner; import time; print(owner(), flush=True); time.sleep(60)"
 
 
 def test_this_process_is_there() -> None:

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 import pytest
 
 from hfb.errors import InputError
-from tasks.tracking.addresses import check_address, no_answer
-from tasks.tracking.patience import Patience, within
+from hfb.tasks.tracking.addresses import check_address, no_answer
+from hfb.tasks.tracking.patience import Patience, within
 
 
 def test_a_result_or_an_error_or_an_end() -> None:

@@ -11,9 +11,9 @@ from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.clip import Clip
 from hfb.io.media.pictures import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from tasks.core.handles import ClipHandle, FileHandle
-from tasks.core.scene import load_camera, load_picture
-from tasks.image.prepare import prepare
+from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.scene import load_camera, load_picture
+from hfb.tasks.image.prepare import prepare
 from tests.matting.silhouettes import composite, generated_plate
 
 

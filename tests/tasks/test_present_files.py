@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from hfb.errors import InputError
-from tasks.core.handles import FileHandle
-from tasks.results.present_files import find_present
-from tasks.tracking.recipe import GivenFile
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.results.present_files import find_present
+from hfb.tasks.tracking.recipe import GivenFile
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tasks.telemetry import displays, progress
-from tasks.telemetry.progress_artifacts import Artifacts
-from tasks.workers.workers import compute, workers
+from hfb.tasks.telemetry import displays, progress
+from hfb.tasks.telemetry.progress_artifacts import Artifacts
+from hfb.tasks.workers.workers import compute, workers
 
 
 def live(width: int = 80) -> tuple[io.StringIO, displays.Live]:
@@ -172,7 +172,7 @@ def test_a_server_that_is_gone_does_not_hold_the_work_up(store: Path, monkeypatc
     def lost(*_: object) -> None:
         raise OSError("the server is gone")
 
-    monkeypatch.setattr("tasks.telemetry.progress_artifacts._tell", lost)
+    monkeypatch.setattr("hfb.tasks.telemetry.progress_artifacts._tell", lost)
     display = Artifacts(first_s=0.0, every_s=0.05)
 
     @flow(name="unwatched")

@@ -10,8 +10,8 @@ from prefect.filesystems import LocalFileSystem
 from prefect.results import ResultStore, get_result_store
 from prefect.serializers import JSONSerializer, PickleSerializer
 
-from tasks.core.handles import FileHandle
-from tasks.core.result_records import drop_foreign, records_in
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.result_records import drop_foreign, records_in
 from tests.orchestration import orchestrated
 
 
@@ -84,7 +84,7 @@ def test_our_own_records_stay(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_whatever_is_not_exactly_ours_goes(tmp_path: Path, change: dict[str, Any]) -> None:
     serializer = JSONSerializer().model_dump(mode="json") | change.get("serializer", {})
-    result = change.get("result", {"__class__": "tasks.core.handles.FileHandle", "data": {}})
+    result = change.get("result", {"__class__": "hfb.tasks.core.handles.FileHandle", "data": {}})
     record = {"metadata": {"serializer": serializer}, "result": json.dumps(result)}
     (tmp_path / change.get("name", "hfb-x-1")).write_text(change.get("text", json.dumps(record)))
     assert drop_foreign(tmp_path) == 1

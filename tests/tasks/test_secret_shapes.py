@@ -7,8 +7,8 @@ from urllib.parse import quote
 
 import pytest
 
-from flows.cli.cli import main
-from tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
+from hfb.flows.cli.cli import main
+from hfb.tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
 
 ROOT = Path(__file__).parents[2]
 TOKEN = "Zq7-s3cr3t_v4lue"
@@ -86,7 +86,7 @@ SAYS = {"print", "exit", "write", "debug", "info", "warning", "error", "exceptio
 def printed_addresses(source: str) -> list[str]:
     """Addresses that stand bare in a text which is printed or logged.
 
-    What is raised is printed by `flows.cli.cli` alone, and what is said by `progress.say`: both hide.
+    What is raised is printed by `hfb.flows.cli.cli` alone, and what is said by `progress.say`: both hide.
     """
     bare = []
     for node in ast.walk(ast.parse(source)):

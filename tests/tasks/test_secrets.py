@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.cli import main
 from hfb.errors import InputError
-from tasks.telemetry.secrets import SecretFormatter, without_login, without_secrets
-from tasks.tracking import tracking
-from tasks.tracking.store_place import check_store, on_server
+from hfb.flows.cli.cli import main
+from hfb.tasks.telemetry.secrets import SecretFormatter, without_login, without_secrets
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.store_place import check_store, on_server
 
 PASSWORD = "pa/ss:w@rd"
 

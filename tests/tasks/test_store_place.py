@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hfb.errors import InputError, NotNow
-from tasks.tracking.store_place import check_store, pages_command, sqlite_file, tracking_uri
+from hfb.tasks.tracking.store_place import check_store, pages_command, sqlite_file, tracking_uri
 
 UNPRIVILEGED = 65534
 
@@ -51,7 +51,7 @@ def test_a_sqlite_file_by_any_address(given: str, tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("given", list(WORK)[:5])
 def test_runs_are_recorded_there(given: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tasks.tracking import tracking
+    from hfb.tasks.tracking import tracking
 
     monkeypatch.setenv("MLFLOW_TRACKING_URI", given.replace("/{here}", str(tmp_path)))
     tracking.open_store()
@@ -149,7 +149,7 @@ def test_below_a_file(tmp_path: Path) -> None:
 
 FULL = """
 import resource, sys
-from tasks.tracking.store_place import check_store
+from hfb.tasks.tracking.store_place import check_store
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 try:
     check_store(sys.argv[1])
@@ -158,7 +158,7 @@ except ValueError as error:
 """
 OTHERS = """
 import os, sys
-from tasks.tracking.store_place import check_store
+from hfb.tasks.tracking.store_place import check_store
 os.setgroups([]); os.setgid(int(sys.argv[2])); os.setuid(int(sys.argv[2]))
 try:
     check_store(sys.argv[1])

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from hfb.config import FitConfig, MattingConfig
-from tasks.core import task as task_module
-from tasks.core.handles import FileHandle
-from tasks.core.task import cache_key, code_version
-from tasks.image.matte import matte
+from hfb.tasks.core import task as task_module
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.task import cache_key, code_version
+from hfb.tasks.image.matte import matte
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from hfb.errors import InputError
-from tasks.tracking import tracking
-from tasks.tracking.ownership import owner
-from tasks.tracking.store_place import pages_command
+from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.ownership import owner
+from hfb.tasks.tracking.store_place import pages_command
 from tests.orchestration import mlflow_rows
 
 PARAMS = {"fit": {"degree": 2, "stages": [{"size_px": 64}]}, "seed": 0, "long": "x" * 9000}

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tasks.core.stopped import Stopped
-from tasks.workers.workers import WorkerLost, busy_share, compute, shared_out, stop_computing, workers
+from hfb.tasks.core.stopped import Stopped
+from hfb.tasks.workers.workers import WorkerLost, busy_share, compute, shared_out, stop_computing, workers
 
 
 def process_id(_: int) -> int:
@@ -126,7 +126,7 @@ def test_nobody_who_listens_holds_no_work_up(monkeypatch: pytest.MonkeyPatch) ->
 
 ORPHANS = """
 import os, sys, time
-from tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import compute, workers
 from tests.tasks.test_workers import process_id
 if __name__ == "__main__":
     with workers(2):

@@ -10,8 +10,8 @@ import pytest
 from hfb.errors import InputError
 from hfb.interop.readers.pose_track import load_track, save_track
 from hfb.interop.readers.sniff import read_tracks
-from tasks.video import given_result, video_clip
-from tasks.video.given_result import ResultHandle
+from hfb.tasks.video import given_result, video_clip
+from hfb.tasks.video.given_result import ResultHandle
 
 
 def amass(path: Path, **rate: Any) -> Path:

@@ -17,8 +17,8 @@ from hfb.io.media.footage import open_footage
 from hfb.io.media.picture_decoding import decode_picture
 from hfb.io.media.pictures import read_matte, read_picture_srgb
 from hfb.photometry import linear_to_srgb, srgb_to_linear
-from tasks.core.handles import FileHandle
-from tasks.image.prepare import prepare
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.image.prepare import prepare
 
 # Linear light of these primaries to sRGB's, by the published matrices (CSS Color 4).
 P3 = np.array([[1.2249402, -0.2249402, 0], [-0.0420570, 1.0420570, 0], [-0.0196376, -0.0786361, 1.0982736]])

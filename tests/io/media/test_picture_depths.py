@@ -15,8 +15,8 @@ from hfb.io.media.footage import open_footage
 from hfb.io.media.picture_decoding import decode_picture, picture_size
 from hfb.io.media.pictures import read_matte, write_matte
 from hfb.io.media.plate import find_plate
-from tasks.core.handles import FileHandle
-from tasks.image.prepare import prepare
+from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.image.prepare import prepare
 
 REPORTS = Path(__file__).parents[3] / "shared" / "reports"
 LIGHT = np.random.default_rng(0).random((21, 37, 3))

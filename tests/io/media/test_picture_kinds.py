@@ -10,7 +10,7 @@ from PIL import Image
 from hfb.errors import InputError
 from hfb.io.media.footage import open_footage
 from hfb.io.media.pictures import picture_size, read_picture_srgb
-from tasks.inputs.clip_places import resolve_source
+from hfb.tasks.inputs.clip_places import resolve_source
 
 REPORTS = Path(__file__).parents[3] / "shared" / "reports"
 
