@@ -21,8 +21,9 @@ from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
 from hfb.io.safe_folder import check_tree, open_folder, read_file
 
-_NAME = "hfb-"  # of a task's record: `hfb.tasks.core.task.cache_key`; failures and flows leave others, which nobody reads again
-_OURS = ("tasks.", "hfb.")
+# Prefix of a task's record (`hfb.tasks.core.task.cache_key`); records of failures and flows are never read again.
+_NAME = "hfb-"
+_OURS = "hfb."
 _ASIDE, _LONGEST_NAME = "records-set-aside", 200
 _BYTE_LIMIT = 64 << 20
 _log = logging.getLogger(__name__)

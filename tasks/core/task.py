@@ -32,7 +32,6 @@ from prefect.results import get_result_store
 from prefect.states import Completed, State
 
 import hfb
-import hfb.tasks
 from hfb.tasks.core import repetition
 from hfb.tasks.core.handles import StaleFile, digest, files_in, unchanged
 from hfb.tasks.core.parcels import Kept, Parcel
@@ -138,13 +137,14 @@ def cache_key(name: str, parameters: dict[str, Any]) -> str:
 
 @functools.cache
 def code_version() -> str:
-    """The version, a hash of every source and data file of the method and the tasks, and what they compute with."""
+    """The version, a hash of every source and data file of the method and the tasks, and the libraries that compute."""
     content = hashlib.sha256()
-    for package in (hfb, tasks):
-        root = Path(cast(str, package.__file__)).parent
-        for path in sorted(root.rglob("*")):
+    root = Path(hfb.__file__).parent
+    for folder in sorted({*root.iterdir()} - {root / "flows"}):
+        base = folder.resolve()  # tasks is a link where hfb is installed from a checkout
+        for path in sorted(base.rglob("*")) if base.is_dir() else [base]:
             if path.is_file() and "__pycache__" not in path.parts:
-                content.update(str(path.relative_to(root)).encode() + b"\0")
+                content.update(f"{folder.name}/{path.relative_to(base)}".encode() + b"\0")
                 content.update(hashlib.sha256(path.read_bytes()).digest())
     libraries = ",".join(f"{name}={version(name)}" for name in ("numpy", "numba", "torch"))
     return f"{hfb.__version__}+{content.hexdigest()[:16]};{libraries}"

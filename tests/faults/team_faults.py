@@ -67,8 +67,8 @@ class Batch:
         pace = ["--wait", "1", "--attempts", "8"]
         with (self.folder / "shown").open("a") as shown:
             return subprocess.Popen(
-                [sys.executable, "-m", "hfb.flows.cli.cli", *words, *pace, *SMALL_OPTIONS, *LONGER], stdout=subprocess.PIPE,
-                stderr=shown, text=True, env=self.environment,
+                [sys.executable, "-m", "hfb.flows.cli.cli", *words, *pace, *SMALL_OPTIONS, *LONGER],
+                stdout=subprocess.PIPE, stderr=shown, text=True, env=self.environment,
             )  # fmt: skip
 
     def finish(self, process: subprocess.Popen[str] | None = None) -> dict[str, Any]:

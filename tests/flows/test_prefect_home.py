@@ -99,8 +99,8 @@ def command(problem: Problem, folder: Path, **settings: str) -> subprocess.Compl
     }
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(folder / "out")]
     return subprocess.run(
-        [sys.executable, "-m", "hfb.flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment, capture_output=True,
-        text=True, cwd=ROOT, check=False, timeout=500,
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment,
+        capture_output=True, text=True, cwd=ROOT, check=False, timeout=500,
     )  # fmt: skip
 
 
