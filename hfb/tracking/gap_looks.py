@@ -1,8 +1,8 @@
 """A second look at frames in which a followed person was not seen: the matting network finds whom small pictures miss.
 
 A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small picture; the network
-looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about as
-large as before and after, where they can have got to, and nearer to them than to anybody else.
+looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about
+as large as before and after, where they can have got to, and nearer to them than to anybody else.
 """
 
 from collections.abc import Callable, Iterator, Sequence

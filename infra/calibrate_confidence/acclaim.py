@@ -1,4 +1,4 @@
-"""Convert CMU's own recordings, a skeleton (.asf) and its takes (.amc), to BVH files that `hfb benchmark --motions` reads.
+"""Convert CMU's own recordings, a skeleton (.asf) and its takes (.amc), to BVH, which `hfb benchmark --motions` reads.
 
 python acclaim.py --skeletons FOLDER --out FOLDER        # every SUBJECT.asf below FOLDER with its SUBJECT_TAKE.amc
 """

@@ -248,7 +248,7 @@ def test_options_of_another_version(made: dict[str, Any], store: Path, tmp_path:
 def test_options_and_places_that_held_a_secret(
     problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The record hides them: an option is given again, and files are told apart by content where paths look the same."""
+    """The record hides them: an option is given again; files are told apart by content where paths look the same."""
     places = {}
     for name, token in (("frame", "first-one"), ("background", "another-one"), ("first_body", "last-one")):
         source = getattr(problem, name)
@@ -289,7 +289,7 @@ def test_hidden_options_of_a_recipe() -> None:
     file = GivenFile(path=Path("/a/token=***/w.pt"), sha256="1", bytes=3)
     recipe = Recipe(
         command="video", code="", options={}, results={}, files={"init_file_0": file},
-        config={"init": {"person": "***", "file": "/a/token=***/w.pt"}, "export": {"formats": ["bvh", "***"]}, "seed": 3},
+        config={"init": {"person": "***", "file": "/a/token=***/w.pt"}, "export": {"formats": ["bvh", "***"]}},
         inputs={"clip": {"exposure": {"light": "x***"}}, "video": [{"path": "/b/sig=***/v.mp4", "sha256": "2"}]},
     )  # fmt: skip
     names = ("init.person", "export.formats", "inputs.clip.exposure.light")

@@ -42,8 +42,8 @@ def differs(capture: Rate | None, stored_fps: float) -> bool:
 def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
     """What a user should know of a file whose capture rate is taken instead of its time stamps'."""
     return (
-        f"{name} was captured at {capture[0]:.6g} frames per second, by {capture[1]}, and plays at {stored_fps:.6g}: the "
-        "capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
+        f"{name} was captured at {capture[0]:.6g} frames per second, by {capture[1]}, and plays at {stored_fps:.6g}: "
+        "the capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
     )
 
 
