@@ -13,14 +13,14 @@ from pydantic import Field
 from hfb.config import Record
 from hfb.errors import InputError
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import workplace
+from hfb.flows.runtime.workspace import workspace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.benchmark.cases import listing_of
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -61,7 +61,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     check_sources_out([plan.motions], out.parent)
     _check_room(out)
     spec = plan.motion if plan.kind == "motion" else plan.pose
-    with workplace(work_folder(out)) as folder, records_in(folder):
+    with workspace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)
         for name, reason in lessons.refused.items():
             progress.say(f"left out: {name}: {reason}")

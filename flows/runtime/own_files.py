@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.safe_folder import check_ordinary, is_regular, read_file
 from hfb.tasks.core.handles import sha256_of
@@ -24,7 +24,7 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
     The record is written first, so that files which a killed command left are known as well.
 
     Raises:
-        NotNow: under one of the names lies something that hfb did not write, or that was changed since.
+        TemporaryError: under one of the names lies something that hfb did not write, or that was changed since.
     """
     _check_room(out, names)
     with tempfile.TemporaryDirectory() as folder:
@@ -49,7 +49,7 @@ def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     there = [name for name in names if (out / name).exists()]
     foreign = [name for name in there if not is_regular(out / name) or sha256_of(out / name) not in known.get(name, ())]
     if foreign:
-        raise NotNow(
+        raise TemporaryError(
             f"{out} holds {', '.join(foreign)}, which is not as hfb wrote it there, if it did: move it away, or choose "
             "another --out"
         )

@@ -7,7 +7,6 @@ package that was moved, finds the kernels of the same sources; a change in any f
 # (numba compiles these: its types are not mypy's)
 
 import atexit
-import inspect
 import logging
 import os
 import pickle
@@ -43,7 +42,7 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 @lru_cache
 def _sources() -> str:
     """The hash of all that decides what is compiled, but the processor (which numba's index tells apart)."""
-    files = sorted(Path(__file__).parent.glob("*.py"))
+    files = sorted(Path(__file__).parent.rglob("*.py"))
     versions = f"{numba.__version__} {llvmlite.__version__}".encode()
     return sha256(versions + b"".join(file.read_bytes() for file in files)).hexdigest()
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from hfb.matting.camera_noise import exposure_gain
-from hfb.matting.matting import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.photometry import srgb_to_linear
 from hfb.tracking.person_pieces import Alpha, matting_look
 from hfb.tracking.tracks import Track, agreement

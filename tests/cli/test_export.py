@@ -13,7 +13,7 @@ from hfb.body.assets import load_default_body
 from hfb.flows.cli.cli import main
 from hfb.flows.runtime.own_files import OWN_FILES
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion, save_motion
 from tests.interop.writers.motions import motion_of
 

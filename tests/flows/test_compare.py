@@ -11,7 +11,7 @@ from hfb.errors import InputError
 from hfb.flows.cli.repeating import compare_text
 from hfb.flows.compare import compare_runs
 from hfb.flows.fit_image import fit_image
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import tracking_uri
 from tests.flows.test_fit_image import TINY, run

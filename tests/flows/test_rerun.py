@@ -18,13 +18,13 @@ from hfb.flows.cli.cli import main
 from hfb.flows.fit_image import fit_image
 from hfb.flows.rerun import plan_rerun, run_again, with_networks
 from hfb.flows.video import run_video
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.inputs import Inputs, input_file
 from hfb.tasks.inputs.video_inputs import take_video_inputs
-from hfb.tasks.results.earlier_result import pictures_of
+from hfb.tasks.results.reload_inputs import pictures_of
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.hidden_options import for_pictures, hidden_options, with_options
 from hfb.tasks.tracking.recipe import RECIPE, GivenFile, Recipe
@@ -51,7 +51,7 @@ def made(problem: Problem, store: Path, tmp_path: Path) -> dict[str, Any]:
     (folder / "clip.toml").write_text(CLIP)
     aside(folder / problem.first_body.name)
     frame, plate, first = (folder / getattr(problem, name).name for name in ("frame", "background", "first_body"))
-    return fit_image([frame], plate, tmp_path / "out", MOVING, folder / "clip.toml", first_bodies=[first])
+    return fit_image([frame], plate, tmp_path / "out", MOVING, clip=folder / "clip.toml", first_bodies=[first])
 
 
 def aside(path: Path) -> None:
