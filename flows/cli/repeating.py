@@ -50,10 +50,10 @@ def rerun(given: argparse.Namespace) -> int:
     options = _named(given.option)
 
     def load() -> Chain:
-        from hfb.flows.rerun import plan_rerun, run_again
+        from hfb.flows.rerun import plan_rerun, repeat
 
         plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers, options)
-        return when_ready(lambda: run_again(plan))
+        return when_ready(lambda: repeat(plan))
 
     verdict = through_prefect(given, given.out or Path("runs"), load)
     tell(given, verdict, rerun_text(verdict))
