@@ -292,7 +292,7 @@ def _run_benchmark(
 def _train(given: argparse.Namespace) -> None:
     kind, is_prior, _ = given.name.partition("-prior")
     if is_prior:
-        prior = _parsed(["train-prior", "--kind", kind, *given.options])
+        prior = _parse(["train-prior", "--kind", kind, *given.options])
         return prior.run(prior)
     return training.run_program(given)
 

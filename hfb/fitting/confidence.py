@@ -6,7 +6,7 @@ It is taken to follow a Weibull law with one exponent k and a median of its own 
     P(error <= x) = 1 - 2^-((x / radius)^k),        log radius = b_0 + sum_i b_i f_i,
 
 whose features f_i are read off the fit. The coefficients are fitted by maximum likelihood to fits whose truth is known
-(`infra/calibrate_confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
+(`hfb train confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
 from a start that was estimated from its picture as from a simulated one. A new feature is a new entry in
 `hfb.fitting.joint_features`.
 """

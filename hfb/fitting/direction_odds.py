@@ -39,5 +39,5 @@ def probabilities(
 
 @lru_cache
 def shipped_odds() -> dict[str, Any]:
-    """The coefficients that come with hfb, and what they were measured on (`infra/calibrate_confidence`)."""
+    """The coefficients that come with hfb, and what they were measured on (`hfb train confidence`)."""
     return json.loads(resources.files("hfb.fitting").joinpath("data/directions.json").read_text())

@@ -7,7 +7,7 @@ L the log odds that the body moved the way the result says, the probability p of
     p^k e^(1 - k),    k = max(0, 1 - doubt / L),    doubt = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
 
 whose f_i are signs of trouble in the fit (`SIGNS`), with b_i >= 0; e is the hypothesis' probability where nothing is
-known (`even_odds`). The coefficients were fitted to fits whose truth is known (`infra/calibrate_confidence`), for each
+known (`even_odds`). The coefficients were fitted to fits whose truth is known (`hfb train confidence`), for each
 kind of start, and lie in data/directions.json. Which motion is the result does not depend on them.
 """
 

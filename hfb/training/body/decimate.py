@@ -21,7 +21,7 @@ class Decimator:
         self.on_middle = on_middle
         self.faces = {i: list(face) for i, face in enumerate(faces.tolist())}
         self.uv_faces = {i: list(face) for i, face in enumerate(uv_faces.tolist())}
-        self.at = {int(v): set() for v in np.unique(faces)}  # faces around a vertex
+        self.at: dict[int, set[int]] = {int(v): set() for v in np.unique(faces)}  # faces around a vertex
         for i, face in self.faces.items():
             for v in face:
                 self.at[v].add(i)
@@ -62,7 +62,7 @@ class Decimator:
         quadrics = {v: np.zeros((4, 4)) for v in self.at}
         for face in self.faces.values():
             normal = self._normal(face)
-            area = np.linalg.norm(normal) / 2
+            area = float(np.linalg.norm(normal)) / 2
             if area > 0:
                 self._add_plane(quadrics, face, normal / (2 * area), area)
             for k in range(3):
@@ -107,7 +107,7 @@ class Decimator:
             return None  # the collapse would pinch the surface
         if self.on_middle[v] and any(self.on_middle[w] for w in near_u - near_v - {v}) and not self.on_middle[u]:
             return None  # a new edge inside the middle plane would be shared with the mirror image
-        uv_of = {}
+        uv_of: dict[int, int] = {}
         for i in shared:
             uv_u, uv_v = (self.uv_faces[i][self.faces[i].index(w)] for w in (u, v))
             if uv_of.setdefault(uv_u, uv_v) != uv_v:

@@ -112,7 +112,7 @@ def _smpl_weights(model: Any) -> np.ndarray:
     weights = np.zeros((len(model.template_vertices), len(BONES)))
     for slot in range(model.vertex_bone_indices.shape[1]):
         labels = [model.bone_labels[i] for i in model.vertex_bone_indices[:, slot]]
-        target = [_joint_of(label) for label in labels]
+        target = np.array([_joint_of(label) for label in labels])
         np.add.at(weights, (np.arange(len(weights)), target), model.vertex_bone_weights[:, slot].numpy())
     return weights / weights.sum(1, keepdims=True)
 

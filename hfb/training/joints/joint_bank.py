@@ -97,7 +97,7 @@ class Rows:
         """What there is, whole."""
         self._pictures.flush()
         part = self._folder / "joints.part.npz"
-        np.savez(part, **self._joints, done=self._done)
+        np.savez(part, done=self._done, **self._joints)  # type: ignore[arg-type]  # as in write_arrays
         part.rename(self._folder / "joints.npz")
 
 

@@ -72,16 +72,16 @@ def augmented(
     All views of a person are changed alike; matters of a single picture, such as a hole in a matte, are the first's.
     """
     count = len(chosen)
-    seen, truth = bank.batch(chosen), bank.truth[chosen]
+    seen, joints = bank.batch(chosen), bank.truth[chosen]
     if seen.ndim == 4:
-        seen, truth = seen[:, None], truth[:, None]
-    pictures, truth, starts = _moved(seen, truth, _confused(bank, chosen, rng), rng)
-    pictures, truth = torch.from_numpy(pictures).float() / 127.5 - 1, torch.from_numpy(truth)
-    starts, middle = _leaning(starts, rng), truth[:, 0, 1]
+        seen, joints = seen[:, None], joints[:, None]
+    seen, joints, erring = _moved(seen, joints, _confused(bank, chosen, rng), rng)
+    pictures, truth = torch.from_numpy(seen).float() / 127.5 - 1, torch.from_numpy(joints)
+    erring, middle = _leaning(erring, rng), truth[:, 0, 1]
     # A share of starts lies between what was drawn and the truth; estimates of other systems are often that good.
-    share = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
-    starts = as_large(torch.from_numpy(starts), middle, torch.from_numpy(rng.normal(0, 0.04, count)).float())
-    share = torch.from_numpy(share)
+    shares = np.where(rng.random(count) < 0.3, rng.random(count), 0)[:, None, None].astype(np.float32)
+    starts = as_large(torch.from_numpy(erring), middle, torch.from_numpy(rng.normal(0, 0.04, count)).float())
+    share = torch.from_numpy(shares)
     starts = starts * (1 - share) + middle * share
     starts = starts + torch.from_numpy(rng.normal(0, 0.02, starts.shape)).float()
     mirrored = torch.from_numpy(rng.random(count) < 0.5)[:, None, None]

@@ -82,7 +82,9 @@ class Gym(Studio):
         (first, last), opens = exposures[0], exposures[-1][0]
         step_s = 1 / 30 / (opens or last)
         seen = Observation(
-            *(torch.from_numpy(one).float() for one in (np.stack(frames), plate, np.stack(mattes))),
+            torch.from_numpy(np.stack(frames)).float(),
+            torch.from_numpy(plate).float(),
+            torch.from_numpy(np.stack(mattes)).float(),
             shot.lens,
             (last - first) * step_s,
             (opens or last) * step_s,

@@ -1,5 +1,7 @@
 """How well the joint network knows pictures it never saw."""
 
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -7,7 +9,7 @@ from hfb.evidence.joint_network import JointNetwork
 from hfb.training.joints.joint_batches import Bank, as_large
 
 
-def measure(network: JointNetwork, bank: Bank, most: int = 600) -> dict[str, float]:
+def measure(network: JointNetwork, bank: Bank, most: int = 600) -> dict[str, Any]:
     """Errors relative to the pelvis in millimetres: the start's, the claim's; how often the sign is right."""
     network.eval()
     rows: dict[str, list[torch.Tensor]] = {

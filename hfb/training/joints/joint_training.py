@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> None:
     network = JointNetwork(SMALL if options.small else WIDE)
     if options.go_on is not None:
         network.load_state_dict(read_weights(options.go_on), strict=False)  # layers that are new add nothing at first
-    network = network.to(options.device).to(memory_format=torch.channels_last)
+    network = network.to(options.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = copy.deepcopy(network)
     optimizer = Muon(network, options.rate, 0.05, _LAST)
     dev = Bank([options.dev])

@@ -64,15 +64,23 @@ class Rows:
             lifted, truth = cues.lifted(), _depth(file["joints"][row])
             both = facts_both_ways(cues, lifted).transpose(0, 1)
             deep = {name: _depth(file[name][row]) for name in ("claimed", "shown", "fitted")}
-            two = (torch.stack([one, one[:, mirror]], 1) for one in (lifted, truth))
-            rows.append(Rows(both, *two, file["unit_m"][row][:, None, None], deep))
+            lifted, truth = (torch.stack([one, one[:, mirror]], 1) for one in (lifted, truth))
+            rows.append(Rows(both, lifted, truth, file["unit_m"][row][:, None, None], deep))
         return Rows.joined(rows)
 
     @staticmethod
     def joined(parts: "list[Rows]") -> "Rows":
         """All of them."""
-        tensors = (torch.cat([getattr(one, name) for one in parts]) for name in ("facts", "lifted", "truth", "unit_m"))
-        return Rows(*tensors, {name: torch.cat([one.other[name] for one in parts]) for name in parts[0].other})
+        facts, lifted, truth, unit_m = (
+            torch.cat([getattr(one, name) for one in parts]) for name in ("facts", "lifted", "truth", "unit_m")
+        )
+        return Rows(
+            facts,
+            lifted,
+            truth,
+            unit_m,
+            {name: torch.cat([one.other[name] for one in parts]) for name in parts[0].other},
+        )
 
     def __len__(self) -> int:
         return len(self.truth)

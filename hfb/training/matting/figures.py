@@ -321,7 +321,7 @@ def _render(
             channels[0] = mean[..., 3]
             channels[1 + 3 * number : 4 + 3 * number] = np.moveaxis(mean[..., :3], -1, 0)
         return channels
-    shares = []
+    shares: list[np.ndarray] = []
     for number, texture in enumerate(textures):
         every = painter.rasterizer.render(vertices, texture, camera, painter.body.mesh).numpy()
         body, free = every[..., 3], np.ones_like(every[..., 3])

@@ -119,7 +119,7 @@ def network_of(weights: Path | None, channels: int = CHANNELS) -> MatteNetwork |
         return None
     network = MatteNetwork(channels=channels)
     network.load_state_dict(read_weights(weights))
-    return network.eval().to(memory_format=torch.channels_last)
+    return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def _groups(drawn: list[tuple[str, float, Scene]]) -> dict[str, list[bool]]:

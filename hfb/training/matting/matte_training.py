@@ -158,7 +158,7 @@ def widened(state: dict[str, torch.Tensor], channels: int, shared: int) -> dict[
 
 def fold(network: MatteNetwork, widths: tuple[int, ...]) -> MatteNetwork:
     """The same function without normalisation layers."""
-    plain = MatteNetwork(widths, channels=network.entry[0].in_channels).eval()
+    plain = MatteNetwork(widths, channels=network.state_dict()["entry.0.weight"].shape[1]).eval()
     modules = dict(network.eval().named_modules())
     for name, module in plain.named_modules():
         if isinstance(module, nn.Conv2d):
@@ -196,7 +196,7 @@ def run(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     look = 3 if options.third else 2 if options.second else 1
     channels = _CHANNELS[look]
-    network = _begun(options, channels).to(options.device).to(memory_format=torch.channels_last)
+    network = _begun(options, channels).to(options.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = copy.deepcopy(network)
     optimiser = Muon(network, options.rate, 0.01, ("exit",))
     loader = DataLoader(
@@ -237,8 +237,10 @@ def run(options: argparse.Namespace) -> None:
 
 def _begun(options: argparse.Namespace, channels: int) -> MatteNetwork:
     """A network that begins at random, with what ships, or with an earlier state."""
-    normalisation = () if options.go_on else (nn.BatchNorm2d,)
-    network = MatteNetwork(WIDTHS, *normalisation, channels=channels)
+    if options.go_on:
+        network = MatteNetwork(WIDTHS, channels=channels)
+    else:
+        network = MatteNetwork(WIDTHS, nn.BatchNorm2d, channels=channels)
     if options.go_on:
         before = read_weights(options.go_on)
         goes_on = before["entry.0.weight"].shape[1] == channels

@@ -145,7 +145,7 @@ def _place(
     path = draw_path(size * np.exp(rng.uniform(np.log(0.015), np.log(rules.longest_slide))), rng) if slides else None
     coloured = []
     for one in np.split(placed, len(people), -1):
-        alpha = one[..., 0]
+        alpha: np.ndarray = one[..., 0]
         if picture is not None:
             colour = picture * alpha[..., None]
         elif colours is None:
@@ -154,7 +154,8 @@ def _place(
             colour = (one[..., 1:].reshape(-1, len(GARMENTS)) @ colours).reshape(size, size, 3)
         colour = colour * light
         if path is not None:
-            colour, alpha = (cv2.filter2D(each, -1, path, borderType=cv2.BORDER_CONSTANT) for each in (colour, alpha))
+            colour = cv2.filter2D(colour, -1, path, borderType=cv2.BORDER_CONSTANT)
+            alpha = cv2.filter2D(alpha, -1, path, borderType=cv2.BORDER_CONSTANT)
         coloured.append((np.clip(colour, 0, alpha[..., None]).astype(np.float32), np.clip(alpha, 0, 1)))
     return coloured
 
@@ -254,7 +255,8 @@ def _reflected(lit: np.ndarray, colour: np.ndarray, alpha: np.ndarray, rng: np.r
 def _flutter(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Leaves, curtains, water: a patch of the background moves by a pixel or two."""
     size = len(picture)
-    field = cv2.GaussianBlur(rng.normal(0, 1, (size, size, 2)).astype(np.float32), (0, 0), rng.uniform(2, 6))
+    grain = rng.normal(0, 1, (size, size, 2)).astype(np.float32)
+    field: np.ndarray = cv2.GaussianBlur(grain, (0, 0), rng.uniform(2, 6))
     field *= rng.uniform(0.3, 1.2) / max(field.std(), 1e-6)
     patch = np.zeros((size, size), np.float32)
     centre = tuple(int(value) for value in rng.uniform(0, size, 2))
@@ -267,12 +269,13 @@ def _flutter(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def take_picture(linear: np.ndarray, noise: float, compressed: bool, rng: np.random.Generator) -> np.ndarray:
     """Shot and read noise, 8 bits, sometimes JPEG, seen as linear light again."""
     light = np.clip(linear, 0, 1)
-    grain = rng.standard_normal(linear.shape, np.float32)
+    grain: np.ndarray = rng.standard_normal(linear.shape, np.float32)
     if compressed:
         grain = cv2.GaussianBlur(grain, (0, 0), 0.7) * 2
     seen = light + np.float32(noise) * np.sqrt(0.15 + 0.85 * light) * grain
     levels = _ENCODED[(np.clip(seen, 0, 1) * (len(_ENCODED) - 1)).astype(np.uint16)].round().astype(np.uint8)
     if compressed:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(55, 97))]
-        levels = cv2.imdecode(cv2.imencode(".jpg", levels[..., ::-1], quality)[1], cv2.IMREAD_COLOR)[..., ::-1]
+        stored = cv2.imencode(".jpg", levels[..., ::-1], quality)[1]
+        levels = np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR))[..., ::-1]
     return _DECODED[levels]

@@ -64,7 +64,7 @@ def _pattern(size: int, rng: np.random.Generator) -> np.ndarray:
         share = ((np.floor(along / period) + np.floor(across / period)) % 2).astype(np.float32)
     else:
         share = np.zeros((size, size), np.float32)
-    picture = base + share[..., None] * (other - base)
+    picture: np.ndarray = base + share[..., None] * (other - base)
     light = 1 + rng.uniform(-0.4, 0.4) * (along - 0.5) + rng.uniform(-0.3, 0.3) * (across - 0.5)
     grain = cv2.GaussianBlur(rng.normal(0, 1, picture.shape), (0, 0), rng.uniform(0.6, 2)) * rng.uniform(0, 0.05)
     picture = cv2.GaussianBlur(picture * light[..., None] + grain, (0, 0), rng.uniform(0.4, 1.5))

@@ -1,6 +1,6 @@
 """Make hfb/fitting/data/confidence.json, and directions.json, from benchmarks whose truth is known.
 
-python calibrate.py --simulated DIR --network DIR --matte DIR --new-simulated DIR ... --out ../../hfb/fitting/data
+hfb train confidence --simulated DIR --network DIR --matte DIR --new-simulated DIR ... --out hfb/fitting/data
 """
 
 import argparse
@@ -14,6 +14,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hfb.datasets.truth import load_truth
+from hfb.errors import InputError
 from hfb.evaluation.calibration import (
     DirectionCase,
     JointCase,
@@ -37,6 +38,8 @@ from hfb.fitting.direction_odds import EVIDENCE, probabilities
 from hfb.fitting.direction_trust import Trust
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
+from hfb.training.flags import folder
+from hfb.training.weights import read_story
 
 _PERSON = re.compile(r"cmu_(\d+)_")
 _COARSE = (0.0, 0.6, 0.8, 1.0)
@@ -57,31 +60,43 @@ class Case:
         return person_of(self.joints.recording)
 
 
-def main() -> None:
-    """Fit the coefficients of every kind of start and write them, with how well they do on people left out."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
     for kind in get_args(StartKind):
         of_kind = f"folders of hfb benchmark whose starts are of the kind {kind}"
-        parser.add_argument(f"--{kind}", type=Path, nargs="+", default=[], help=of_kind)
+        add(f"--{kind}", type=folder, nargs="+", default=[], metavar="DIR", help=of_kind)
         new = f"{of_kind}, of people who took no part in any choice: counted, not learned from"
-        parser.add_argument(f"--new-{kind}", type=Path, nargs="+", default=[], help=new)
-    parser.add_argument("--methods", nargs="+", default=["best"], help="whose answers [best]")
-    parser.add_argument("--features", help="comma-separated, instead of all that the fits left")
-    parser.add_argument("--directions", type=Path, nargs="+", default=[], help="folders for directions.json, one frame")
-    parser.add_argument("--several", type=Path, nargs="+", default=[], help="the same with --frames 2")
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
+        add(f"--new-{kind}", type=folder, nargs="+", default=[], metavar="DIR", help=new)
+    add("--methods", nargs="+", default=["best"], help="whose answers [best]")
+    add("--features", help="comma-separated, instead of all that the fits left")
+    add("--directions", type=folder, nargs="+", default=[], metavar="DIR", help="for directions.json, one frame")
+    add("--several", type=folder, nargs="+", default=[], metavar="DIR", help="the same with --frames 2")
+    add(
+        "--out",
+        type=folder,
+        required=True,
+        metavar="DIR",
+        help="with the confidence.json and directions.json of before",
+    )
+
+
+def run(options: argparse.Namespace) -> None:
+    """Fit the coefficients of every kind of start and write them, with how well they do on people left out."""
     if options.directions:
         write_directions(options.directions, options.several, options.methods[0], options.out / "directions.json")
     known, new = (
         {kind: cases_of(getattr(options, f"{which}{kind}"), options.methods) for kind in get_args(StartKind)}
         for which in ("", "new_")
     )
-    if any(known.values()):
-        if empty := [kind for kind, cases in known.items() if not cases]:
-            raise SystemExit(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
-        write_confidence(known, new, options.features, options.out / "confidence.json")
-        write_trust(known, new, options.out / "directions.json")
+    if not any(known.values()):
+        if not options.directions:
+            raise InputError("no answered case: give --simulated, --network and --matte, or --directions")
+        return
+    if empty := [kind for kind, cases in known.items() if not cases]:
+        raise InputError(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
+    write_confidence(known, new, options.features, options.out / "confidence.json")
+    write_trust(known, new, options.out / "directions.json")
 
 
 def cases_of(folders: Sequence[Path], methods: Sequence[str]) -> list[Case]:
@@ -102,7 +117,7 @@ def write_confidence(
 
     A kind for which the prior itself is nearer to what happened, on people left out of both, keeps it.
     """
-    earlier = json.loads(path.read_text())
+    earlier = read_story(path)
     prior = ConfidenceModel(**earlier["prior"])
     names = features.split(",") if features else list(cases["network"][0].joints.features)
     exponent = prior.exponent
@@ -128,7 +143,7 @@ def write_confidence(
 def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], path: Path) -> None:
     """How far the odds of directions can be trusted from every kind of start, and how they hold on people left out."""
     events = {kind: [event for case in given for event in case.events] for kind, given in cases.items()}
-    content = json.loads(path.read_text())
+    content = read_story(path)
     content["trust"] = {}
     for kind, trust in fit_trust(events).items():
         print(kind, "directions of the body, on people left out in turn")
@@ -176,7 +191,9 @@ def _new(kind: StartKind, trust: Trust, cases: Sequence[Case]) -> dict[str, Any]
     return told
 
 
-def _counted(said_right: tuple[Any, Any], edges: Sequence[float], show: bool = True) -> list[dict[str, float]]:
+def _counted(
+    said_right: Said | tuple[np.ndarray, np.ndarray], edges: Sequence[float], show: bool = True
+) -> list[dict[str, float]]:
     groups = reliability_groups(np.array(said_right[0]), np.array(said_right[1], bool), edges)
     for one in groups if show else ():
         print("  said {said:.2f} right {right:.2f} [{low:.2f}, {high:.2f}] n {n}".format(**one))
@@ -197,7 +214,7 @@ def write_directions(singles: Sequence[Path], several: Sequence[Path], method: s
     one, more = ([case.hypotheses for case in cases_of(folders, [method])] for folders in (singles, several))
     odds = {"single": fit_direction_odds(one), "several": fit_direction_odds(more or one)}
     made_from = {"methods": [method], "cases_of_one_frame": len(one), "cases_of_several": len(more)}
-    write(path, json.loads(path.read_text()) | odds | {"made_from": made_from})
+    write(path, read_story(path) | odds | {"made_from": made_from})
 
 
 def read_cases(folder: Path, method: str) -> Iterator[Case]:
@@ -221,10 +238,6 @@ def read_cases(folder: Path, method: str) -> Iterator[Case]:
         )
 
 
-def write(path: Path, content: dict) -> None:
+def write(path: Path, content: Mapping[str, Any]) -> None:
     """Whole or not at all."""
     write_bytes_atomic(path, json.dumps(content, indent=1).encode() + b"\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,36 +1,42 @@
 """Make hfb/report/data/limb_speed.json from benchmarks whose truth is known: how far a limb's top speed may be off.
 
-python limb_speeds.py --singles BENCHMARK --several BENCHMARK --method best --out ../../hfb/report/data
+hfb train limb-speeds --singles BENCHMARK --several BENCHMARK --method best --out hfb/report/data
 """
 
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hfb.datasets.truth import load_truth
+from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.report.limb_speed import LIMB_ENDS, sureness_m_s
+from hfb.training.flags import folder
 
 _SHARE = 0.8
 _FILE = "limb_speed.json"
 
 
-def main() -> None:
-    """Find the factors, and say how many true speeds lie inside where half of the recordings gave the factors."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--singles", type=Path, nargs="+", required=True, help="folders of hfb benchmark, one frame")
-    parser.add_argument(
-        "--several", type=Path, nargs="+", required=True, help="folders of hfb benchmark --frames 2 ..."
-    )
-    parser.add_argument("--method", default="best", help="whose answers [best]")
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
-    found: dict[str, dict] = {"share": _SHARE, "measured": {}}
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("--singles", type=folder, nargs="+", required=True, metavar="DIR", help="of hfb benchmark, one frame")
+    add("--several", type=folder, nargs="+", required=True, metavar="DIR", help="of hfb benchmark --frames 2 ...")
+    add("--method", default="best", help="whose answers [best]")
+    add("--out", type=folder, required=True, metavar="DIR", help="where limb_speed.json goes")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Find the factors, and count true speeds inside where half of the recordings gave the factors."""
+    found: dict[str, Any] = {"share": _SHARE, "measured": {}}
     for name, folders in (("single", options.singles), ("several", options.several)):
         rows = np.array([row for folder in folders for row in speeds_of(folder, options.method)])
+        if not len(rows):
+            raise InputError(f"no answered case of {options.method} in {folders[0]}: give folders of hfb benchmark")
         for part, chosen in (("limbs", rows[:, 1] > 0), ("pelvis", rows[:, 1] == 0)):
             found.setdefault(name, {})[part] = [round(factor, 3) for factor in factors_of(rows[chosen])]
             found["measured"][f"{name} {part}"] = {"speeds": int(chosen.sum()), "held_out": held_out(rows[chosen])}
@@ -76,7 +82,3 @@ def speeds_of(folder: Path, method: str) -> list[tuple[int, int, float, float, f
 def top_speed(path: np.ndarray, times_s: np.ndarray) -> float:
     """The highest speed between neighbouring instants."""
     return float((np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(times_s)).max())
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Convert CMU's own recordings, a skeleton (.asf) and its takes (.amc), to BVH, which `hfb benchmark --motions` reads.
 
-python acclaim.py --skeletons FOLDER --out FOLDER        # every SUBJECT.asf below FOLDER with its SUBJECT_TAKE.amc
+hfb train acclaim --skeletons DIR --out DIR        # every SUBJECT.asf below DIR with its SUBJECT_TAKE.amc
 """
 
 import argparse
@@ -9,6 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from hfb.errors import InputError
+from hfb.training.flags import folder
+from hfb.training.schedule import Counter
 
 _CM = 2.54 / 0.45
 """A unit of length of the database in centimetres."""
@@ -33,17 +37,27 @@ class Bone:
     children: list["Bone"] = field(default_factory=list)
 
 
-def main() -> None:
+def add_flags(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--skeletons", type=folder, required=True, metavar="DIR", help="SUBJECT.asf, SUBJECT_TAKE.amc")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the BVH files go")
+
+
+def run(options: argparse.Namespace) -> None:
     """Convert all takes below a folder."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--skeletons", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    for skeleton in sorted(options.skeletons.rglob("*.asf")):
-        for take in sorted(skeleton.parent.glob(f"{skeleton.stem}_*.amc")):
-            root = read_skeleton(skeleton.read_text())
-            (options.out / f"cmu_{take.stem}.bvh").write_text(bvh(root, read_take(take.read_text())))
+    counter = Counter("takes", 10)
+    takes = [
+        (skeleton, take)
+        for skeleton in sorted(options.skeletons.rglob("*.asf"))
+        for take in sorted(skeleton.parent.glob(f"{skeleton.stem}_*.amc"))
+    ]
+    if not takes:
+        raise InputError(f"{options.skeletons} has no SUBJECT.asf with a SUBJECT_TAKE.amc beside it")
+    for number, (skeleton, take) in enumerate(takes, 1):
+        root = read_skeleton(skeleton.read_text())
+        (options.out / f"cmu_{take.stem}.bvh").write_text(bvh(root, read_take(take.read_text())))
+        counter.reached(number)
 
 
 def read_skeleton(text: str) -> Bone:
@@ -114,7 +128,3 @@ def _turns(bone: Bone, frames: list[dict[str, list[float]]]) -> np.ndarray:
             angles[:, _AXES[name]] = [frame[bone.name][place] for frame in frames]
     turned = bone.axes * Rotation.from_euler("xyz", angles, degrees=True) * bone.axes.inv()
     return turned.as_euler("ZYX", degrees=True)
-
-
-if __name__ == "__main__":
-    main()
