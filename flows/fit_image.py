@@ -83,9 +83,10 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             scene, mattes, firsts, inputs.body, priors, config.fit, config.seed, folder
         )  # fmt: skip
         scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
+        # Warnings compare with the mattes of before the fit: refined ones share its errors.
         found = look_for_warnings(scene, tuple(numbers), mattes, fitted.motion, (), inputs.body, config.fit).warnings
         tell(found)
-        picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
+        picture = strip(scene, fitted, inputs.body, config.fit, folder)
         exports = export_files(fitted.motion, fitted.texture_picture, inputs.body, config.export, folder)
         films = films_of(scene, fitted.motion, fitted.texture, inputs.body, config, folder)
         warnings = (*plate_warnings(scene.remarks), *found)
@@ -93,7 +94,7 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
             "texture.png": fitted.texture_picture, "strip.png": picture, CURVES: fit_curves(fitted, folder),
-            **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
+            **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)}, **exports.by_name(),
             **films.by_name(),
         }  # fmt: skip
         of_run = fit_record(inputs, config, fitted, scores, files, result)
@@ -172,6 +173,7 @@ def _result(
     return {
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
+        "fit_stage_seconds": {name: round(seconds, 3) for name, seconds in fitted.stage_seconds.items()},
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],

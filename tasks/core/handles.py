@@ -109,6 +109,8 @@ class FitHandle(Record):
     """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way.
 
     Attributes:
+        mattes: those that the fit's last stage was compared with, one per frame.
+        stage_seconds: wall time per stage of the schedule, in its order.
         alternatives: the other directions in which it may have run, where they were searched.
         directions: per frame P(direction right) of the body and its limbs (`hfb.fitting.alternatives`).
     """
@@ -117,9 +119,11 @@ class FitHandle(Record):
     texture: FileHandle
     texture_picture: FileHandle
     history: FileHandle
+    mattes: tuple[FileHandle, ...]
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
     seconds: float
+    stage_seconds: dict[str, float]
     best_iteration: int
     loss: float
 
@@ -195,10 +199,13 @@ def digest(value: object) -> str:
     return hashlib.sha256(json.dumps(_content(value), sort_keys=True).encode()).hexdigest()
 
 
+_NO_CONTENT = ("path", "seconds", "stage_seconds")
+
+
 def _content(value: object) -> Any:
     if isinstance(value, BaseModel):
         handle = isinstance(value, FileHandle | FitHandle)
-        names = [name for name in type(value).model_fields if not (handle and name in ("path", "seconds"))]
+        names = [name for name in type(value).model_fields if not (handle and name in _NO_CONTENT)]
         return {name: _content(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [_content(one) for one in value]

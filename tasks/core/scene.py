@@ -41,12 +41,17 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
     return Observation(
         frames_linear=torch.stack([load_picture(frame, clip) for frame in clip.frames]),
         plate_linear=load_picture(clip.background, clip),
-        mattes=torch.from_numpy(np.stack([read_matte(matte.path) for matte in mattes])),
+        mattes=load_mattes(mattes),
         camera=load_camera(clip),
         exposure_s=clip.exposure_s,
         interval_s=clip.interval_s,
         light=clip.light,
     )
+
+
+def load_mattes(mattes: Sequence[FileHandle]) -> Tensor:
+    """The person's share (T, H, W) of each pixel."""
+    return torch.from_numpy(np.stack([read_matte(matte.path) for matte in mattes]))
 
 
 def load_chosen_body(body: FileHandle | None) -> Body:

@@ -16,7 +16,6 @@ from hfb.tasks.core.task import task
 @task("strip")
 def strip(
     clip: ClipHandle,
-    mattes: tuple[FileHandle, ...],
     fit: FitHandle,
     body: FileHandle | None,
     config: FitConfig,
@@ -25,7 +24,7 @@ def strip(
     """One picture that shows what was seen and how it is explained."""
     motion, _ = load_motion(fit.motion.path)
     picture = draw_strip(
-        load_observation(clip, mattes),
+        load_observation(clip, fit.mattes),
         motion,
         load_texture(fit.texture),
         load_chosen_body(body),

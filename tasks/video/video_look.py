@@ -97,13 +97,13 @@ def _score_frames(
     config: FitConfig,
 ) -> FrameScoresHandle:
     from hfb.evaluation.protocol import picture_scores, reblur
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     whole, _ = load_motion(motion.path)
-    texture, model = load_person(person.path).texture, load_chosen_body(body)
+    texture, model = load_identity(person.path).texture, load_chosen_body(body)
     rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
     scores: dict[str, list[float]] = {}
     for index, number in enumerate(numbers):
@@ -146,7 +146,7 @@ def _draw_clip(
     note: str,
     folder: Path,
 ) -> FileHandle:
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.io.media.pictures import write_png
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
@@ -156,7 +156,7 @@ def _draw_clip(
     picture = draw_strip(
         load_observation(clip, mattes),
         only_frames(load_motion(motion.path)[0], numbers),
-        load_person(person.path).texture,
+        load_identity(person.path).texture,
         load_chosen_body(body),
         make_rasterizer("coverage", config.rasterizer, config.threads),
         note,
@@ -166,11 +166,11 @@ def _draw_clip(
 
 
 def _draw_texture(light: str, person: FileHandle, folder: Path) -> FileHandle:
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.io.media.pictures import write_png
     from hfb.photometry import linear_to_srgb
 
-    texture = load_person(person.path).texture
+    texture = load_identity(person.path).texture
     stored = linear_to_srgb(texture.clamp(0, 1)) if light == "linear" else texture.clamp(0, 1)
     write_png(folder / "texture.png", stored.numpy())
     return FileHandle.of(folder / "texture.png")

@@ -36,10 +36,10 @@ def fill_bodies(
 
 def _count_at_once(call: tuple[Any, ...]) -> int:
     """Windows that are one problem for a GPU; a cluster's worker is given one at a time."""
-    from hfb.fitting.clip.windows import windows_at_once
+    from hfb.fitting.clip.windows import window_batch_size
 
     (config,) = (one for one in call if isinstance(one, FitConfig))
-    return 1 if remote() else windows_at_once(config)
+    return 1 if remote() else window_batch_size(config)
 
 
 def _fit_at_once(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
@@ -153,7 +153,7 @@ def _fit_window(
 def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
     """Of one clip, with the same options; see `_fit_window` for what a call is."""
     from hfb.fitting.clip.windows import ClipWindow, WindowScene, fit_windows, save_window
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.static_pose import load_first_body
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
@@ -165,7 +165,7 @@ def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
             ClipWindow(frames, segment),
             load_observation(clip, mattes),
             [load_first_body(first.path) for first in firsts],
-            load_person(person.path) if person else None,
+            load_identity(person.path) if person else None,
         )
         for clip, frames, segment, mattes, firsts, _, _, person, *_ in calls
     ]
@@ -173,9 +173,9 @@ def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
         scenes,
         load_chosen_body(body),
         config,
-        seed,
-        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        load_motion_prior(priors.motion.path if priors.motion else None),
+        seed=seed,
+        pose_prior=load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
+        motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):
@@ -187,13 +187,13 @@ def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
 
 
 def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
-    from hfb.fitting.clip.person import agree_on_person
+    from hfb.fitting.clip.merge_identities import merge_identities
     from hfb.fitting.clip.windows import load_window
-    from hfb.fitting.clip_person import save_person
+    from hfb.fitting.identity import save_identity
     from hfb.tasks.core.scene import load_chosen_body
 
     path = folder / "person.npz"
-    save_person(path, agree_on_person([load_window(one.path) for one in windows], load_chosen_body(body)))
+    save_identity(path, merge_identities([load_window(one.path) for one in windows], load_chosen_body(body)))
     return FileHandle.of(path)
 
 
@@ -210,15 +210,15 @@ def _join(
 
     from hfb.fitting.clip.join import join_windows
     from hfb.fitting.clip.windows import load_window
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.motion_file import save_motion
     from hfb.tasks.core.scene import load_chosen_body
     from hfb.tasks.video.video_clip import load_timing
 
     model = load_chosen_body(body)
     joined = join_windows(
-        [load_window(one.path) for one in windows], model, load_person(person.path), load_timing(footage), subframes,
-        np.array(footage.K), longest_fill,
+        [load_window(one.path) for one in windows], model, load_identity(person.path), timing=load_timing(footage),
+        subframes=subframes, K=np.array(footage.K), longest_fill=longest_fill,
     )  # fmt: skip
     save_motion(folder / "motion.npz", joined.motion, model.betas_space)
     told = {
