@@ -15,23 +15,22 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
 from hfb.flows.fit_image import fit_image_again
-from hfb.flows.runtime.workplace import INTERMEDIATE
+from hfb.flows.runtime.workspace import INTERMEDIATE
 from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
+from hfb.tasks.core.environment import code_version, environment
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.core.repetition import Repetition, repeating
 from hfb.tasks.core.result_folder import unfinished_files
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
 from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
-from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.environment import environment
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
@@ -90,9 +89,9 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
         given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
-        places = find_present(given, inputs_folder)
+        places = locate_inputs(given, inputs_folder)
     target = _fresh(out, run.run_id)
-    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run.title, target, workers)
+    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
     return Plan(run, again, target, recipe.results, _changed(run))
 
 
@@ -114,7 +113,7 @@ def run_again(plan: Plan) -> dict[str, Any]:
 
 
 def _chain(
-    recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, out: Path, workers: int
+    recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, out: Path, workers: int
 ) -> Callable[[], dict[str, Any]]:
     """The command's chain with its inputs where they lie now."""
     if recipe.command == "fit":

@@ -12,8 +12,9 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version, task
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.run_record import RunHandle
@@ -71,7 +72,7 @@ def gather(
     Raises:
         InputError: no motion to learn from.
     """
-    from hfb.datasets.motion_windows import draw_columns, split_motions, take_poses
+    from hfb.datasets.motions.motion_windows import draw_columns, split_motions, take_poses
     from hfb.datasets.motions.sources import open_motions
     from hfb.motion.motion_file import write_arrays
 

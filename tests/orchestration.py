@@ -5,14 +5,19 @@ import functools
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import cv2
+import platformdirs
 import pytest
+from filelock import FileLock
 
 TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
 TINY_OPTIONS = (
@@ -20,6 +25,7 @@ TINY_OPTIONS = (
     "--export.report", "false", "--export.films", "none",
 )  # fmt: skip
 _SIDE_PX = 96
+_CACHE = platformdirs.user_cache_path("hfb") / "tests"
 
 
 @functools.cache
@@ -40,22 +46,63 @@ def prefect_api() -> str:
     from prefect.context import refresh_global_settings_context
     from prefect.logging.configuration import setup_logging
 
-    from hfb.flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.server import PrefectServer
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
+    (_session_folder() / "prefect").mkdir()
+    shutil.copy(prefect_tables(), _session_folder() / "prefect")
     PrefectServer().wait()
     return os.environ["PREFECT_API_URL"]
+
+
+def prefect_tables() -> Path:
+    """The database of a temporary server on which nothing ran; its name is the one that servers look for."""
+    return made_once(f"prefect-{version('prefect')}.db", _make_prefect_tables)
+
+
+def _make_prefect_tables(path: Path) -> None:
+    """The database of a first server, which makes its tables for ten seconds."""
+    home = path.with_suffix(".home")
+    program = "from hfb.flows.runtime.surroundings import PrefectServer; PrefectServer().wait()"
+    settings = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
+    root = str(Path(__file__).parents[1])
+    subprocess.run(
+        [sys.executable, "-c", program], check=True, cwd=root, env={**settings, "PREFECT_HOME": str(home)}
+    )  # fmt: skip
+    (source,) = home.glob("**/prefect-*.db")
+    with closing(sqlite3.connect(source)) as live, closing(sqlite3.connect(path)) as copy:
+        live.backup(copy)
+    shutil.rmtree(home)
+
+
+def made_once(name: str, make: Callable[[Path], None]) -> Path:
+    """A file that takes long to make and never changes, kept for other test processes and runs.
+
+    Args:
+        name: with the versions that it depends on.
+    """
+    path = _CACHE / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(f"{path}.lock"):
+        if not path.exists():
+            part = path.with_name(f"part-{name}")
+            part.unlink(missing_ok=True)
+            make(part)
+            part.rename(path)
+    return path
 
 
 @functools.cache
 def _migrated_store() -> Path:
     """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
-    path = _session_folder() / "migrated.db"
+    return made_once(f"mlflow-{version('mlflow')}.db", _make_store)
+
+
+def _make_store(path: Path) -> None:
     from hfb.tasks.tracking import tracking
 
     tracking.client_of(f"sqlite:///{path}").get_experiment_by_name("none")
-    return path
 
 
 @contextmanager

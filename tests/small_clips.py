@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from hfb.config import RunConfig
-from hfb.datasets.clip_making import MadeClip, make_clip
+from hfb.datasets.synthetic.clip_making import MadeClip, make_clip
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.tasks.workers.engine import Engine
 from tests.orchestration import _session_folder, mlflow_rows, orchestrated
@@ -62,7 +62,7 @@ def run_clip(
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config = small_config(*more)
-    return run_video(take_video_inputs(source, config, None, background, truth), out, config, workers)
+    return run_video(take_video_inputs(source, config, None, background, truth=truth), out, config, workers)
 
 
 @functools.cache
@@ -140,7 +140,15 @@ def children(process: int) -> list[int]:
 
 def computing(process: int) -> list[int]:
     """The worker processes of a command."""
-    return [one for one in children(process) if b"spawn_main" in (Path("/proc") / str(one) / "cmdline").read_bytes()]
+    return [worker for one in children(process) if b"forkserver" in command_line(one) for worker in children(one)]
+
+
+def command_line(process: int) -> bytes:
+    """Of a process; nothing where it has ended meanwhile."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def assert_every_frame_once(store: Path, frames: Sequence[int] = range(FRAMES)) -> None:

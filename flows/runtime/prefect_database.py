@@ -46,6 +46,7 @@ class PrefectDatabase:
         """Wait until no other process makes the tables, then check the file.
 
         Args:
+            home: its folder.
             say: tells the user that a database was set aside.
         """
         self._home, self._say = home, say
@@ -96,6 +97,7 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
     """Why Prefect could not work with a database file; None where it can, or where there is none yet.
 
     Args:
+        path: the file.
         thorough: read the whole file.
     """
     if not path.exists():

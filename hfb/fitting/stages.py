@@ -13,7 +13,7 @@ from hfb.kernels.adam import Adam
 from hfb.objective.objective import Objective
 from hfb.objective.weights import StageKind, stage_weights
 from hfb.rendering.observation import Observation
-from hfb.rendering.texture import visible_texels
+from hfb.rendering.texels import visible_texels
 from hfb.typing import Bool, Tensor
 
 MIN_GAIN = 1e-3

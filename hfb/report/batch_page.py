@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.report.page import Html, element, page, picture, section, small_picture, table
 
 CLIPS_PER_PAGE = 100

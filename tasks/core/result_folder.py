@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.interop.writers.names import RESULT
+from hfb.interop.writers.export_names import RESULT
 from hfb.io.json_file import read_json
 from hfb.io.safe_folder import check_ordinary, is_regular, read_head
 
@@ -60,6 +60,7 @@ def check_result(folder: Path, names: Iterable[str]) -> None:
     """Check a result's folder before its files are read; a result.json that is missing or damaged passes.
 
     Args:
+        folder: of the result.
         names: the files that will be read.
 
     Raises:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hfb.config import ExposureConfig, Record, RunConfig
 from hfb.errors import InputError
-from hfb.interop.writers.names import check_formats
+from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.io.names import is_text
 from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
@@ -62,6 +62,7 @@ def take_inputs(
     background: Path,
     config: RunConfig,
     clip: Path | None = None,
+    *,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
     out: Path | None = None,
@@ -69,6 +70,12 @@ def take_inputs(
     """Everything the user names, hashed.
 
     Args:
+        frames: blurred images, in their order.
+        background: the same view without the person.
+        config: all options.
+        clip: a clip.toml.
+        truth: of a synthetic case.
+        first_bodies: one file per frame, instead of estimating them.
         out: where results go, to be checked.
 
     Raises:
@@ -125,11 +132,14 @@ def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfi
     """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
 
     Args:
-        picture: where clip.toml says ``auto``, its own record counts. interval_s: between frames.
+        picture: where clip.toml says ``auto``, its own record counts.
+        exposure: what clip.toml says.
+        config: options of the exposure.
+        interval_s: between frames.
     """
     told = config.seconds or exposure.exposure_s(interval_s)
     if told is None and exposure.auto:
-        from hfb.io.media.pictures import recorded_exposure
+        from hfb.io.media.images.image_io import recorded_exposure
 
         recorded = recorded_exposure(picture)
         told = recorded[0] if recorded else None
@@ -145,8 +155,8 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
     clip = read_clip(path)
     if clip.camera.calibration is None:
         return clip
-    from hfb.io.media.clip_lens import clip_lens
-    from hfb.io.media.pictures import picture_size
+    from hfb.io.media.images.image_io import picture_size
+    from hfb.io.media.lens.clip_lens import clip_lens
 
     height, width, _ = picture_size(picture)
     lens = clip_lens(clip.camera, picture.name, height, width)

@@ -48,6 +48,7 @@ def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
     Args:
         source: what the user named: a video, a folder of pictures or with a clip.toml, or a clip.toml.
         files: the video, or the pictures.
+        out: where results go.
 
     Raises:
         InputError: the next run would take results for frames, or for the video.

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.interop.writers.names import RECORD, RESULT
+from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.json_file import read_json
 from hfb.io.media.footage_names import natural_order
 from hfb.io.safe_folder import special_kind
@@ -32,7 +32,8 @@ class StoredRun:
 
     Attributes:
         started: UTC, to the second.
-        params, tags: text by name.
+        params: text by name.
+        tags: text by name.
         metrics: the last value by name.
     """
 

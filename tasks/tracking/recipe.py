@@ -38,7 +38,7 @@ class Recipe(Record):
             whatever else the command was told.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
-        code: `hfb.tasks.core.task.code_version` then.
+        code: `hfb.tasks.core.environment.code_version` then.
     """
 
     format: Literal[1] = 1
@@ -56,15 +56,18 @@ def recipe(
     config: RunConfig,
     inputs: Record,
     results: Mapping[str, FileHandle],
+    *,
     code: str,
     options: Mapping[str, Any] | None = None,
 ) -> Recipe:
     """What there is to know about a run that has just come to its end.
 
     Args:
+        command: which made the run.
+        config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
-        code: `hfb.tasks.core.task.code_version()`.
+        code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """
     files = {
@@ -104,7 +107,9 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
     """The run's options, with every file that they name where it lies now.
 
     Args:
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb does not know one of them.
@@ -120,7 +125,9 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
 
     Args:
         kind: the record that the command takes its inputs into.
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb takes other inputs.

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from hfb.config import Record
 from hfb.errors import InputError
-from hfb.interop.writers.names import RECORD, RESULT
+from hfb.interop.writers.export_names import RECORD, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.toml_file import to_record
 from hfb.tasks.core.handles import FileHandle, sha256_of
@@ -62,6 +62,7 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
     """Find or create the run, and log everything into it; a finished one stays as it is.
 
     Args:
+        record: what the run will hold.
         paths: where the record's files lie, by name.
 
     Raises:

@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.tasks.telemetry.secrets import without_secrets
 from hfb.tasks.tracking.patience import Patience
 from hfb.tasks.tracking.store_place import (
@@ -92,7 +92,7 @@ def usable_store(uri: str) -> Iterator[None]:
     """Check a store's tables, and say in one sentence what opening it inside fails with.
 
     Raises:
-        NotNow: the store does not answer, or its tables are of another version of MLflow.
+        TemporaryError: the store does not answer, or its tables are of another version of MLflow.
         InputError: what reads such a store is not installed, or the address is wrong.
     """
     import mlflow  # noqa: F401  (takes seconds, which do not count as waiting)
@@ -103,13 +103,13 @@ def usable_store(uri: str) -> Iterator[None]:
     except InputError:
         raise
     except StoreLost as lost:
-        raise NotNow(str(lost)) from lost
+        raise TemporaryError(str(lost)) from lost
     except ModuleNotFoundError as error:
         raise InputError(f"the runs in {shown} need the Python package {error.name}: install it") from None
     except Exception as error:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
         what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
-        raise NotNow(
+        raise TemporaryError(
             f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
         ) from error
 

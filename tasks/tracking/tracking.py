@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.tasks.core import repetition
+from hfb.tasks.core.environment import environment
 from hfb.tasks.core.handles import digest
 from hfb.tasks.telemetry.secrets import hidden_in, shown_address, without_secrets
-from hfb.tasks.tracking.environment import environment
 from hfb.tasks.tracking.ownership import is_abandoned, owner
 from hfb.tasks.tracking.patience import within
 from hfb.tasks.tracking.store_client import StoreLost as StoreLost
@@ -57,14 +57,17 @@ class Run:
 
 @contextmanager
 def recorded_run(
-    name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str], parent: Run | None = None
+    name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str], *, parent: Run | None = None
 ) -> Iterator[Run]:
     """Find or create the run of a problem; FINISHED, FAILED or KILLED when the block ends.
 
     A run that is found FINISHED is complete: it holds everything already, and stays as it is.
 
     Args:
+        name: of the run.
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
+        params: what went in.
+        tags: besides versions and machine.
         parent: the run under which this one is shown.
 
     Raises:
@@ -74,7 +77,7 @@ def recorded_run(
         tags = {**tags, "mlflow.parentRunId": parent.run_id}
     with store_losses():
         client = client_of(tracking_uri())
-        run = _found_or_created(client, name, key, params, tags)
+        run = _found_or_created(client, name, key, params=params, tags=tags)
         status = "KILLED"  # by Ctrl-C, SIGTERM or Prefect's own signal, none of which is an Exception
         try:
             yield run
@@ -90,11 +93,17 @@ def recorded_run(
 def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]) -> Run:
     """Find or create the run of a long problem, which is recorded while it works; `end_run` ends it.
 
+    Args:
+        name: of the run.
+        key: as of `recorded_run`.
+        params: what went in.
+        tags: besides versions and machine.
+
     Raises:
         StoreLost: the store cannot be reached or written.
     """
     with store_losses():
-        return _found_or_created(client_of(tracking_uri()), name, key, params, tags)
+        return _found_or_created(client_of(tracking_uri()), name, key, params=params, tags=tags)
 
 
 def end_run(run: Run, status: str) -> None:
@@ -235,7 +244,7 @@ def _experiment(client: MlflowClient) -> str:
 
 
 def _found_or_created(
-    client: MlflowClient, name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str]
+    client: MlflowClient, name: str, key: str, *, params: Mapping[str, Any], tags: Mapping[str, str]
 ) -> Run:
     patience(str(client.tracking_uri)).another_try()
     experiment_id = _experiment(client)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
-from hfb.interop.writers.names import RESULT
+from hfb.interop.writers.export_names import RESULT
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -124,7 +124,7 @@ class ClipRecord:
         tracking.end_run(run, "FINISHED")
 
     def _contents(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        made_of = recipe("video", self._config, self._inputs, files, code=code_version())
         options = self._config.model_dump(mode="json")
         return {RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")}
 

@@ -31,7 +31,8 @@ class SharedStore:
     """Puts files there and takes them from there; a file that is there is never written again."""
 
     def __init__(self, url: str) -> None:
-        """
+        """Open the store.
+
         Raises:
             InputError: the URL names no place that can be used, or holds a password.
         """

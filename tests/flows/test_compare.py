@@ -11,7 +11,7 @@ from hfb.errors import InputError
 from hfb.flows.cli.repeating import compare_text
 from hfb.flows.compare import compare_runs
 from hfb.flows.fit_image import fit_image
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.tasks.results.run_comparison import compare_records
 from hfb.tasks.results.stored_runs import StoredRun
 from hfb.tasks.tracking import tracking

@@ -17,7 +17,7 @@ from hfb.errors import InputError
 from hfb.flows.fit_image import fit_image
 from hfb.flows.rerun import plan_rerun, run_again, with_networks
 from hfb.flows.video import run_video
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.priors.mixture import write_mixture
 from hfb.tasks.core.handles import FileHandle
@@ -48,7 +48,7 @@ def made(problem: Problem, store: Path, tmp_path: Path) -> dict[str, Any]:
     (folder / "clip.toml").write_text(CLIP)
     aside(folder / problem.first_body.name)
     frame, plate, first = (folder / getattr(problem, name).name for name in ("frame", "background", "first_body"))
-    return fit_image([frame], plate, tmp_path / "out", MOVING, folder / "clip.toml", first_bodies=[first])
+    return fit_image([frame], plate, tmp_path / "out", MOVING, clip=folder / "clip.toml", first_bodies=[first])
 
 
 def aside(path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
@@ -18,6 +18,8 @@ from hfb.report.result_unknown import alternatives_section, by_probability, reve
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
+
+pytestmark = pytest.mark.integration
 
 BODY = load_default_body()
 NASTY = """</script><script>alert(1)</script><b>"'"""

@@ -15,7 +15,7 @@ import pytest
 from hfb.errors import InputError
 from hfb.tasks.batch.metrics import VARIABLE, served
 from hfb.tasks.telemetry import progress
-from hfb.tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import run_local, workers
 from tests.small_clips import run_clip, small_clip
 
 
@@ -42,7 +42,7 @@ def test_a_clip(port: int, store: Path, tmp_path: Path) -> None:
         run_clip(small_clip().truth.parent, tmp_path / "out", truth=small_clip().truth)
         figures = scraped(port)
         with workers(2, apart=True):
-            compute(os.getpid)
+            run_local(os.getpid)
             assert scraped(port)["hfb_workers_memory_bytes"] > 5e7
     assert figures["hfb_workers_memory_bytes"] == 0  # they have ended
     assert figures['hfb_done_total{step="mattes"}'] == 12
