@@ -64,7 +64,7 @@ def prefect_tables() -> Path:
 def _make_prefect_tables(path: Path) -> None:
     """The database of a first server, which makes its tables for ten seconds."""
     home = path.with_suffix(".home")
-    program = "from hfb.flows.runtime.surroundings import PrefectServer; PrefectServer().wait()"
+    program = "from hfb.flows.runtime.server import PrefectServer; PrefectServer().wait()"
     settings = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
     root = str(Path(__file__).parents[1])
     subprocess.run(
