@@ -15,7 +15,7 @@ import numpy as np
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import FileHandle, unchanged
+from hfb.tasks.core.handles import FileHandle, verify_unchanged
 from hfb.tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
 from hfb.tasks.image.prepare import calibration
 from hfb.tasks.inputs.video_inputs import VideoInputs
@@ -123,6 +123,7 @@ def find_person(
         InputError: the chosen one is not there.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
+    from hfb.tracking.gap_looks import look_into_gaps
     from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -130,9 +131,13 @@ def find_person(
         found = read_track(track.path, choice.id, frames)
         others = len(read_track_names(track.path, frames)) - 1
     else:
+        empty = read_picture_srgb(plate.path)
         with reading(footage) as pictures:
-            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
-        found, others = choose_track(tracks, choice), len(tracks) - 1
+            tracks = find_tracks(pictures.frames(), empty)
+            chosen = choose_track(tracks, choice)
+            rest = [one for one in tracks if one.name != chosen.name]
+            found = look_into_gaps(chosen, rest, lambda number: next(pictures.frames(number, number + 1)), empty)
+        others = len(tracks) - 1
     boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
     return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
 
@@ -186,7 +191,7 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
     if len(given) > 1:
         last = footage.count if stop is None else stop
         given = given[footage.first + start * footage.average : footage.first + last * footage.average]
-    with unchanged(tuple(FileHandle(**one) for one in given)):
+    with verify_unchanged(tuple(FileHandle(**one) for one in given)):
         yield footage
 
 
