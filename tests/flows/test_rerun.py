@@ -12,7 +12,16 @@ import torch
 
 import hfb.flows.rerun
 import hfb.tasks.image.fit_motion
-from hfb.config import RENAMED_FIT_OPTIONS, ExportConfig, FitConfig, InitConfig, MattingConfig, PriorConfig, RunConfig, Stage
+from hfb.config import (
+    RENAMED_FIT_OPTIONS,
+    ExportConfig,
+    FitConfig,
+    InitConfig,
+    MattingConfig,
+    PriorConfig,
+    RunConfig,
+    Stage,
+)
 from hfb.errors import InputError
 from hfb.flows.cli.cli import main
 from hfb.flows.fit_image import fit_image
