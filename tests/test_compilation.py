@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -104,6 +105,30 @@ def test_where_no_folder_can_be_written_kernels_are_temporary(package: Path) -> 
     printed, told = called(package, NUMBA_CACHE_DIR=str(own))
     assert (printed, told) == ("5.0 0 1", "")
     assert called(package, NUMBA_CACHE_DIR=str(own))[0] == "5.0 1 0"
+
+
+def test_kernels_are_kept_by_what_they_are_and_not_by_where(package: Path) -> None:
+    own = {"NUMBA_CACHE_DIR": str(package.parent / "own")}
+    assert called(package, **own)[0] == "5.0 0 1"
+    elsewhere = package.parent / "elsewhere"
+    shutil.copytree(package, elsewhere)
+    elsewhere.chmod(0o755)
+    source = elsewhere / "kernels_small.py"
+    os.utime(source, (1, 1))
+    assert called(elsewhere, **own)[0] == "5.0 1 0", "another copy of the same sources"
+    source.write_text(KERNEL.replace("2 * number", "number + number + 1"))
+    assert called(elsewhere, **own)[0] == "6.0 0 1", "other sources of the same names"
+    assert called(elsewhere, **own)[0] == "6.0 1 0"
+
+
+def test_one_of_two_processes_compiles(package: Path) -> None:
+    """The others wait for it and load what it has made."""
+    own = {"NUMBA_CACHE_DIR": str(package.parent / "own")}
+    slow = "import time\nfrom numba.core import compiler\nreal = compiler.compile_extra\n"
+    slow += "compiler.compile_extra = lambda *given, **named: (time.sleep(2), real(*given, **named))[1]\n"
+    with ThreadPoolExecutor() as pool:
+        printed = sorted(one[0] for one in pool.map(lambda _: called(package, slow, **own), range(2)))
+    assert printed == ["5.0 0 1", "5.0 1 0"]
 
 
 def test_a_damaged_cache_is_made_again(package: Path) -> None:

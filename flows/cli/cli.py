@@ -79,7 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _parsed(words: list[str]) -> argparse.Namespace:
-    given, unknown = _parser().parse_known_args(words)
+    given, unknown = command_line().parse_known_args(words)
     if unknown:
         flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
@@ -94,7 +94,8 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see `{self.prog} --help`")
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
     parser = _Parser("hfb", description="Human from Blur: how a person moved during one exposure.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"hfb {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)

@@ -35,7 +35,7 @@ _EXPOSURE_S = 1 / 30
 # Dense enough that neighbouring instants are less than a pixel apart; 7 * 8 + 1 holds the instants of N = 8.
 _INSTANTS = 57
 _SENSOR_NOISE = 0.004
-# Seed 0 draws this one, a good case to show: LOG.md has the figures of seven draws, good and bad.
+# Seed 0 draws this one, a good case to show: docs/experiments has the figures of seven draws, good and bad.
 _FIRST_DRAW = 9
 
 # The stretch between the key poses that the exposure covers: a blur rate of about 0.6.
