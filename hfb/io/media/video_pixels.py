@@ -16,7 +16,7 @@ from hfb.typing import Array, Float, Shaped
 
 _MOST_STRETCH = 4.0
 _AS_GOOD_AS_SQUARE = 0.01
-# swscale's shortcuts for 4:2:0 darken by 1 to 3 levels and repeat every colour over two pixels: both flags turn them off.
+# swscale darkens 4:2:0 by 1 to 3 levels and repeats every colour over two pixels unless both flags are set.
 _EXACT = Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 # Bilinear chroma breaks in 16 bits with these flags (FFmpeg 8), bicubic takes twice the time.
 _TO_8_BITS, _TO_16_BITS = Interpolation.BILINEAR | _EXACT, Interpolation.BICUBIC | _EXACT
