@@ -8,7 +8,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check c3d==0.6.0 ezc3d==1.7.2 numpy==2.4.6
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check c3d==0.6.0 ezc3d==1.7.2 numpy==2.4.6
 cd "$place"
 "$place/venv/bin/python" - <<'PY' 2>/dev/null
 import c3d

@@ -8,8 +8,8 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check torch==2.13.0 numpy==2.4.6
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check prefect==3.9.1
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check torch==2.13.0 numpy==2.4.6
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check prefect==3.9.1
 export PREFECT_HOME="$place/home" DO_NOT_TRACK=true PREFECT_SERVER_ANALYTICS_ENABLED=false
 ask() {
     "$place/venv/bin/python" - <<'PY' 2>/dev/null

@@ -8,7 +8,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check prefect==3.9.1
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check prefect==3.9.1
 export PREFECT_HOME="$place/home" DO_NOT_TRACK=true PREFECT_SERVER_ANALYTICS_ENABLED=false PREFECT_LOGGING_LEVEL=ERROR
 export PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS=180
 cd "$place"

@@ -7,7 +7,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check usd-core==26.11
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check usd-core==26.11
 "$place/venv/bin/python" - <<'PY'
 from pxr import Gf, Usd, UsdSkel
 

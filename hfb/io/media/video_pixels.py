@@ -16,10 +16,9 @@ from hfb.typing import Array, Float, Shaped
 
 _MOST_STRETCH = 4.0
 _AS_GOOD_AS_SQUARE = 0.01
-# swscale darkens 4:2:0 by 1 to 3 levels and repeats every colour over two pixels unless both flags are set.
-_EXACT = Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
-# Bilinear chroma breaks in 16 bits with these flags (FFmpeg 8), bicubic takes twice the time.
-_TO_8_BITS, _TO_16_BITS = Interpolation.BILINEAR | _EXACT, Interpolation.BICUBIC | _EXACT
+# swscale darkens 4:2:0 by 1 to 3 levels and repeats every colour over two pixels unless both flags are set. Bicubic
+# chroma is nearest to photographs, and bilinear breaks in 16 bits with these flags (FFmpeg 8).
+_CONVERSION = Interpolation.BICUBIC | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _LEVELS = np.arange(256, dtype=np.float32) / np.float32(255)
 
 
@@ -47,8 +46,8 @@ def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NO
 def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
     """The stored picture as RGB levels, within half a level of 8 bits of the standard's formula."""
     matrix, color_range = source_colours(frame, stated)
-    form, filters = ("rgb48le", _TO_16_BITS) if is_deep(frame) else ("rgb24", _TO_8_BITS)
-    rgb = frame.reformat(format=form, interpolation=filters, src_colorspace=matrix, src_color_range=color_range)
+    form = "rgb48le" if is_deep(frame) else "rgb24"
+    rgb = frame.reformat(format=form, interpolation=_CONVERSION, src_colorspace=matrix, src_color_range=color_range)
     pixels = rgb.to_ndarray()
     if pixels.dtype == np.uint16 and is_yuv(frame):  # swscale's white is 255 * 256 there
         pixels = np.minimum((pixels.astype(np.uint32) * 257 + 128) >> 8, 65535).astype(np.uint16)
