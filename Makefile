@@ -13,7 +13,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 help:
 	@echo "make demo    one blurred picture through the whole chain"
-	@echo "make test    the tests"
+	@echo "make test    the tests; make test-unit  those that need neither a server nor a process (tests/README.md)"
 	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files, documents"
 	@echo "make docs    the site of the documents, into build/docs"
 	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
@@ -51,9 +51,13 @@ services: .venv/dev.stamp
 docs: .venv/dev.stamp
 	@$(BIN)/python -m sphinx --builder html --conf-dir docs --fail-on-warning --keep-going --quiet . build/docs
 
-# A file's tests stay together, so that they share what it starts.
+# Which tests share a process, and in which order they begin: tests/kinds.py.
+TEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --durations 20 --durations-min 5
 test: .venv/dev.stamp
-	@$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile
+	@$(TEST)
+
+test-unit: .venv/dev.stamp
+	@$(TEST) -m unit
 
 bench: .venv/dev.stamp
 	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable

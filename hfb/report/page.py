@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.typing import Array, Float
 
 _VOID = frozenset({"img", "input", "br", "meta", "col"})

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from hfb.matting.matting import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.photometry import srgb_to_linear
 from hfb.typing import Array, Float
 
@@ -59,6 +59,13 @@ def join_pieces(
         joined.remove(mate)
         joined[index] = _together(one, mate)
     return sorted(joined, key=lambda one: -one[4])
+
+
+def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    """The `Alpha` of the shipped matting network, at the pictures' own size."""
+    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+
+    return NetworkMatting().look(frame_linear, plate_linear)
 
 
 def _might_be_one(one: Person, other: Person) -> bool:

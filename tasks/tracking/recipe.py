@@ -38,7 +38,7 @@ class Recipe(Record):
             whatever else the command was told.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
-        code: `hfb.tasks.core.task.code_version` then.
+        code: `hfb.tasks.core.environment.code_version` then.
     """
 
     format: Literal[1] = 1
@@ -56,15 +56,18 @@ def recipe(
     config: RunConfig,
     inputs: Record,
     results: Mapping[str, FileHandle],
+    *,
     code: str,
     options: Mapping[str, Any] | None = None,
 ) -> Recipe:
     """What there is to know about a run that has just come to its end.
 
     Args:
+        command: which made the run.
+        config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
-        code: `hfb.tasks.core.task.code_version()`.
+        code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """
     files = {
@@ -74,7 +77,7 @@ def recipe(
     options_then = config.model_dump(mode="json")
     return Recipe(
         command=command,
-        config=_moved(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
+        config=_replace_paths(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
         inputs=inputs.model_dump(mode="json"),
         options=dict(options or {}),
         files=files,
@@ -104,13 +107,15 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
     """The run's options, with every file that they name where it lies now.
 
     Args:
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb does not know one of them.
     """
     try:
-        return to_record(RunConfig, _moved(recipe.config, _now(recipe, places)), f"the options of run {run}")
+        return to_record(RunConfig, _replace_paths(recipe.config, _now(recipe, places)), f"the options of run {run}")
     except InputError as error:
         raise InputError(f"{error}; it was made by hfb {recipe.code}: check that version out to repeat it") from None
 
@@ -120,17 +125,28 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
 
     Args:
         kind: the record that the command takes its inputs into.
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb takes other inputs.
     """
-    return to_record(kind, _moved(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
+    return to_record(kind, _replace_paths(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
+
+
+def places_of_paths(recipe: Recipe) -> dict[str, str]:
+    """Path -> sha256 of every file; left out where a record that hides a secret shows two files as one path."""
+    found: dict[str, set[str]] = {}
+    for file in recipe.files.values():
+        found.setdefault(str(file.path), set()).add(file.sha256)
+    return {path: several.pop() for path, several in found.items() if len(several) == 1}
 
 
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
-    """Where a file was -> where it is."""
-    return {str(file.path): str(places[file.sha256]) for file in recipe.files.values() if file.sha256 in places}
+    """Where a file was -> where it is; a handle's own sha256 -> where that is."""
+    paths = {path: str(places[sha256]) for path, sha256 in places_of_paths(recipe).items() if sha256 in places}
+    return paths | {sha256: str(place) for sha256, place in places.items()}
 
 
 def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
@@ -142,10 +158,14 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
     return {content: whole} if whole in paths else {}
 
 
-def _moved(content: Any, moved: Mapping[str, str]) -> Any:
+def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
     """Plain content with every path that a file was moved from replaced, in handles and options alike."""
     if isinstance(content, dict):
-        return {name: _moved(value, moved) for name, value in content.items()}
+        there = {name: _replace_paths(value, moved) for name, value in content.items() if name != "sha256"}
+        if "sha256" not in content:
+            return there
+        place = moved.get(content["sha256"], there.get("path"))  # a path may have been hidden
+        return {**there, "sha256": content["sha256"], **({"path": place} if "path" in content else {})}
     if isinstance(content, list):
-        return [_moved(one, moved) for one in content]
+        return [_replace_paths(one, moved) for one in content]
     return moved.get(content, content) if isinstance(content, str) else content

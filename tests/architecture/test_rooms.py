@@ -1,14 +1,32 @@
 """The plan of the house: few loose modules, a short page that explains it."""
 
+import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+ROOMS = ("flows", "tasks", "hfb")
 
 
 def test_few_modules_lie_outside_a_room() -> None:
     loose = {path.stem for path in (ROOT / "hfb").glob("*.py")} - {"__init__"}
     assert loose == {"config", "errors", "photometry", "typing"}
-    assert not [path.name for path in (ROOT / "tasks").glob("*.py") if path.stem not in ("__init__", "train_prior")]
+    loose = {path.stem for path in (ROOT / "tasks").glob("*.py")} - {"__init__"}
+    assert loose <= {"task", "map_task", "train_prior"}, "what a task is, and tasks that are no part of a chain"
+
+
+def test_calls_name_their_arguments() -> None:
+    """Between flows and tasks travel records: no tuple of anything, and at most four arguments by position."""
+    sources = {path: path.read_text() for folder in ROOMS for path in (ROOT / folder).rglob("*.py")}
+    assert not [path for path, text in sources.items() if "tuple[Any" in text]
+    long = {
+        f"{path.relative_to(ROOT)}: {function.name}"
+        for path, text in sources.items()
+        if path.relative_to(ROOT).parts[0] in ("tasks", "flows") and path.stem != "train_prior"
+        for function in ast.walk(ast.parse(text))
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
+        and len([one for one in function.args.posonlyargs + function.args.args if one.arg not in ("self", "cls")]) > 4
+    }
+    assert long == {"tasks/batch/notifications.py: redirect_request"}, "it is urllib's"
 
 
 def test_paths_in_the_documents_exist() -> None:

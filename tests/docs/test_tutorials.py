@@ -1,4 +1,7 @@
-"""Tutorials, and code of other documents that a reader copies: run as it stands there."""
+"""Tutorials, and code of other documents that a reader copies: run as it stands there.
+
+The presets that their commands use are smaller here: the same steps, with few iterations on small images.
+"""
 
 import doctest
 import os
@@ -15,6 +18,23 @@ from tests.documents import ROOT, code_blocks
 
 _TUTORIALS = sorted(path.name for path in (ROOT / "docs" / "tutorials").glob("*.md") if path.stem != "index")
 _LONGEST_S = 600
+# Python runs this at the start of every process.
+_SMALL_PRESETS = """
+from hfb import config
+
+def small(stages, settle):
+    short = tuple(one.model_copy(update={"size_px": min(one.size_px, 64), "iterations": 2}) for one in stages)
+    return {"stages": short, "settle": min(settle, 2)}
+
+def preset(name, whole=config.preset):
+    given = whole(name)
+    fit, video = (one.model_copy(update=small(one.stages, one.settle)) for one in (given.fit, given.video))
+    search = fit.directions.model_copy(update={"refits": 1, "iterations": 2, "polish": 2})
+    fit = fit.model_copy(update={"directions": search})
+    return given.model_copy(update={"fit": fit, "video": video})
+
+config.preset = preset
+"""
 
 
 @pytest.mark.parametrize("name", _TUTORIALS)
@@ -35,7 +55,7 @@ def test_a_tutorial_runs(name: str, tmp_path: Path, store: Path, monkeypatch: py
 
 def test_a_calibration_by_the_book_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hfb.io.clip import ClipCamera
-    from hfb.io.media.clip_lens import clip_lens
+    from hfb.io.media.lens.clip_lens import clip_lens
 
     _photograph_chessboard(tmp_path / "chessboard")
     monkeypatch.chdir(tmp_path)
@@ -45,7 +65,7 @@ def test_a_calibration_by_the_book_is_read(tmp_path: Path, monkeypatch: pytest.M
     assert names["error_px"] < 0.5
     lens = clip_lens(ClipCamera(calibration=tmp_path / "camera.yml"), "clip.mp4", _SIZE[1], _SIZE[0])
     assert lens is not None
-    assert lens.K[0, 0] == pytest.approx(_FOCAL_PX, rel=0.02)
+    assert lens.K[0][0] == pytest.approx(_FOCAL_PX, rel=0.02)
 
 
 _FOCAL_PX, _SIZE = 700.0, (640, 480)
@@ -70,7 +90,10 @@ def _photograph_chessboard(folder: Path) -> None:
 
 def _run(code: str, folder: Path) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = {**os.environ, "PATH": path, "HOME": str(folder), "PYTHONPATH": str(ROOT)}
+    (folder / "presets").mkdir(exist_ok=True)
+    (folder / "presets" / "sitecustomize.py").write_text(_SMALL_PRESETS)
+    modules = os.pathsep.join([str(folder / "presets"), str(ROOT)])
+    environment = {**os.environ, "PATH": path, "HOME": str(folder), "PYTHONPATH": modules}
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", code], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=_LONGEST_S,

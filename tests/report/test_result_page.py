@@ -10,7 +10,7 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
@@ -18,6 +18,8 @@ from hfb.report.result_unknown import alternatives_section, by_probability, reve
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
+
+pytestmark = pytest.mark.integration
 
 BODY = load_default_body()
 NASTY = """</script><script>alert(1)</script><b>"'"""
@@ -128,6 +130,16 @@ def test_a_height_that_was_told_is_said() -> None:
     assert damaged == unknown == str(unknown_section(motion, BODY, {}))
     assert "height, 1.80 m, was given" in told
     assert "--fit.height-m" not in told
+
+
+def test_the_condition_of_odds_is_said_beside_them() -> None:
+    motion = motion_of(BODY)
+    facts = {"unknown": "UNKNOWN", "confidence": {"holds_for": "RADII", "directions": {"holds_for": "ODDS"}}}
+    said = str(unknown_section(motion, BODY, facts))
+    assert said.index("UNKNOWN") < said.index("ODDS")
+    assert "ODDS" not in str(unknown_section(motion, BODY, facts | {"unknown": None}))  # nothing moved
+    for damaged in (None, "x", {"directions": 3}, {"directions": {"holds_for": [1]}}):
+        assert "UNKNOWN" in str(unknown_section(motion, BODY, facts | {"confidence": damaged}))
 
 
 def test_what_told_the_direction_is_shown_where_it_counted() -> None:

@@ -7,7 +7,7 @@ import av
 import numpy as np
 import pytest
 
-from hfb.io.media.video_pixels import upright
+from hfb.io.media.video.video_pixels import upright
 from hfb.typing import Array, Float
 
 _KR, _KB = 0.2126, 0.0722
