@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import Busy, InputError, TemporaryError
+from hfb.flows.runtime.own_files import among_own_files
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
@@ -172,10 +173,11 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        OutputConflict: a file would take the place of one that hfb did not put there.
+        OutputConflict, TemporaryError: a file would take the place of one that hfb did not put there.
     """
     if not _published(out).known:
-        yield out
+        with among_own_files(out, names) as folder:
+            yield folder
         return
     with workspace(out) as folder:
         staging = folder / _STAGING

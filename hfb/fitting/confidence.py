@@ -27,7 +27,7 @@ StartKind = Literal["simulated", "network", "matte"]
 
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
-_KIND_WORDS: Mapping[str, str] = {
+KIND_WORDS: Mapping[str, str] = {
     "simulated": "simulated starts", "network": "starts by a pose network", "matte": "starts by the matte alone"
 }  # fmt: skip
 
@@ -48,7 +48,11 @@ class ConfidenceModel:
     typical: Mapping[str, float]
 
     def radius_mm(self, features: Features) -> Float[Array, "R 24"]:
-        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured."""
+        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured.
+
+        Args:
+            features: one table per name, see `hfb.fitting.joint_features`.
+        """
         exponent = np.full_like(next(iter(features.values())), self.constant)
         for name, weight in self.coefficients.items():
             exponent = exponent + weight * features.get(name, self.typical[name])
@@ -58,12 +62,21 @@ class ConfidenceModel:
 
 
 def radius_factor(probability: float, exponent: float) -> float:
-    """How many radii hold the error with this probability: the law solved for x / radius."""
+    """How many radii hold the error with this probability: the law solved for x / radius.
+
+    Args:
+        probability: P(error <= factor x radius).
+        exponent: k of the law.
+    """
     return float(np.log2(1 / (1 - probability)) ** (1 / exponent))
 
 
 def start_kind(source: str) -> StartKind:
-    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's."""
+    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's.
+
+    Args:
+        source: of a first body.
+    """
     if source in ("simulated", "truth"):
         return "simulated"
     return "matte" if source == "matte" else "network"
@@ -76,14 +89,24 @@ def _shipped() -> dict[str, Any]:
 
 @lru_cache
 def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
-    """The model that comes with hfb for a kind of start; the exponent is the same for all."""
+    """The model that comes with hfb for a kind of start; the exponent is the same for all.
+
+    Args:
+        kind: of start.
+    """
     content = _shipped()
     of_kind = {name: content["by_start"][kind][name] for name in ("coefficients", "constant", "typical")}
     return ConfidenceModel(exponent=content["exponent"], **of_kind)
 
 
 def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources: Sequence[str]) -> Float[Array, "R 24"]:
-    """Every row's radius, by the source of its frame's first body."""
+    """Every row's radius, by the source of its frame's first body.
+
+    Args:
+        features: one table per name, see `hfb.fitting.joint_features`.
+        frame_index: frame of every row.
+        sources: of every frame's first body.
+    """
     radius = np.empty_like(features["reach"])
     kinds = np.array([start_kind(source) for source in sources])[frame_index]
     for kind in get_args(StartKind):
@@ -98,19 +121,20 @@ def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
     Args:
         sources: of the first bodies of all frames.
     """
-    measured = {
-        kind: _shipped()["by_start"][kind]["people_held_out"]
-        for kind in sorted({start_kind(source) for source in sources})
-    }
+    kinds = sorted({start_kind(source) for source in sources})
+    shipped = _shipped()["by_start"]
+    measured = {kind: shipped[kind]["people_held_out"] for kind in kinds}
+    new = {kind: shipped[kind]["new_people"] for kind in kinds if "new_people" in shipped[kind]}
     told = "; ".join(
-        f"{_KIND_WORDS[kind]}: {100 * one['within_p50']:.0f} % of joints within the radius said for 50 %, "
+        f"{KIND_WORDS[kind]}: {100 * one['within_p50']:.0f} % of joints within the radius said for 50 %, "
         f"{100 * one['within_p90']:.0f} % within that for 90 % (n {one['n']})"
-        for kind, one in measured.items()
+        for kind, one in (measured | new).items()
     )
     others = sorted({source for source in sources if source not in _CALIBRATED})
     beyond = f" Starts by {', '.join(others)} were not calibrated: a network's radii are taken." if others else ""
     sentence = (
-        f"Radii were calibrated on synthetic pictures and checked on people left out. From {told}. Real pictures were "
-        f"not part of it: there errors are larger, above all where front and back are mistaken.{beyond}"
+        f"Radii were calibrated on synthetic pictures and checked on other people. From {told}. "
+        "Real pictures were not part of it: there errors are larger, above all where front and back are mistaken."
+        f"{beyond}"
     )
-    return {"starts": list(measured), "people_held_out": measured, "holds_for": sentence}
+    return {"starts": kinds, "people_held_out": measured, "new_people": new, "holds_for": sentence}

@@ -10,12 +10,13 @@ from urllib.parse import quote
 import numpy as np
 
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.page import Html, element, page, picture, section, small_picture, table
+from hfb.report.page import Html, element, joined, page, picture, section, small_picture, table
 
 CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
 _MOST_TROUBLES = 50
 _LONGEST_REASON = 600
+_MOST_WARNINGS = 10
 _CLASSES = {"done": "good", "set aside": "bad"}
 _FIGURES = (
     ("frames", "frames", "d"), ("sub-frames", "sub_frames", "d"), ("gaps", "gaps", ""), ("IoU", "matte_iou", ".3f"),
@@ -46,6 +47,16 @@ class BatchClip:
     report: Path | None = None
     people: tuple["BatchClip", ...] = ()
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the clip's own result warns of; of several people each has theirs."""
+        return tuple(one["message"] for one in self.figures.get("warnings") or ()) if self.status == "done" else ()
+
+    @property
+    def is_warned_of(self) -> bool:
+        """Whether the result, or that of somebody in the clip, has a warning."""
+        return bool(self.warnings) or any(one.warnings for one in self.people)
+
 
 @dataclass(frozen=True)
 class BatchCounts:
@@ -54,6 +65,7 @@ class BatchCounts:
     clips: int
     done: int
     set_aside: int
+    warned_of: int = 0
 
     @property
     def waiting(self) -> int:
@@ -83,6 +95,8 @@ def batch_page(
     head = ["clip", "", "state", *(label for label, _, _ in _FIGURES), ""]
     rows = [row for clip in clips for row in (_row(clip), *(_row(one, clip.name) for one in clip.people))]
     told = f"{counts.clips} clips: {counts.done} done, {counts.set_aside} set aside, {counts.waiting} waiting."
+    if counts.warned_of:
+        told += f" Of those done, {counts.warned_of} with warnings."
     return page(
         title if not number else f"{title}, page {number + 1}",
         element("p", told) if not number else None,
@@ -133,11 +147,23 @@ def _troubles(troubles: Iterable[tuple[int, BatchClip]]) -> Html | None:
 
 def _row(clip: BatchClip, whole: str | None = None) -> list[object]:
     """Of a clip; or of one of several people in it, whose ``whole`` clip has the row above."""
-    state = element("span", clip.status, class_=_CLASSES.get(clip.status, "warn"))
+    count, kind = len(clip.warnings), _CLASSES.get(clip.status, "warn")
+    warned_of = f", {count} warning{'s' if count > 1 else ''}" if count else ""
+    state = element("span", clip.status + warned_of, class_="warn" if count else kind)
     link = element("a", "MLflow", href=clip.link) if clip.link and clip.link.startswith("http") else ""
-    shown = _picture(clip) or element("span", clip.reason[:_LONGEST_REASON], class_="said")
+    shown = joined(
+        [_picture(clip) or element("span", clip.reason[:_LONGEST_REASON], class_="said"), _warnings(clip.warnings)]
+    )
     figures = [_figure(clip.figures.get(key), form) for _, key, form in _FIGURES]
     return [_named(clip, whole), shown, state, *figures, link]
+
+
+def _warnings(messages: Sequence[str]) -> Html | None:
+    if not messages:
+        return None
+    shown = [element("li", message[:_LONGEST_REASON]) for message in messages[:_MOST_WARNINGS]]
+    more = len(messages) - len(shown)
+    return element("ul", *shown, element("li", f"and {more} more") if more > 0 else None, class_="said bad")
 
 
 def _named(clip: BatchClip, whole: str | None) -> Html:

@@ -13,7 +13,7 @@ import torch
 from measure import held_out_scenes, network_of
 
 from hfb.errors import InputError
-from hfb.matting.network import BesideFit, NetworkMatting
+from hfb.matting.network import NetworkMatting, RenderConditionedMatting
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS
 
 
@@ -36,7 +36,7 @@ def main() -> None:
             before = matting(scene.frame, scene.plate)
         except InputError:
             continue
-        after = BesideFit(scene.frame, scene.plate, before).matte(scene.double, network)
+        after = RenderConditionedMatting(scene.frame, scene.plate, before).matte(scene.double, network)
         off = [
             float(np.abs(one - scene.alpha).sum() / scene.alpha.sum()) for one in (before, scene.double[..., 3], after)
         ]

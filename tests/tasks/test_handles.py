@@ -31,7 +31,15 @@ def file(tmp_path: Path) -> Path:
 def fit_of(file: Path, seconds: float = 1.0, loss: float = 0.5) -> FitHandle:
     one = FileHandle.of(file)
     return FitHandle(
-        motion=one, texture=one, texture_image=one, history=one, seconds=seconds, best_iteration=3, loss=loss
+        motion=one,
+        texture=one,
+        texture_image=one,
+        history=one,
+        mattes=(one,),
+        seconds=seconds,
+        stage_seconds={"stage_1": seconds},
+        best_iteration=3,
+        loss=loss,
     )
 
 
