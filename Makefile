@@ -1,6 +1,6 @@
 # One vocabulary for people, hooks and CI.  make demo | test | check | bench | setup | up | down
 .DEFAULT_GOAL := help
-.PHONY: help setup demo check test bench findings up down audit sbom clean
+.PHONY: help setup demo check lint format types imports services docs test bench findings pictures up down audit sbom clean
 MAKEFLAGS += --no-print-directory
 
 BIN := .venv/bin
@@ -13,8 +13,9 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 help:
 	@echo "make demo    one blurred picture through the whole chain"
-	@echo "make test    the tests"
-	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files"
+	@echo "make test    the tests; make test-unit  those that need neither a server nor a process (tests/README.md)"
+	@echo "make check   formatting, lint, types, import contracts, Compose and Kubernetes files, documents"
+	@echo "make docs    the site of the documents, into build/docs"
 	@echo "make bench   timings beside their peers', into bench.json (QUICK=1: within a minute)"
 	@echo "make findings  what libraries do otherwise than expected, each with pinned packages; needs the package index"
 	@echo "make up      Prefect, MLflow and a worker for a team, with a login; needs Docker (infra/compose/README.md)"
@@ -28,19 +29,44 @@ setup: .venv/dev.stamp
 demo: .venv/run.stamp
 	@$(BIN)/hfb demo
 
-check: .venv/dev.stamp
+# Each part is a hook of .pre-commit-config.yaml as well.
+check: lint format types imports services docs
+
+lint: .venv/dev.stamp
 	@$(BIN)/ruff check .
+
+format: .venv/dev.stamp
 	@$(BIN)/ruff format --check --quiet .
+
+types: .venv/dev.stamp
 	@$(BIN)/mypy
+
+imports: .venv/dev.stamp
 	@said=$$($(BIN)/lint-imports --no-logo) || { echo "$$said"; exit 1; }
+
+services: .venv/dev.stamp
 	@said=$$($(BIN)/python -m pytest tests/infra/test_files.py) || { echo "$$said"; exit 1; }
 
-# A file's tests stay together, so that they share what it starts.
+# Warnings are errors. What has not changed is not built again.
+docs: .venv/dev.stamp
+	@$(BIN)/python -m sphinx --builder html --conf-dir docs --fail-on-warning --keep-going --quiet . build/docs
+
+# Which tests share a process, and in which order they begin: tests/kinds.py.
+TEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --durations 20 --durations-min 5
 test: .venv/dev.stamp
-	@$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile
+	@$(TEST)
+
+test-unit: .venv/dev.stamp
+	@$(TEST) -m unit
 
 bench: .venv/dev.stamp
 	@HFB_BENCH=$(if $(filter-out 0,$(QUICK)),quick,full) $(BIN)/python -m pytest tests/bench --benchmark-enable
+
+# The images of the documents: the rooms from the import contracts, the moving picture from a demo's result.
+pictures: .venv/dev.stamp
+	@$(BIN)/python docs/images/rooms.py
+	@$(BIN)/hfb demo --quiet --out build/demo > /dev/null
+	@$(BIN)/python docs/images/moving.py build/demo
 
 findings:
 	@changed=; for script in findings/*.sh; do echo "== $$script"; bash "$$script" || changed="$$changed $$script"; done; \

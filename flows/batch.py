@@ -12,11 +12,11 @@ from typing import Any
 from prefect import flow
 
 from hfb.config import RunConfig
-from hfb.errors import InputError, NotNow, ServerLost, Unavailable
-from hfb.flows.people import run_clip
+from hfb.errors import InfrastructureError, InputError, ServerLost, TemporaryError
+from hfb.flows.everyone import run_clip
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from hfb.flows.runtime.workplace import workplace
-from hfb.interop.writers.names import RESULT
+from hfb.flows.runtime.workspace import workspace
+from hfb.interop.writers.export_names import RESULT
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
 from hfb.io.toml_file import read_toml, to_record
@@ -29,7 +29,7 @@ from hfb.tasks.inputs.clip_places import ClipPlace, find_clips
 from hfb.tasks.inputs.out_place import check_batch_out, check_not_clips
 from hfb.tasks.inputs.video_inputs import check_options, take_video_inputs
 from hfb.tasks.telemetry import progress
-from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.workers.engine import Engine, engine_of
 
@@ -44,6 +44,7 @@ def batch(
     folder: Path | str,
     out: Path | str,
     config: dict[str, Any] | str | None = None,
+    *,
     workers: int | str = 1,
     attempts: int = 3,
     wait_s: float = 60.0,
@@ -51,16 +52,20 @@ def batch(
     again: bool = False,
     store: str | None = None,
 ) -> dict[str, Any]:
-    """Every clip of a folder through `hfb.flows.people.run_clip`, into ``out/NAME``; ``out/summary.html`` tells of all.
+    """Run every clip of a folder through `hfb.flows.everyone.run_clip`, into ``out/NAME``, with ``out/summary.html``.
 
     One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
 
     Args:
+        folder: of the clips.
+        out: where the results go.
         config: options as plain content, or the file that holds them.
-        attempts: failures after which a clip is set aside; wait_s: before the second attempt, doubled for each further.
+        workers: see `hfb.tasks.workers.engine.engine_of`.
+        attempts: failures after which a clip is set aside.
+        wait_s: before the second attempt [s], doubled for each further.
         watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
         again: take clips that were set aside once more.
-        workers, store: see `hfb.tasks.workers.engine.engine_of`.
+        store: see `hfb.tasks.workers.engine.engine_of`.
 
     Returns:
         clips, done, set_aside, waiting (numbers), ``out`` and ``page``.
@@ -78,9 +83,11 @@ def batch(
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
-    with shown_somewhere(), workplace(out) as intermediate:
+    with show_progress(), workspace(out) as intermediate:
         summary = BatchSummary(f"Clips of {folder.resolve().name}", out, intermediate / _THUMBNAILS)
-        round_ = _Rounds(folder, out, options, engine_of(workers, store), attempts, wait_s, summary)
+        round_ = _Rounds(
+            folder, out, options, engine_of(workers, store), attempts=attempts, wait_s=wait_s, summary=summary
+        )
         if again:
             round_.ledger.again()
         while True:
@@ -100,9 +107,16 @@ class _Rounds:
     """A folder, looked through again and again."""
 
     def __init__(
-        self, folder: Path, out: Path, config: RunConfig, engine: Engine, attempts: int, wait_s: float,
+        self,
+        folder: Path,
+        out: Path,
+        config: RunConfig,
+        engine: Engine,
+        *,
+        attempts: int,
+        wait_s: float,
         summary: BatchSummary,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._folder, self._out, self._config = folder, out, config
         self._engine, self._attempts, self._wait_s = engine, attempts, wait_s
         self._options, self._summary = config.model_dump(mode="json"), summary
@@ -175,7 +189,7 @@ class _Rounds:
             result = run_clip(inputs, target, self._config, self._engine)
         except ServerLost:  # no clip's fault, and nothing can be reported any more: the next look goes on
             raise
-        except (NotNow, Unavailable) as error:
+        except (TemporaryError, InfrastructureError) as error:
             reason, kind = str(error), type(error).__name__
         except InputError as error:
             reason, kind = str(error), "InputError"
@@ -192,7 +206,9 @@ class _Rounds:
                 return None
             reason, kind = "it is finished, but MLflow did not take its record: that is tried again", "StoreLost"
         progress.fail(kind)
-        entry = self.ledger.failed(place.name, stamp, reason, self._attempts, self._wait_s, hopeless)
+        entry = self.ledger.failed(
+            place.name, stamp, reason, attempts=self._attempts, wait_s=self._wait_s, hopeless=hopeless
+        )
         progress.say(f"hfb: {place.shown}: {entry.status}: {entry.reason}")
         _log.info("%s: %s: %s", place.shown, entry.status, entry.reason)
         self._summary.show(place.name, _state(entry), entry.reason)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from prefect import flow
 from prefect.task_runners import ThreadPoolTaskRunner
@@ -15,14 +15,15 @@ from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.evaluation.experiments import Experiment
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import publish, workplace
-from hfb.interop.writers.names import REPORT
+from hfb.flows.runtime.workspace import publish, workspace
+from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
 from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
 from hfb.tasks.benchmark.cases import (
     CaseHandle,
-    ReadyHandle,
+    MakeCall,
+    SeeCall,
     SourcesHandle,
     Spec,
     find_sources,
@@ -31,15 +32,17 @@ from hfb.tasks.benchmark.cases import (
     see_case,
     set_name,
 )
-from hfb.tasks.benchmark.judge_case import judge_case
+from hfb.tasks.benchmark.judge_case import JudgeCall, judge_case
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.inputs import input_file, networks_at_hand
 from hfb.tasks.inputs.out_place import check_sources_out
+from hfb.tasks.map_task import Outcome, map_task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.workers.engine import Engine
-from hfb.tasks.workers.many import Outcome, run_all
 from hfb.tasks.workers.workers import worker_count, workers
+
+R = TypeVar("R")
 
 
 class BenchmarkPlan(Record):
@@ -60,13 +63,26 @@ def run_benchmark(
     """See `_benchmark`; the engine changes nothing but the seconds.
 
     Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+
+    Args:
+        plan: what decides the figures.
+        out: where the results go.
+        engine: what computes.
+        experiment: the paper's table that is set beside the results.
     """
     with workers(engine):
         return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
-    """See `_synthesis`."""
+    """See `_synthesis`.
+
+    Args:
+        spec: the set.
+        count: how many cases.
+        out: where they go.
+        engine: what computes.
+    """
     with workers(engine):
         return _synthesis.with_options(task_runner=_threads())(spec, count, out)
 
@@ -86,10 +102,10 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
     Raises:
         InputError: not one case could be made.
     """
-    with workplace(out) as folder, records_in(folder):
+    with workspace(out) as folder, records_in(folder):
         for number in range(1, count + 1):
             check_tree(out, case_name(number))
-        sources, cases, skipped = _made(spec, count, folder, out, out)
+        sources, cases, skipped = _made(spec, count, folder, cases_folder=out, out=out)
         result = {
             "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
             "seed": spec.seed, "out": str(out.resolve()), "sources": len(sources.usable),
@@ -102,10 +118,12 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
 def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
     """Cases, mattes and starts, methods, tables, one page with everything; recorded in MLflow, published in ``out``.
 
-    Args:
-        experiment: the paper's table that is set beside the results.
-
     A case that cannot be made or seen is left out for every method, and named in the summary.
+
+    Args:
+        plan: what decides the figures.
+        out: where the results go.
+        experiment: the paper's table that is set beside the results.
 
     Returns:
         the content of result.json: the summary, and where things are.
@@ -114,33 +132,41 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         InputError: something given cannot be used, or not one case is left.
     """
     spec = plan.spec
-    with workplace(out) as folder, records_in(folder):
+    with workspace(out) as folder, records_in(folder):
         for inner in ("cases", "methods"):
             check_tree(out, inner)
         body = input_file(plan.body) if plan.body else None
         estimated = plan.start == "estimated" and plan.init.method != "matte"
         networks = networks_at_hand(plan.init.landmarks) if estimated else ()
-        _, cases, skipped = _made(spec, plan.count, folder, out / "cases", out)
-        seen = run_all(
-            see_case,
-            [(case, plan.start, plan.matting, plan.init, networks, body, folder) for case in cases],
-            "mattes and starts",
+        _, cases, skipped = _made(spec, plan.count, folder, cases_folder=out / "cases", out=out)
+        to_see = [
+            SeeCall(
+                case=case, start=plan.start, matting=plan.matting, init=plan.init, networks=networks, body=body,
+                folder=folder,
+            )
+            for case in cases
+        ]  # fmt: skip
+        seen = map_task(see_case, to_see, "mattes and starts")
+        ready = _successes(seen, [f"case {case.number}" for case in cases], skipped)
+        to_judge = [
+            JudgeCall(ready=one, method=method, body=body, folder=out / "methods")
+            for one in ready
+            for method in plan.methods
+        ]
+        judged = map_task(judge_case, to_judge, "methods")
+        rows = tuple(
+            _successes(judged, [f"case {one.ready.case.number}, {one.method.name}" for one in to_judge], skipped)
         )
-        ready: list[ReadyHandle] = _successes(seen, [f"case {case.number}" for case in cases], skipped)
-        judged = run_all(
-            judge_case,
-            [(one, method, body, out / "methods") for one in ready for method in plan.methods],
-            "methods",
-        )
-        rows = _successes(judged, [f"case {one.case.number}, {m.name}" for one in ready for m in plan.methods], skipped)
         names = tuple(method.name for method in plan.methods)
         results = tabulate(
-            tuple(rows), set_name(spec), spec.frames, names, len(ready), spec.seed, skipped, _notes(plan), folder
+            judged=rows, set_name=set_name(spec), frames=spec.frames, methods=names, count=len(ready), seed=spec.seed,
+            skipped=skipped, notes=_notes(plan), folder=folder,
         )  # fmt: skip
-        looks = gallery(tuple(rows), names, folder)
+        looks = gallery(rows, names, folder)
         beside = write_beside(experiment, results, folder) if experiment is not None else None
         page = draw_benchmark_page(
-            tuple(rows), results, looks, beside, _params(plan), _options(plan), folder
+            judged=rows, results=results, gallery=looks, beside=beside, params=_params(plan), methods=_options(plan),
+            folder=folder,
         )  # fmt: skip
         files = {
             **results.files(), "gallery.png": looks.path, REPORT: page.path,
@@ -150,7 +176,10 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         places = {"out": str(out.resolve()), "page": str(out.resolve() / REPORT)}
         result = {**results.content(), **places, "mlflow_run_id": None, "mlflow_link": None}
         try:
-            run = record_benchmark(set_name(spec), _params(plan), _options(plan), results, tuple(files.values()))
+            run = record_benchmark(
+                name=set_name(spec), params=_params(plan), methods=_options(plan), results=results,
+                files=tuple(files.values()),
+            )  # fmt: skip
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
@@ -159,7 +188,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
 
 
 def _made(
-    spec: Spec, count: int, folder: Path, cases_folder: Path, out: Path
+    spec: Spec, count: int, folder: Path, *, cases_folder: Path, out: Path
 ) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
     """The cases that could be made, and why others could not."""
     folders = [getattr(spec, name, None) for name in ("motions", "backgrounds", "textures", "videos")]
@@ -173,20 +202,23 @@ def _made(
     skipped = dict(sources.refused)
     numbers = range(1, count + 1)
     networks = networks_at_hand() if isinstance(spec, RealSpec) and spec.estimator != "matte" else ()
-    made = run_all(make_case, [(spec, number, sources, networks, cases_folder) for number in numbers], "cases")
+    calls = [
+        MakeCall(spec=spec, number=number, sources=sources, networks=networks, folder=cases_folder)
+        for number in numbers
+    ]
+    made = map_task(make_case, calls, "cases")
     return sources, _successes(made, [f"case {number}" for number in numbers], skipped), skipped
 
 
-def _successes(outcomes: list[Outcome[Any]], names: list[str], skipped: dict[str, str]) -> list[Any]:
+def _successes(outcomes: list[Outcome[R]], names: list[str], skipped: dict[str, str]) -> list[R]:
     """The results, failures moved to ``skipped``; raises the first failure where nothing else is left."""
     for name, outcome in zip(names, outcomes, strict=True):
         if outcome.error is not None:
             skipped[name] = str(outcome.error) or type(outcome.error).__name__
             progress.say(f"left out: {name}: {skipped[name]}")
-    results = [outcome.result for outcome in outcomes if outcome.error is None]
+    results = [outcome.result for outcome in outcomes if outcome.result is not None]
     if not results and outcomes:
-        first = next(outcome.error for outcome in outcomes if outcome.error is not None)
-        raise first
+        raise next(outcome.error for outcome in outcomes if outcome.error is not None)
     return results
 
 

@@ -14,9 +14,9 @@ from markupsafe import Markup
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import MotionDifference, motion_difference
 from hfb.flows.runtime.summary import number_text
-from hfb.flows.runtime.workplace import check_writable
+from hfb.flows.runtime.workspace import check_writable
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.pictures import read_picture_srgb, stored_png
+from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
@@ -25,8 +25,8 @@ from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
-from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.run_comparison import RunComparison, Words, compare_records
+from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
+from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 
@@ -105,7 +105,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
     motion, space = load_motion(path)
     texture, result = fetch_file(run, _TEXTURE, folder), fetch_file(run, _RESULT, folder)
     try:
-        body = fitted_body(motion, space, named_body(result) if result else None)
+        body = load_fitted_body(motion, space, find_named_body(result) if result else None)
     except InputError as error:  # a licensed file that is not here: the skeleton needs none
         progress.say(f"run {run.title} is shown as a skeleton: {error}")
         body = None
@@ -196,7 +196,7 @@ def _result(
     }  # fmt: skip
 
 
-def _plain(every: Sequence[tuple[str, tuple[Any, ...]]]) -> list[dict[str, Any]]:
+def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
     return [
         {"name": name, "a": values[0], "b": values[1], **({"more": list(values[2:])} if len(values) > 2 else {})}
         for name, values in every

@@ -17,20 +17,21 @@ from pydantic import Field
 
 from hfb.config import RunConfig, preset
 from hfb.flows import batch as every_clip
-from hfb.flows import fit_image, people, train_prior
+from hfb.flows import fit_image, train_prior
 from hfb.flows.benchmark import run_benchmark
 from hfb.flows.cli import judging
+from hfb.flows.everyone import run_clip
 from hfb.flows.runtime import places
+from hfb.flows.runtime.failures import explain_failures
 from hfb.flows.runtime.reaper import end_abandoned_flow_runs, mark_owner
-from hfb.flows.runtime.trouble import told_plainly
-from hfb.flows.runtime.workplace import check_writable
+from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
-from hfb.tasks.batch.metrics import served
-from hfb.tasks.batch.notifications import addresses_of, notifying
+from hfb.tasks.batch.metrics import serve_metrics
+from hfb.tasks.batch.notifications import addresses_of, enable_notifications
 from hfb.tasks.inputs.video_inputs import take_video_inputs
-from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import check_store, tracking_uri
 from hfb.tasks.workers.engine import engine_of
@@ -61,6 +62,7 @@ def fit(
     background: Path,
     out: Path,
     clip: Path | None = None,
+    *,
     options: Options = _BEST,
 ) -> dict[str, Any]:
     """Blurred pictures of a static camera to a moving body, as `hfb fit`.
@@ -77,11 +79,11 @@ def fit(
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or a server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
     with _on_a_worker(out, config, frames=frames, background=background, clip=clip):
-        return fit_image.fit_image.fn(frames, background, out, config, clip)
+        return fit_image.fit_image.fn(frames, background, out, config, clip=clip)
 
 
 @flow(name="clip", persist_result=False, on_running=[mark_owner])
@@ -90,6 +92,7 @@ def video(
     out: Path,
     background: str | None = None,
     clip: Path | None = None,
+    *,
     everyone: bool = False,
     workers: Workers = 1,
     store: str | None = None,
@@ -112,19 +115,20 @@ def video(
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or a server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
     plate = None if background in BACKGROUND_WORDS else background
     with _on_a_worker(out, config, workers, store, source=source, background=plate, clip=clip):
-        inputs = take_video_inputs(source, config, clip, background, None, everyone, out)
-        return people.run_clip(inputs, out, config, engine_of(workers, store))
+        inputs = take_video_inputs(source, config, clip, background, everyone=everyone, out=out)
+        return run_clip(inputs, out, config, engine_of(workers, store))
 
 
 @flow(name="batch", persist_result=False, on_running=[mark_owner])
 def batch(
     folder: Path,
     out: Path,
+    *,
     workers: Workers = 1,
     store: str | None = None,
     attempts: Count = 3,
@@ -153,13 +157,16 @@ def batch(
     config = options.config()
     with _on_a_worker(out, config, workers, store, folder=folder):
         content = config.model_dump(mode="json")
-        with notifying(addresses_of(())):  # the worker's own: an address in a form would be recorded
-            return every_clip.batch.fn(folder, out, content, workers, attempts, wait_s, None, again, store)
+        with enable_notifications(addresses_of(())):  # the worker's own: an address in a form would be recorded
+            return every_clip.batch.fn(
+                folder, out, content, workers=workers, attempts=attempts, wait_s=wait_s, again=again, store=store
+            )
 
 
 @flow(name="methods", persist_result=False, on_running=[mark_owner])
 def benchmark(
     out: Path,
+    *,
     set: Literal["bt-amass", "bc-cape", "b-aist"] = "bt-amass",
     count: Count = 20,
     frames: Count = 1,
@@ -244,7 +251,7 @@ def _on_a_worker(
     /,
     **files: Path | str | Sequence[Path | str] | None,
 ) -> Iterator[None]:
-    """What `hfb.flows.runtime.running` sets up around a command, after a look at where the parameters point.
+    """What `hfb.flows.runtime.session` sets up around a command, after a look at where the parameters point.
 
     A store that does not answer is told before anything is done.
     """
@@ -259,5 +266,5 @@ def _on_a_worker(
     tracking.open_store()
     with suppress(Exception):  # tidying up after killed runs must not stop this one
         end_abandoned_flow_runs()
-    with served(), shown_somewhere(), told_plainly(folder):
+    with serve_metrics(), show_progress(), explain_failures(folder):
         yield

@@ -10,16 +10,15 @@ from typing import Any, cast
 from hfb.body.model import BetasSpace
 from hfb.config import AmassRate, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
-from hfb.flows.runtime.workplace import beside_result
-from hfb.interop.writers.files import Exported, write_motion_file
+from hfb.flows.runtime.workspace import beside_result
+from hfb.interop.writers.export_names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
+from hfb.interop.writers.exports import Exported, write_motion_file
 from hfb.interop.writers.mesh_files import earlier_meshes, write_meshes
-from hfb.interop.writers.names import FILE_NAMES, FILM_NAMES, NEEDS_BODY, RESULT, check_formats
-from hfb.io.media.pictures import stored_png
+from hfb.io.media.images.image_io import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
-from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"
@@ -31,6 +30,7 @@ def export_result(
     out: Path | None,
     formats: Sequence[MotionFormat],
     meshes: Sequence[MeshFormat],
+    *,
     body: Path | None = None,
     amass_rate: AmassRate = 120,
     films: Sequence[Film] = (),
@@ -41,7 +41,11 @@ def export_result(
     Args:
         source: a result's folder, a motion file, or a recorded run's id.
         out: where the files go; ``export`` beside the motion when not given.
+        formats: of motion files.
+        meshes: of a mesh per sub-frame.
         body: the model that was fitted; when not given the one that the result names, or the embedded one.
+        amass_rate: poses per second in amass.npz.
+        films: which.
         inputs: where the pictures lie, for films, if they were moved; they are told by their content.
 
     Returns:
@@ -52,10 +56,10 @@ def export_result(
             are asked for and the pictures are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
-    with found_result(source, (TEXTURE, RESULT)) as place:
+    with resolve_result(source, (TEXTURE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
-        model = fitted_body(motion, space, body or named_body(place.folder / RESULT)) if surface else None
+        model = load_fitted_body(motion, space, body or find_named_body(place.folder / RESULT)) if surface else None
         texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)
@@ -67,7 +71,7 @@ def export_result(
             earlier_meshes(folder / MESHES, form)  # what is in their way is said before anything is written
         names = [*(FILE_NAMES[form] for form in formats), *(FILM_NAMES[film] for film in films)]
         with beside_result(folder, names) as target:
-            written = _draw_films(target, films, place, exported, inputs) if films else []
+            written = _draw_films(target, films, place, exported=exported, inputs=inputs) if films else []
             if formats:
                 with progress.step("motion files"):
                     written = [write_motion_file(target, form, exported) for form in formats] + written
@@ -80,11 +84,11 @@ def export_result(
 
 
 def _draw_films(
-    folder: Path, films: Sequence[Film], place: FoundResult, exported: Exported, inputs: Path | None
+    folder: Path, films: Sequence[Film], place: FoundResult, *, exported: Exported, inputs: Path | None
 ) -> list[Path]:
     """The films; what they need is found before anything is written."""
-    from hfb.tasks.results.earlier_result import earlier_shot
-    from hfb.tasks.results.films import write_film
+    from hfb.tasks.results.exports import write_film
+    from hfb.tasks.results.reload_inputs import reload_shot
 
     assert exported.body is not None
     texture = place.folder / TEXTURE
@@ -93,7 +97,9 @@ def _draw_films(
     with ExitStack() as stack:
         with progress.step("pictures"):
             shot = stack.enter_context(
-                earlier_shot(place.run_words, inputs, exported.motion, exported.body, texture)
+                reload_shot(
+                    place.run_words, inputs, motion=exported.motion, body=exported.body, texture=texture
+                )
             )  # fmt: skip
         written = []
         for film in films:

@@ -1,23 +1,26 @@
-"""One blurred picture, or several of one static camera, to one moving body."""
+"""One blurred image, or several of one static camera, to one moving body; and the embedded example."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from prefect import flow
 
 from hfb.config import RunConfig
+from hfb.datasets.example import write_example
 from hfb.evaluation.warnings import ResultWarning
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import publish, workplace
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.flows.runtime.workspace import publish, workspace
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
+from hfb.io.safe_folder import check_tree
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.task import code_version
 from hfb.tasks.image.evaluate import evaluate
 from hfb.tasks.image.first_body import first_body, given_body
 from hfb.tasks.image.fit_motion import fit_motion
@@ -26,15 +29,14 @@ from hfb.tasks.image.prepare import prepare
 from hfb.tasks.image.strip import strip
 from hfb.tasks.inputs.given_networks import tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
-from hfb.tasks.results.export_files import export_files
-from hfb.tasks.results.films import films_of
-from hfb.tasks.results.result_report import ReportParts, add_report, fit_curves, page_film, write_report
+from hfb.tasks.results.exports import ShotHandle, export_motion
+from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_film, fit_curves, write_report
 from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.record import fit_record, record
 from hfb.tasks.tracking.run_record import keep_for_later
-from hfb.tasks.video.given_result import Look, body_of_result, needed, read_result
+from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts
 
 
@@ -44,6 +46,7 @@ def fit_image(
     background: Path,
     out: Path,
     config: RunConfig,
+    *,
     clip: Path | None = None,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
@@ -51,6 +54,11 @@ def fit_image(
     """Matte, first body, fitted motion, evaluation, strip; recorded in MLflow, published in ``out``.
 
     Args:
+        frames: blurred images, in their order.
+        background: the same view without the person.
+        out: where the results go.
+        config: all options.
+        clip: a clip.toml.
         truth: a synthetic case's truth.npz; adds errors against it to the result.
         first_bodies: one first-body file per frame, instead of estimating them.
 
@@ -60,43 +68,59 @@ def fit_image(
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
     """
-    return _fitted(take_inputs(frames, background, config, clip, truth, first_bodies, out), out, config)
+    return _run_chain(
+        take_inputs(frames, background, config, clip, truth=truth, first_bodies=first_bodies, out=out), out, config
+    )
 
 
 @flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])
 def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     """`fit_image` of what was taken before, such as the inputs of a recorded run."""
-    return _fitted(inputs, out, config)
+    return _run_chain(inputs, out, config)
 
 
-def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
+def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config = with_height(config, inputs.clip)
-    with workplace(out) as folder, records_in(folder):
-        scene = prepare(inputs.frames, inputs.background, inputs.clip, config.camera, config.exposure)
+    with workspace(out) as folder, records_in(folder):
+        scene = prepare(
+            frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
+            exposure=config.exposure,
+        )  # fmt: skip
         for remark in scene.remarks:
             progress.say(f"hfb: {remark}")
-        numbers = range(len(scene.frames))
-        mattes = tuple(matte(scene, index, config.matting, folder, inputs.matting) for index in numbers)
-        firsts = _first_bodies(scene, mattes, inputs, config, folder)
+        numbers, body = range(len(scene.frames)), inputs.body
+        mattes = tuple(
+            matte(clip=scene, index=index, config=config.matting, folder=folder, network=inputs.matting)
+            for index in numbers
+        )
+        firsts = _first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder)
         priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
         fitted = fit_motion(
-            scene, mattes, firsts, inputs.body, priors, config.fit, config.seed, folder
+            clip=scene, mattes=mattes, first_bodies=firsts, body=body, priors=priors, config=config.fit,
+            seed=config.seed, folder=folder,
         )  # fmt: skip
-        scores = evaluate(scene, mattes, firsts, fitted, inputs.body, inputs.truth, config.fit, folder)
-        found = look_for_warnings(scene, tuple(numbers), mattes, fitted.motion, (), inputs.body, config.fit).warnings
+        scores = evaluate(
+            clip=scene, mattes=mattes, first_bodies=firsts, fit=fitted, body=body, truth=inputs.truth,
+            config=config.fit, folder=folder,
+        )  # fmt: skip
+        found = look_for_warnings(
+            clip=scene, numbers=tuple(numbers), mattes=mattes, motion=fitted.motion, matte_iou=(), body=body,
+            config=config.fit,
+        ).warnings  # fmt: skip
         tell(found)
-        picture = strip(scene, mattes, fitted, inputs.body, config.fit, folder)
-        exports = export_files(fitted.motion, fitted.texture_picture, inputs.body, config.export, folder)
-        films = films_of(scene, fitted.motion, fitted.texture, inputs.body, config, folder)
+        image = strip(clip=scene, mattes=mattes, fit=fitted, body=body, config=config.fit, folder=folder)
+        shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
+        exports = export_motion(shot, fitted.texture_image, config.export, folder)
         warnings = (*plate_warnings(scene.remarks), *found)
-        result = _result(out, config, inputs, firsts, fitted, scores, warnings)
+        result = _result(
+            out=out, config=config, inputs=inputs, firsts=firsts, fitted=fitted, scores=scores, warnings=warnings
+        )
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
-            "texture.png": fitted.texture_picture, "strip.png": picture, CURVES: fit_curves(fitted, folder),
+            "texture.png": fitted.texture_image, "strip.png": image, CURVES: fit_curves(fitted, folder),
             **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
-            **films.by_name(),
         }  # fmt: skip
-        of_run = fit_record(inputs, config, fitted, scores, files, result)
+        of_run = fit_record(inputs=inputs, config=config, fit=fitted, scores=scores, published=files, result=result)
         try:
             run = record(of_run, files)
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
@@ -107,13 +131,18 @@ def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
                 "when MLflow is back"
             )
         if config.export.report:
-            files[REPORT] = _reported(scene, fitted, files, inputs, config, result, folder)
+            parts = ReportParts(
+                motion=fitted.motion, curves=files[CURVES], body=body, texture=fitted.texture_image, strip=image,
+                alternatives=fitted.alternatives, film=draw_page_film(shot, folder),
+            )  # fmt: skip
+            files[REPORT] = write_report(parts, result, folder)
+            add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
     return result
 
 
 def _first_bodies(
-    scene: ClipHandle, mattes: tuple[FileHandle, ...], inputs: Inputs, config: RunConfig, folder: Path
+    scene: ClipHandle, mattes: tuple[FileHandle, ...], *, inputs: Inputs, config: RunConfig, folder: Path
 ) -> tuple[FirstBodyHandle, ...]:
     """One per frame: given, out of another system's result, or estimated and agreed on one front."""
     if inputs.first_bodies:
@@ -122,44 +151,35 @@ def _first_bodies(
     if not inputs.init_files:
         tell_networks(inputs.networks)
         firsts = tuple(
-            first_body(scene, index, mattes, inputs.body, config.init, inputs.networks, folder) for index in numbers
-        )
+            first_body(
+                clip=scene, index=index, mattes=mattes, body=inputs.body, config=config.init,
+                networks=inputs.networks, folder=folder,
+            )
+            for index in numbers
+        )  # fmt: skip
         agreed = mend_fronts(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
         return tuple(one for one in agreed if one is not None)
     first = config.init.frame
     looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
     pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()
-    size = scene.height, scene.width
-    given = read_result(inputs.init_files, *size, config.init.person, looks, inputs.body, pictures, 0, folder)
+    given = read_result(
+        files=inputs.init_files, height=scene.height, width=scene.width, person=config.init.person, looks=looks,
+        body=inputs.body, pictures=pictures, frames=0, folder=folder,
+    )  # fmt: skip
     if whom := given.remark():
         progress.say(f"hfb: {whom}")
     return tuple(
-        needed(body_of_result(scene, index, number, mattes, given, inputs.body, folder))
+        require(
+            body_of_result(
+                clip=scene, index=index, number=number, mattes=mattes, result=given, body=inputs.body, folder=folder
+            )
+        )
         for index, number in enumerate(given.numbers_of(len(scene.frames), first))
     )
 
 
-def _reported(
-    scene: ClipHandle,
-    fitted: FitHandle,
-    files: dict[str, FileHandle],
-    inputs: Inputs,
-    config: RunConfig,
-    result: dict[str, Any],
-    folder: Path,
-) -> FileHandle:
-    """The page, in MLflow too where the run is there."""
-    film = page_film(scene, fitted.motion, fitted.texture, inputs.body, config.fit, folder)
-    parts = ReportParts(
-        motion=fitted.motion, curves=files[CURVES], body=inputs.body, texture=fitted.texture_picture,
-        strip=files["strip.png"], alternatives=fitted.alternatives, film=film,
-    )  # fmt: skip
-    page = write_report(parts, result, folder)
-    add_report(result["mlflow_run_id"], page)
-    return page
-
-
 def _result(
+    *,
     out: Path,
     config: RunConfig,
     inputs: Inputs,
@@ -187,3 +207,26 @@ def _result(
         "config": config.model_dump(mode="json"),
         "code": code_version(),
     }
+
+
+_EXAMPLE = "example"
+
+
+def fit_example(out: Path, config: RunConfig, ready: Callable[[], None] = lambda: None) -> dict[str, Any]:
+    """Make the example in ``out/example``, then fit it; the result holds the errors against its truth.
+
+    Args:
+        out: where the results go.
+        config: all options.
+        ready: called before the flow, returns when Prefect's server answers.
+
+    The first body is found from the matte alone, whether or not the pose networks are there: the same figures for
+    everyone, and the networks were never shown a drawn body.
+    """
+    if config.init.method == "auto":
+        config = config.model_copy(update={"init": config.init.model_copy(update={"method": "matte"})})
+    check_tree(out, _EXAMPLE)
+    with progress.step("example"):
+        paths = write_example(out / _EXAMPLE, config.seed)
+    ready()
+    return fit_image([paths.frame], paths.background, out, config, truth=paths.truth)

@@ -9,16 +9,15 @@ from typing import Any
 
 from hfb.body.model import Body
 from hfb.errors import InputError
-from hfb.flows.runtime.workplace import INTERMEDIATE, beside_result, check_writable
-from hfb.interop.writers.names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
+from hfb.flows.runtime.workspace import INTERMEDIATE, beside_result, check_writable
+from hfb.interop.writers.export_names import CURVES, FILM_NAMES, PAGE_FILM, REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.motion.motion_file import load_motion
 from hfb.report.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
-from hfb.tasks.results.fitted_body import fitted_body, named_body
-from hfb.tasks.results.found_result import TEXTURE, FoundResult, found_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from hfb.tasks.results.stored_runs import StoredRun, find_run
 from hfb.tasks.telemetry import progress
@@ -47,14 +46,14 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
     Raises:
         InputError: there is no such result, it is damaged, or the page cannot be written.
     """
-    with found_result(source, _FETCHED, _INNER) as place, tempfile.TemporaryDirectory() as made:
+    with resolve_result(source, _FETCHED, _INNER) as place, tempfile.TemporaryDirectory() as made:
         run = place.fetched or _run_of(place.folder)
         folder = out or place.new_folder("report", place.folder)
         check_writable(folder)
         facts = _facts(place.folder / RESULT)
         motion, space = load_motion(place.motion)
-        model = _model(motion, space, body or named_body(place.folder / RESULT))
-        film = _film(place, run, model, inputs, Path(made))
+        model = _model(motion, space, body or find_named_body(place.folder / RESULT))
+        film = _film(place, run, model, inputs=inputs, made=Path(made))
         parts = _parts(place, film, Path(made))
         tags = run.tags if run else {}
         versions = {
@@ -63,7 +62,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         if run is not None:
             facts = {**facts, "mlflow_run_id": run.run_id, "mlflow_link": run.link}
         with progress.step("report"), beside_result(folder, [REPORT]) as target:
-            write_page(parts, model, facts, versions, target / REPORT)
+            write_page(parts, model, facts, versions, path=target / REPORT)
     path = (folder / REPORT).resolve()
     return {"report": str(path), "bytes": path.stat().st_size, "film": film is not None, "surface": model is not None}
 
@@ -85,7 +84,7 @@ def _facts(path: Path) -> dict[str, Any]:
 def _model(motion: Any, space: str, path: Path | None) -> Body | None:
     """The body that was fitted; None, and a word, where it is not at hand: a skeleton is shown then."""
     try:
-        return fitted_body(motion, space, path)
+        return load_fitted_body(motion, space, path)
     except InputError as error:
         progress.say(f"hfb: only the skeleton is shown: {error}")
         return None
@@ -107,7 +106,7 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
 
 
 def _film(
-    place: FoundResult, run: StoredRun | None, body: Body | None, inputs: Path | None, made: Path
+    place: FoundResult, run: StoredRun | None, body: Body | None, *, inputs: Path | None, made: Path
 ) -> Path | None:  # fmt: skip
     """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
@@ -115,7 +114,7 @@ def _film(
         return drawn
     if run is not None and body is not None and (place.folder / TEXTURE).is_file():
         try:
-            return _drawn_again(place, run, body, inputs, made)
+            return _redraw(place, run, body, inputs=inputs, made=made)
         except InputError as error:
             progress.say(f"hfb: no film is drawn: {error}")
     return own if own.is_file() and _fits_a_page(own) else None
@@ -127,12 +126,12 @@ def _fits_a_page(film: Path) -> bool:
         return film.stat().st_size <= _LARGEST_FILM_BYTES and file.read(12)[4:8] == b"ftyp"
 
 
-def _drawn_again(place: FoundResult, run: StoredRun, body: Body, inputs: Path | None, made: Path) -> Path:
-    from hfb.tasks.results.earlier_result import earlier_shot
+def _redraw(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | None, made: Path) -> Path:
+    from hfb.tasks.results.reload_inputs import reload_shot
 
     motion, _ = load_motion(place.motion)
     with (
-        earlier_shot(run.run_id, inputs, motion, body, place.folder / TEXTURE) as shot,
+        reload_shot(run.run_id, inputs, motion=motion, body=body, texture=place.folder / TEXTURE) as shot,
         progress.step("report's film"),
     ):
         return write_page_film(shot, sha256_of(place.motion), made)

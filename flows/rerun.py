@@ -15,23 +15,22 @@ from hfb.config import RunConfig
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import motion_difference
 from hfb.flows.fit_image import fit_image_again
-from hfb.flows.runtime.workplace import INTERMEDIATE
+from hfb.flows.runtime.workspace import INTERMEDIATE
 from hfb.flows.video import run_video
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
+from hfb.tasks.core.environment import code_version, environment
 from hfb.tasks.core.handles import FileHandle, sha256_of
-from hfb.tasks.core.repetition import Repetition, repeating
-from hfb.tasks.core.result_folder import unfinished_files
-from hfb.tasks.core.task import code_version
+from hfb.tasks.core.repetition import Repetition, repeat_run
+from hfb.tasks.core.result_folder import list_unfinished_files
 from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
 from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
-from hfb.tasks.results.present_files import find_present
+from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.environment import environment
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
@@ -90,31 +89,31 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
         given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}
-        places = find_present(given, inputs_folder)
+        places = locate_inputs(given, inputs_folder)
     target = _fresh(out, run.run_id)
-    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run.title, target, workers)
-    return Plan(run, again, target, recipe.results, _changed(run))
+    again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
+    return Plan(run, again, target, recipe.results, _list_changes(run))
 
 
-def run_again(plan: Plan) -> dict[str, Any]:
+def repeat(plan: Plan) -> dict[str, Any]:
     """Run it again, and compare.
 
     Returns:
         the content of rerun.json.
     """
     began = time.perf_counter()
-    with repeating(Repetition(plan.run.run_id, plan.out)):
+    with repeat_run(Repetition(plan.run.run_id, plan.out)):
         result = plan.again()
     seconds = time.perf_counter() - began
     with progress.step("comparison"):
-        verdict = _compared(plan) | {"seconds": round(seconds, 3), "mlflow_run_id": result.get("mlflow_run_id")}
+        verdict = _compare(plan) | {"seconds": round(seconds, 3), "mlflow_run_id": result.get("mlflow_run_id")}
     write_bytes_atomic(plan.out / VERDICT, json.dumps(verdict, indent=2, allow_nan=False).encode() + b"\n")
     _record(verdict)
     return verdict
 
 
 def _chain(
-    recipe: Recipe, config: RunConfig, places: dict[str, Path], run: str, out: Path, workers: int
+    recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, out: Path, workers: int
 ) -> Callable[[], dict[str, Any]]:
     """The command's chain with its inputs where they lie now."""
     if recipe.command == "fit":
@@ -162,10 +161,10 @@ def _is_fresh(folder: Path) -> bool:
     """Nothing there, or what an interrupted run leaves."""
     if not folder.exists() or not folder.is_dir():
         return not folder.exists()
-    return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *unfinished_files(folder)}
+    return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *list_unfinished_files(folder)}
 
 
-def _changed(run: StoredRun) -> tuple[str, ...]:
+def _list_changes(run: StoredRun) -> tuple[str, ...]:
     now = environment() | {"code": code_version()}
     then = {name: value for name, value in run.tags.items() if name == "code" or name.startswith(_ENVIRONMENT)}
     names = sorted(name for name in now.keys() | then.keys() if now.get(name) != then.get(name))
@@ -175,7 +174,7 @@ def _changed(run: StoredRun) -> tuple[str, ...]:
     )
 
 
-def _compared(plan: Plan) -> dict[str, Any]:
+def _compare(plan: Plan) -> dict[str, Any]:
     """The result against the recorded one; how far it is from a motion that the store lost cannot be told."""
     made = {name: sha256_of(plan.out / name) if (plan.out / name).is_file() else None for name in plan.results}
     differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
@@ -207,7 +206,7 @@ def _record(verdict: dict[str, Any]) -> None:
         return
     try:
         with tracking.store_losses():
-            run = tracking.recorded(verdict["mlflow_run_id"])
+            run = tracking.open_run(verdict["mlflow_run_id"])
             numbers = {name: verdict[name] for name in ("bit_equal", "mean_mm", "max_mm")}
             tracking.log_histories(run, {f"rerun/{name}": [value] for name, value in numbers.items()})
             tracking.log_dict(run, verdict, VERDICT)

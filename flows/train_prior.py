@@ -12,13 +12,13 @@ from pydantic import Field
 from hfb.config import Record
 from hfb.errors import InputError
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.workplace import workplace
+from hfb.flows.runtime.workspace import workspace
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.benchmark.cases import listing_of
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.out_place import check_sources_out
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -58,7 +58,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
     check_sources_out([plan.motions], out.parent)
     spec = plan.motion if plan.kind == "motion" else plan.pose
-    with workplace(work_folder(out)) as folder, records_in(folder):
+    with workspace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)
         for name, reason in lessons.refused.items():
             progress.say(f"left out: {name}: {reason}")

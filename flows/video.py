@@ -1,10 +1,11 @@
-"""A blurred video, or a folder of its pictures, to one continuous motion."""
+"""A blurred video, or a folder of its frames, to one continuous motion."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,31 +18,29 @@ from hfb.flows.clip_steps import (
     Fitted,
     Scene,
     draw,
-    film,
     find_first_bodies,
     fit_windows,
     join,
-    report,
     score,
     see,
     warn,
 )
-from hfb.flows.runtime.clip_place import clip_place
+from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.reaper import mark_owner
-from hfb.flows.runtime.trouble import ask_server
-from hfb.flows.runtime.workplace import publish
-from hfb.interop.writers.names import CURVES, RECORD, REPORT
+from hfb.flows.runtime.workspace import publish, workspace
+from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.task import code_version
+from hfb.tasks.core.result_records import records_in
 from hfb.tasks.core.video_handles import ClipBodiesHandle, JoinedHandle
 from hfb.tasks.inputs.inputs import with_height
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
-from hfb.tasks.results.export_files import export_files
-from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves
+from hfb.tasks.results.exports import export_motion
+from hfb.tasks.results.result_report import ReportParts, add_report, clip_curves, draw_page_film, write_report
 from hfb.tasks.tracking.video_record import ClipRecord
 from hfb.tasks.video.video_look import draw_texture
 from hfb.tasks.workers.engine import Engine
-from hfb.tasks.workers.workers import busy_share, worker_count
+from hfb.tasks.workers.workers import busy_share, worker_count, workers
 
 _SPARE_THREADS = 2  # tasks that are being checked and looked up while all workers compute
 _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
@@ -53,14 +52,19 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
     One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
     ``out``: the same call goes on from them, after a kill too. The engine changes nothing but the seconds.
 
+    Args:
+        inputs: what the user handed over.
+        out: where the results go.
+        config: all options.
+        engine: what computes.
+
     Returns:
         the content of result.json.
 
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
-        Unavailable: the disk is full, or Prefect's server went away; what is finished is kept.
+        InfrastructureError: the disk is full, or Prefect's server went away; what is finished is kept.
     """
-
     config = with_height(config, inputs.clip)
 
     # A closure: as parameters Prefect would send a folder's pictures to its server, which takes half a megabyte.
@@ -89,13 +93,14 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             record.frames(f"eval/{name}", values)
         warnings = warn(scene, fitted, joined, scores.get("matte_iou", {}))
         texture = draw_texture(scene.footage.light, fitted.person, folder)
-        exports = export_files(joined.motion, texture, inputs.body, config.export, folder)
+        shot = scene.shot(joined.motion, fitted.person)
+        exports = export_motion(shot, texture, config.export, folder)
         curves = clip_curves(fitted.windows, _pairs(scores), folder)
         files: dict[str, FileHandle] = {
             "motion.npz": joined.motion, CURVES: curves, "edges.json": joined.edges, "texture.png": texture,
-            "strip.png": draw(scene, fitted, joined), **exports.by_name(), **film(scene, fitted, joined).by_name(),
+            "strip.png": draw(scene, fitted, joined), **exports.by_name(),
         }  # fmt: skip
-        result = _result(scene, bodies, fitted, joined, scores, out)
+        result = _result(scene=scene, bodies=bodies, fitted=fitted, joined=joined, scores=scores, out=out)
         result["warnings"] = [one.model_dump(mode="json") for one in warnings]
         result["seconds"] = round(time.perf_counter() - began, 3)
         result["workers_busy"] = busy_share()
@@ -107,9 +112,10 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
             made_of = ReportParts(
-                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"]
-            )
-            files[REPORT] = report(scene, fitted, made_of, result)
+                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"],
+                film=draw_page_film(shot, folder),
+            )  # fmt: skip
+            files[REPORT] = write_report(made_of, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
         return result
@@ -129,6 +135,7 @@ def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
 
 
 def _result(
+    *,
     scene: Scene,
     bodies: ClipBodiesHandle,
     fitted: Fitted,
@@ -174,3 +181,20 @@ def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[i
 def _mean(values: Mapping[int, float]) -> float | None:
     finite = [value for value in values.values() if math.isfinite(value)]
     return sum(finite) / len(finite) if finite else None
+
+
+@contextmanager
+def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
+    """The folder for intermediate files, held for this process alone, with the engine's workers at hand.
+
+    Raises:
+        InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.
+        InfrastructureError: see `hfb.flows.runtime.failures.explain_failures`.
+    """
+    with (
+        explain_failures(out),
+        workspace(out) as folder,
+        workers(engine, apart=True),
+        records_in(folder),
+    ):
+        yield folder

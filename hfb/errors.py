@@ -11,20 +11,20 @@ class InputError(ValueError):
         super().__init__(sentence.encode("utf-8", "backslashreplace").decode())
 
 
-class NotNow(InputError):
+class TemporaryError(InputError):
     """What is wrong lies beside what was given, and ends or is mended without another input: a cluster that is down."""
 
 
-class Busy(NotNow):
+class Busy(TemporaryError):
     """Another process works there: waiting mends it."""
 
 
-class Unavailable(Exception):
+class InfrastructureError(Exception):
     """Something that a run stands on gave out half-way: a disk, a server, memory.
 
     Its text names the fix. What is finished is kept, and the same command goes on from there.
     """
 
 
-class ServerLost(Unavailable):
+class ServerLost(InfrastructureError):
     """The server that a run is told to no longer answers: nothing more can be reported to it."""

@@ -12,8 +12,9 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.priors.training_spec import MotionTraining, PoseTraining
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version, task
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.run_record import RunHandle
@@ -71,7 +72,7 @@ def gather(
     Raises:
         InputError: no motion to learn from.
     """
-    from hfb.datasets.motion_windows import draw_columns, split_motions, take_poses
+    from hfb.datasets.motions.motion_windows import draw_columns, split_motions, take_poses
     from hfb.datasets.motions.sources import open_motions
     from hfb.motion.motion_file import write_arrays
 
@@ -146,7 +147,7 @@ def record_training(
     """
     key = digest([params, lessons.sha256, code_version()])
     tags = {"code": code_version(), "seed": str(params["seed"]), "kind": lessons.kind}
-    with tracking.recorded_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
+    with tracking.record_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
         if not run.complete:
             losses = {f"loss/{name}": values for name, values in json.loads(trained.history.path.read_text()).items()}
             tracking.log_histories(run, losses | _metrics(json.loads(measures.path.read_text())))

@@ -5,14 +5,19 @@ import functools
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import cv2
+import platformdirs
 import pytest
+from filelock import FileLock
 
 TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
 TINY_OPTIONS = (
@@ -20,6 +25,8 @@ TINY_OPTIONS = (
     "--export.report", "false", "--export.films", "none",
 )  # fmt: skip
 _SIDE_PX = 96
+RUN_FOLDER = "TEST_RUN_FOLDER"  # the variable that names the folder which a run's processes share
+_CACHE = platformdirs.user_cache_path("hfb") / "tests"
 
 
 @functools.cache
@@ -27,6 +34,19 @@ def _session_folder() -> Path:
     folder = tempfile.mkdtemp(prefix="hfb-tests-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
+
+
+def made_for_run(name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that all processes of this test run read, made by the first that needs it."""
+    run = Path(os.environ.get(RUN_FOLDER) or _session_folder())
+    folder, done = run / name, run / f"{name}.done"
+    with FileLock(run / f"{name}.lock"):
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder
 
 
 @functools.cache
@@ -40,22 +60,66 @@ def prefect_api() -> str:
     from prefect.context import refresh_global_settings_context
     from prefect.logging.configuration import setup_logging
 
-    from hfb.flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.server import PrefectServer
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
+    (_session_folder() / "prefect").mkdir(exist_ok=True)
+    shutil.copy(prefect_tables(), _session_folder() / "prefect")
     PrefectServer().wait()
     return os.environ["PREFECT_API_URL"]
+
+
+def prefect_tables() -> Path:
+    """The database of a temporary server on which nothing ran; its name is the one that servers look for."""
+    return made_once(f"prefect-{version('prefect')}.db", _make_prefect_tables)
+
+
+def _make_prefect_tables(path: Path) -> None:
+    """The database of a first server, which makes its tables for ten seconds."""
+    home = path.with_suffix(".home")
+    program = "from hfb.flows.runtime.server import PrefectServer; PrefectServer().wait()"
+    settings = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
+    root = str(Path(__file__).parents[1])
+    subprocess.run(
+        [sys.executable, "-c", program], check=True, cwd=root, env={**settings, "PREFECT_HOME": str(home)}
+    )  # fmt: skip
+    (source,) = home.glob("**/prefect-*.db")
+    with closing(sqlite3.connect(source)) as live, closing(sqlite3.connect(path)) as copy:
+        live.backup(copy)
+    shutil.rmtree(home)
+
+
+def made_once(name: str, make: Callable[[Path], None]) -> Path:
+    """A file that takes long to make and never changes, kept for other test processes and runs.
+
+    Args:
+        name: with the versions that it depends on.
+    """
+    try:
+        _CACHE.mkdir(parents=True, exist_ok=True)
+        path = _CACHE / name
+    except OSError:  # no folder of the user's can be written
+        path = _session_folder() / name
+    with FileLock(f"{path}.lock"):
+        if not path.exists():
+            part = path.with_name(f"part-{name}")
+            part.unlink(missing_ok=True)
+            make(part)
+            part.rename(path)
+    return path
 
 
 @functools.cache
 def _migrated_store() -> Path:
     """An MLflow database with tables and nothing in them: making one takes seconds, copying it does not."""
-    path = _session_folder() / "migrated.db"
+    return made_once(f"mlflow-{version('mlflow')}.db", _make_store)
+
+
+def _make_store(path: Path) -> None:
     from hfb.tasks.tracking import tracking
 
     tracking.client_of(f"sqlite:///{path}").get_experiment_by_name("none")
-    return path
 
 
 @contextmanager
@@ -90,8 +154,7 @@ def example() -> Path:
     """The embedded example at its full size, made once."""
     from hfb.datasets.example import write_example
 
-    write_example(_session_folder() / "example", 0)
-    return _session_folder() / "example"
+    return made_for_run("example", lambda folder: write_example(folder, 0))
 
 
 def true_first_body(path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import json
 import os
 import shutil
 import signal
@@ -15,10 +16,10 @@ from typing import Any
 import pytest
 
 from hfb.config import RunConfig
-from hfb.datasets.clip_making import MadeClip, make_clip
+from hfb.datasets.synthetic.clip_making import MadeClip, make_clip
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.tasks.workers.engine import Engine
-from tests.orchestration import _session_folder, mlflow_rows, orchestrated
+from tests.orchestration import made_for_run, mlflow_rows, orchestrated
 
 FRAMES = 12
 SMALL_OPTIONS = (
@@ -46,7 +47,15 @@ def small_config(*more: str) -> RunConfig:
 def small_clip(frames: int = FRAMES, leaves: tuple[int, int] | None = None, video: bool = False) -> MadeClip:
     """A clip of 96 x 128 pixels with its truth, made once; its folder is what `hfb video` takes."""
     name = f"clip-{frames}-{leaves}-{video}".replace(" ", "")
-    return make_clip(_session_folder() / name, frames, 96, 128, seed=3, leaves=leaves, video=video)
+
+    def make(folder: Path) -> None:
+        made = make_clip(folder, frames, 96, 128, seed=3, leaves=leaves, video=video)
+        paths = {name: str(path) for name, path in vars(made).items()}
+        folder.with_name(f"{name}.json").write_text(json.dumps(paths))
+
+    folder = made_for_run(name, make)
+    paths = json.loads(folder.with_name(f"{name}.json").read_text())
+    return MadeClip(**{name: Path(path) for name, path in paths.items()})
 
 
 def run_clip(
@@ -62,22 +71,21 @@ def run_clip(
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config = small_config(*more)
-    return run_video(take_video_inputs(source, config, None, background, truth), out, config, workers)
+    return run_video(take_video_inputs(source, config, None, background, truth=truth), out, config, workers)
 
 
 @functools.cache
 def finished() -> tuple[Path, Path, dict[str, Any]]:
     """The small clip, done once: its folder, the MLflow database and result.json."""
-    folder = _session_folder() / "finished"
-    folder.mkdir()
-    patch = pytest.MonkeyPatch()
-    try:
-        with orchestrated(folder, patch) as store:
+
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch, orchestrated(folder, patch):
             made = small_clip()
             result = run_clip(made.truth.parent, folder / "out", truth=made.truth)
-    finally:
-        patch.undo()
-    return folder / "out", store, result
+            (folder / "told.json").write_text(json.dumps(result))
+
+    folder = made_for_run("finished", make)
+    return folder / "out", folder / "mlflow.db", json.loads((folder / "told.json").read_text())
 
 
 def begun(out: Path) -> Path:
@@ -140,7 +148,15 @@ def children(process: int) -> list[int]:
 
 def computing(process: int) -> list[int]:
     """The worker processes of a command."""
-    return [one for one in children(process) if b"spawn_main" in (Path("/proc") / str(one) / "cmdline").read_bytes()]
+    return [worker for one in children(process) if b"forkserver" in command_line(one) for worker in children(one)]
+
+
+def command_line(process: int) -> bytes:
+    """Of a process; nothing where it has ended meanwhile."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def assert_every_frame_once(store: Path, frames: Sequence[int] = range(FRAMES)) -> None:

@@ -104,6 +104,7 @@ def test_cost_per_clip_does_not_grow_with_their_number(tmp_path: Path) -> None:
     assert seconds[1] < 5 * seconds[0] + 0.05
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
 def test_the_pages_lead_to_each_other_and_to_reports(tmp_path: Path) -> None:
     names = [f"clip {number:04}" for number in range(CLIPS_PER_PAGE + 5)]

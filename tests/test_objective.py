@@ -13,11 +13,11 @@ from hfb.evidence.joint_evidence import JointEvidence
 from hfb.evidence.joint_network import Window
 from hfb.fitting.variables import Variables
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.kernels import initialize_operators as evidence
 from hfb.kernels.dispatch import readable_formulas
-from hfb.kernels.fit_operators import as_large
-from hfb.kernels.losses_operators import motion_size, start_distance
-from hfb.kernels.motion_operators import boundary
+from hfb.kernels.motion.motion_operators import boundary
+from hfb.kernels.motion.rescale_operators import as_large
+from hfb.kernels.objective import evidence_operators as evidence
+from hfb.kernels.objective.regularizer_operators import motion_size, start_distance
 from hfb.motion.trajectory import trajectory_at_rest
 from hfb.objective.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior

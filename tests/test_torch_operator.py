@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from hfb.kernels.motion_operators import move, move_gradient
+from hfb.kernels.motion.motion_operators import move, move_gradient
 
 Given = tuple[torch.Tensor, torch.Tensor, torch.Tensor, float]
 

@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from hfb import __version__
-from hfb.errors import InputError, ServerLost, Unavailable
-from hfb.flows.cli import at_hand, clips, exporting, judging, recording, repeating, reporting, training
+from hfb.errors import InfrastructureError, InputError, ServerLost
+from hfb.flows.cli import clips, judging, models_cli, repeating, results, training
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.flows.runtime import summary
 from hfb.flows.runtime.prefect_home import check_home
-from hfb.flows.runtime.running import Chain, report, tell, through_prefect, when_ready
+from hfb.flows.runtime.session import Chain, report, tell, through_prefect, when_ready
 from hfb.tasks.telemetry.secrets import without_secrets
 from hfb.tasks.workers.engine import engine_of
 
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        given = _parsed(words)
+        given = _parse(words)
         check_home()
         code = given.run(given) or _DONE
         sys.stdout.flush()
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
         _complain(str(error), as_json, _FAILED)
         sys.stdout.flush()
         os._exit(_FAILED)  # at a normal exit Prefect would try for minutes to send its server what is left
-    except Unavailable as error:
+    except InfrastructureError as error:
         return _complain(str(error), as_json, _FAILED)
     except BrokenPipeError:  # whoever read the results has gone, as `head` goes
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left to say is said to nobody
@@ -78,8 +78,8 @@ def main(arguments: list[str] | None = None) -> int:
             _last_resorts.pop().cancel()
 
 
-def _parsed(words: list[str]) -> argparse.Namespace:
-    given, unknown = _parser().parse_known_args(words)
+def _parse(words: list[str]) -> argparse.Namespace:
+    given, unknown = command_line().parse_known_args(words)
     if unknown:
         flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
         close = difflib.get_close_matches(unknown[0].partition("=")[0], flags, n=1)
@@ -94,7 +94,8 @@ class _Parser(argparse.ArgumentParser):
         raise InputError(f"{message}; see `{self.prog} --help`")
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
     parser = _Parser("hfb", description="Human from Blur: how a person moved during one exposure.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"hfb {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
@@ -135,7 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     reproduce = _command(
         commands, "reproduce", _reproduce, "a table of the paper: ours beside its numbers", configured=False
     )
-    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a file of infra/experiments, by name")
+    reproduce.add_argument("experiment", metavar="table1|...|table5", help="a table of the paper")
     judging.add_set_flags(reproduce, count=None)
     judging.add_method_flags(reproduce, methods=None)
 
@@ -146,9 +147,9 @@ def _parser() -> argparse.ArgumentParser:
     training.add_training_flags(train)
 
     models = _command(
-        commands, "models", at_hand.models, "networks and files that can be used; get the rest", seeded=True
+        commands, "models", models_cli.models, "networks and files that can be used; get the rest", seeded=True
     )
-    at_hand.add_models_flags(models)
+    models_cli.add_models_flags(models)
 
     again = _command(
         commands, "rerun", repeating.rerun, "repeat a recorded run, and compare", seeded=True, configured=False
@@ -161,30 +162,30 @@ def _parser() -> argparse.ArgumentParser:
     repeating.add_compare_flags(compare)
 
     exported = _command(
-        commands, "export", exporting.export, "a result for Blender, AMASS's tools, OpenSim ...", seeded=True,
+        commands, "export", results.export, "a result for Blender, AMASS's tools, OpenSim ...", seeded=True,
         configured=False,
     )  # fmt: skip
-    exporting.add_export_flags(exported)
+    results.add_export_flags(exported)
 
     reported = _command(
-        commands, "report", reporting.report_result, "a result on one page that opens anywhere", seeded=True,
+        commands, "report", results.report_result, "a result on one page that opens anywhere", seeded=True,
         configured=False,
     )  # fmt: skip
-    reporting.add_report_flags(reported)
+    results.add_report_flags(reported)
 
     recorded = _command(
-        commands, "record", recording.record_result, "put a result into MLflow that could not be recorded when made",
+        commands, "record", results.record_result, "put a result into MLflow that could not be recorded when made",
         seeded=True, configured=False,
     )  # fmt: skip
-    recording.add_record_flags(recorded)
+    results.add_record_flags(recorded)
 
-    runs = _command(commands, "runs", at_hand.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
+    runs = _command(commands, "runs", models_cli.runs, "show the recorded runs in a browser (MLflow)", seeded=True)
     runs.add_argument("--port", type=int, default=5000, help="[5000]")
     return parser
 
 
 def _command(
-    commands: Any, name: str, run: Any, what: str, seeded: bool = False, configured: bool = True, out: str = "DIR"
+    commands: Any, name: str, run: Any, what: str, *, seeded: bool = False, configured: bool = True, out: str = "DIR"
 ) -> argparse.ArgumentParser:
     command: argparse.ArgumentParser = commands.add_parser(name, help=what, description=what, allow_abbrev=False)
     command.set_defaults(run=run, began=time.perf_counter(), command=command)
@@ -212,7 +213,7 @@ def _fit(given: argparse.Namespace) -> None:
     def load() -> Chain:
         from hfb.flows.fit_image import fit_image
 
-        return when_ready(lambda: fit_image(given.frames, given.background, out, config, given.clip))
+        return when_ready(lambda: fit_image(given.frames, given.background, out, config, clip=given.clip))
 
     result = through_prefect(given, out, load)
     report(given, result, summary.FIT_KEYS, summary.FIT_ROWS)
@@ -223,7 +224,7 @@ def _demo(given: argparse.Namespace) -> None:
     out = given.out or Path("runs/demo")
 
     def load() -> Chain:
-        from hfb.flows.demo import fit_example
+        from hfb.flows.fit_image import fit_example
 
         return lambda ready: fit_example(out, config, ready)
 
@@ -251,21 +252,23 @@ def _synth(given: argparse.Namespace) -> None:
 
 def _benchmark(given: argparse.Namespace) -> None:
     out = given.out or Path("runs") / given.set
-    result = _benchmarked(given, given.frames, out)
+    result = _run_benchmark(given, given.frames, out)
     tell(given, result, judging.benchmark_text(result))
 
 
 def _reproduce(given: argparse.Namespace) -> None:
-    experiment = judging.experiment_of(given.experiment)
+    from hfb.evaluation.experiments import find_experiment
+
+    experiment = find_experiment(given.experiment)
     given.set, given.fill = experiment.set, experiment.fill
     given.count = given.count or experiment.count
     given.methods = given.methods or ",".join(experiment.methods)
     out = given.out or Path("runs") / given.experiment
-    result = _benchmarked(given, experiment.frames, out, experiment)
+    result = _run_benchmark(given, experiment.frames, out, experiment)
     tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
 
 
-def _benchmarked(
+def _run_benchmark(
     given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
 ) -> dict[str, Any]:
     judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded
@@ -303,7 +306,7 @@ def _complain(message: str, as_json: bool, code: int) -> int:
 
 
 def _unexpected(error: Exception) -> str:
-    from hfb.flows.runtime.surroundings import log_path
+    from hfb.flows.runtime.server import log_path
 
     logging.getLogger("hfb").exception("unexpected")
     where = f"the log is {log_path()}" if logging.getLogger().handlers else "no log was kept"

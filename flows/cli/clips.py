@@ -11,8 +11,8 @@ from typing import Any
 from hfb.errors import InputError
 from hfb.flows.cli.judging import add_worker_flags, positive
 from hfb.flows.cli.options import run_config
-from hfb.flows.runtime.running import Chain, surrounded, tell, through_prefect, when_ready
-from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, notifying
+from hfb.flows.runtime.session import Chain, open_session, tell, through_prefect, when_ready
+from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, enable_notifications
 from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
 
@@ -68,10 +68,12 @@ def video(given: argparse.Namespace) -> None:
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
     out = given.out or default_out(given.source)
-    inputs = take_video_inputs(given.source, config, given.clip, given.background, given.truth, given.everyone, out)
+    inputs = take_video_inputs(
+        given.source, config, given.clip, given.background, truth=given.truth, everyone=given.everyone, out=out
+    )
 
     def load() -> Chain:
-        from hfb.flows.people import run_clip
+        from hfb.flows.everyone import run_clip
 
         return when_ready(lambda: run_clip(inputs, out, config, engine))
 
@@ -96,10 +98,14 @@ def batch(given: argparse.Namespace) -> int:
         from hfb.flows.batch import batch as every_clip
 
         options = config.model_dump(mode="json")
-        pace = (given.attempts, given.wait, given.watch, given.again, given.store)
-        return when_ready(lambda: every_clip(given.folder, out, options, given.workers, *pace))
+        return when_ready(
+            lambda: every_clip(
+                given.folder, out, options, workers=given.workers, attempts=given.attempts, wait_s=given.wait,
+                watch_s=given.watch, again=given.again, store=given.store,
+            )
+        )  # fmt: skip
 
-    with notifying(addresses):
+    with enable_notifications(addresses):
         result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))
     return int(result["done"] < result["clips"])
@@ -115,11 +121,11 @@ def synth_clip(given: argparse.Namespace) -> None:
     if other := next((flag for flag in flags if flag not in _OF_A_SYNTHETIC_CLIP), None):
         raise InputError(f"`hfb synth clip` makes one clip, and {other} is for the cases of a set: leave it out")
     out = given.out or Path("runs/clip")
-    with surrounded(given, out, recorded=False):
+    with open_session(given, out, recorded=False):
         from hfb.tasks.telemetry import progress
 
         with progress.step("libraries"):
-            from hfb.datasets.clip_making import make_clip
+            from hfb.datasets.synthetic.clip_making import make_clip
         wide = 640 if given.size is None else given.size
         even = 2 if given.mp4 else 1  # H.264 takes no odd number of pixels
         height, width = (even * round(side / even) for side in (0.75 * wide, wide))

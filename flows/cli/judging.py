@@ -16,11 +16,9 @@ from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, metho
 from hfb.io.toml_file import to_record
 
 if TYPE_CHECKING:
-    from hfb.evaluation.experiments import Experiment
     from hfb.flows.benchmark import BenchmarkPlan
 
 SETS = ("bt-amass", "bc-cape", "b-aist")
-EXPERIMENTS = Path(__file__).parents[2] / "infra" / "experiments"
 _DEFAULT_METHODS = "best,paper,static"
 _DEFAULT_COUNT = 20
 
@@ -107,22 +105,6 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
         spec=set_spec(given, frames), count=given.count, methods=method_specs(given.methods, given.chains),
         start=start, init=InitConfig(), body=given.body,
     )  # fmt: skip
-
-
-def experiment_of(name: str) -> Experiment:
-    """One of the files in infra/experiments.
-
-    Raises:
-        InputError: there is none of that name.
-    """
-    path = EXPERIMENTS / f"{name}.toml"
-    if not path.is_file():
-        known = ", ".join(sorted(one.stem for one in EXPERIMENTS.glob("*.toml")))
-        where = f"known are {known}" if known else f"{EXPERIMENTS} is not there: run from a clone of the repository"
-        raise InputError(f"there is no experiment called {name}: {where}")
-    from hfb.evaluation.experiments import load_experiment
-
-    return load_experiment(path)
 
 
 def benchmark_text(result: Mapping[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 from hfb.errors import InputError
 from hfb.flows.cli.judging import cores, positive
-from hfb.flows.runtime.running import Chain, libraries, surrounded, tell, through_prefect, when_ready
+from hfb.flows.runtime.session import Chain, libraries, open_session, tell, through_prefect, when_ready
 from hfb.flows.runtime.summary import number_text
 
 DIFFERS = 3
@@ -45,10 +45,10 @@ def rerun(given: argparse.Namespace) -> int:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
 
     def load() -> Chain:
-        from hfb.flows.rerun import plan_rerun, run_again
+        from hfb.flows.rerun import plan_rerun, repeat
 
         plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers)
-        return when_ready(lambda: run_again(plan))
+        return when_ready(lambda: repeat(plan))
 
     verdict = through_prefect(given, given.out or Path("runs"), load)
     tell(given, verdict, rerun_text(verdict))
@@ -57,7 +57,7 @@ def rerun(given: argparse.Namespace) -> int:
 
 def compare(given: argparse.Namespace) -> None:
     """`hfb compare`."""
-    with surrounded(given, given.out or Path("runs")):
+    with open_session(given, given.out or Path("runs")):
         with libraries():
             from hfb.flows.compare import compare_runs
         result = compare_runs((given.run_a, given.run_b, *given.more), given.out)

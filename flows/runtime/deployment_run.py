@@ -61,7 +61,14 @@ async def supervise(
     environment: Mapping[str, str | None],
     task_status: TaskStatus[int] = TASK_STATUS_IGNORED,
 ) -> tuple[int, str]:
-    """Run a flow in a process of its own until it ends or is cancelled; its exit code and process id."""
+    """Run a flow in a process of its own until it ends or is cancelled; its exit code and process id.
+
+    Args:
+        flow_run: the run.
+        entrypoint: its flow.
+        environment: further variables of its process.
+        task_status: is told the process id.
+    """
     async with FlowRunExecutorContext() as context:
         with TemporaryDirectory(prefix="hfb-run-", ignore_cleanup_errors=True) as folder:
             starter = EngineCommandStarter(

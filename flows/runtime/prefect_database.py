@@ -46,6 +46,7 @@ class PrefectDatabase:
         """Wait until no other process makes the tables, then check the file.
 
         Args:
+            home: its folder.
             say: tells the user that a database was set aside.
         """
         self._home, self._say = home, say
@@ -94,6 +95,7 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
     """Why Prefect could not work with a database file; None where it can, or where there is none yet.
 
     Args:
+        path: the file.
         thorough: read the whole file.
     """
     if not path.exists():
@@ -101,7 +103,7 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
     if not path.is_file():
         return "is no file"
     try:
-        with closing(_opened(path)) as database:
+        with closing(_open(path)) as database:
             tables = {name for (name,) in database.execute("select name from sqlite_master where type = 'table'")}
             if tables and "alembic_version" not in tables:
                 return "is no database of Prefect"
@@ -130,7 +132,7 @@ def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
     """
     if not path.is_file():
         return
-    with closing(_opened(path)) as database:
+    with closing(_open(path)) as database:
         database.execute("pragma foreign_keys = on")
         for days in (_KEPT_DAYS, *_SHORTER_DAYS):
             _remove_before(database, datetime.now(UTC) - timedelta(days=days))
@@ -157,7 +159,7 @@ def _remove_before(database: sqlite3.Connection, when: datetime) -> None:
         _log.info("Prefect's history: %d flow runs from before %s removed", count, when.date())
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _open(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=rw", uri=True, timeout=5)
 
 
@@ -166,7 +168,7 @@ def _revisions(path: Path) -> set[str]:
     if not path.is_file():
         return set()
     try:
-        with closing(_opened(path)) as database:
+        with closing(_open(path)) as database:
             return {name for (name,) in database.execute("select version_num from alembic_version")}
     except sqlite3.Error:
         return set()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import platformdirs
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 
 _HOME, _PROFILES = "PREFECT_HOME", "PREFECT_PROFILES_PATH"
 _OWN = "hfb"  # below a PREFECT_HOME of the user
@@ -51,7 +51,7 @@ def make_home() -> str | None:
         a remark for the user about a temporary home; None where there is nothing to say.
 
     Raises:
-        NotNow: there is no place for a temporary home either.
+        TemporaryError: there is no place for a temporary home either.
     """
     home = Path(os.environ[_HOME])
     try:
@@ -64,7 +64,7 @@ def make_home() -> str | None:
     try:
         temporary = tempfile.mkdtemp(prefix="hfb-prefect-")
     except OSError as error:
-        raise NotNow(
+        raise TemporaryError(
             f"no folder for temporary files can be written ({error.strerror}): set TMPDIR to one that can"
         ) from None
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)

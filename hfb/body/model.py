@@ -14,7 +14,7 @@ import torch
 from hfb.body import skinning
 from hfb.body.mesh import Mesh
 from hfb.body.skeleton import BONES, PARENTS
-from hfb.kernels import body_operators as operators
+from hfb.kernels.body import body_operators as operators
 from hfb.kernels.dispatch import compiled, constant
 from hfb.typing import Float, Int, Shaped, Tensor
 

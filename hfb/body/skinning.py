@@ -6,7 +6,7 @@ from functools import lru_cache
 import torch
 
 from hfb.body.skeleton import ANCESTORS_BY_DOUBLING, JOINT_COUNT, PARENT_OR_SELF
-from hfb.kernels.body_vector import FEATURES
+from hfb.kernels.body.body_vector import FEATURES
 from hfb.kernels.dispatch import constant
 from hfb.typing import Float, Int, Shaped, Tensor
 

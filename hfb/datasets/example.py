@@ -10,8 +10,8 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.backgrounds import room_background
-from hfb.datasets.textures import clothes_texture
+from hfb.datasets.synthetic.backgrounds import room_background
+from hfb.datasets.synthetic.textures import clothes_texture
 from hfb.datasets.truth import Truth, save_truth
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import (
@@ -22,7 +22,7 @@ from hfb.geometry.rotations import (
     quaternion_to_axis_angle,
     quaternion_to_matrix,
 )
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb, srgb_to_linear
@@ -35,7 +35,7 @@ _EXPOSURE_S = 1 / 30
 # Dense enough that neighbouring instants are less than a pixel apart; 7 * 8 + 1 holds the instants of N = 8.
 _INSTANTS = 57
 _SENSOR_NOISE = 0.004
-# Seed 0 draws this one, a good case to show: LOG.md has the figures of seven draws, good and bad.
+# Seed 0 draws this one, a good case to show: docs/experiments has the figures of seven draws, good and bad.
 _FIRST_DRAW = 9
 
 # The stretch between the key poses that the exposure covers: a blur rate of about 0.6.

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from hfb.body.model import Body
-from hfb.datasets.sharp import SHARP_SUBFRAMES
+from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES
 from hfb.datasets.truth import JointTruth, Truth
 from hfb.evaluation.metrics import (
     better_of_both,

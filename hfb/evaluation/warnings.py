@@ -14,7 +14,7 @@ import numpy as np
 from hfb.config import Record
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.plate import constant_changes
-from hfb.matting.matting import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.motion.sampled import SampledMotion
 from hfb.photometry import srgb_to_linear
 from hfb.typing import Array, Bool, Float

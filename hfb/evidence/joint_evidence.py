@@ -17,9 +17,9 @@ from hfb.evidence.joint_network import JointClaim, JointNetwork, Window, in_unit
 from hfb.evidence.lifting_network import lengths_in_window, lift
 from hfb.evidence.robust import evidence_loss
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.kernels import initialize_operators as operators
 from hfb.kernels.determinism import one_torch_thread
 from hfb.kernels.dispatch import compiled, constant
+from hfb.kernels.objective import evidence_operators as operators
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.observation import Observation
 from hfb.typing import Bool, Float, Tensor

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from hfb.body.skeleton import JOINT_COUNT, PARENT_OR_SELF
 from hfb.geometry.camera import PinholeCamera
-from hfb.matting.matting import matte_region
+from hfb.matting.matting_protocol import matte_region
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float, Shaped, Tensor
 

@@ -11,7 +11,7 @@ from hfb.fitting.variables import Variables, falling, rates
 from hfb.kernels.adam import Adam
 from hfb.objective.objective import Objective
 from hfb.rendering.observation import Observation
-from hfb.rendering.texture import visible_texels
+from hfb.rendering.texels import visible_texels
 from hfb.typing import Bool, Tensor
 
 GAIN = 1e-3

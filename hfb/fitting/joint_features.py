@@ -15,7 +15,7 @@ from hfb.motion.clock import subframe_clock
 from hfb.motion.sampled import SampledMotion
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.objective import Objective
-from hfb.rendering.texture import texel_faces, visible_texels
+from hfb.rendering.texels import texel_faces, visible_texels
 from hfb.typing import Array, Float, Tensor
 
 _FLOOR_M = 0.02

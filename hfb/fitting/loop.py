@@ -31,7 +31,7 @@ from hfb.priors.motion_prior import MotionPrior, load_motion_prior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
-from hfb.rendering.texture import fill_texture_gutter, texel_faces
+from hfb.rendering.texels import fill_texture_gutter, texel_faces
 from hfb.typing import Array, Float, Tensor
 
 if TYPE_CHECKING:

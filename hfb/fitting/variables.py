@@ -11,7 +11,7 @@ from hfb.body.model import PARENT_TABLE, Body, bone_length
 from hfb.config import FitConfig
 from hfb.fitting.clip_person import ClipPerson
 from hfb.kernels.dispatch import compiled
-from hfb.kernels.fit_operators import as_large
+from hfb.kernels.motion.rescale_operators import as_large
 from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.static_pose import FirstBody
 from hfb.motion.trajectory import Trajectory, move_towards_neighbours, trajectory_at_rest

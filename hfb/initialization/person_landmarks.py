@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from hfb.initialization.landmarks import LANDMARK, Landmarks, PoseNetworks, Region
-from hfb.matting.matting import matte_region
+from hfb.matting.matting_protocol import matte_region
 from hfb.typing import Array, Float, Shaped
 
 _GRAY = 0.5

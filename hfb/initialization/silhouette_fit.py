@@ -15,7 +15,7 @@ import torch
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
-from hfb.matting.matting import matte_region
+from hfb.matting.matting_protocol import matte_region
 from hfb.motion.static_pose import FirstBody
 from hfb.objective.matting import matting_loss
 from hfb.priors.anatomy import AnatomicalPrior

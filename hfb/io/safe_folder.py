@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hfb.errors import NotNow
+from hfb.errors import TemporaryError
 
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _DEEPEST = 32  # levels; hfb itself makes four
@@ -22,7 +22,7 @@ _KINDS = {
 }  # fmt: skip
 
 
-class NotOrdinary(NotNow):
+class NotOrdinary(TemporaryError):
     """A symbolic link or a special file lies where hfb would open, list or remove something."""
 
 

@@ -1,6 +1,7 @@
 """How kernels are compiled: once per machine, whatever the process, and again when any of their sources changes.
 
-All compiled code lives in this room and has one hash: a change in any of its files compiles all kernels again.
+All compiled code lives in this room and has one hash, which names the folder that keeps it: another clone, or a
+package that was moved, finds the kernels of the same sources; a change in any file compiles all of them again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -12,13 +13,19 @@ import pickle
 import shutil
 import stat
 import tempfile
+import time
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 
+import llvmlite
+import numba
+import platformdirs
+from filelock import FileLock, Timeout
 from numba import config, njit
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 JIT = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Loops compiled without reference counting: numba would count every array at every call within the loops, half
@@ -34,19 +41,77 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 
 @lru_cache
 def _sources() -> str:
-    files = sorted(Path(__file__).parent.glob("*.py"))
-    return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    """The hash of all that decides what is compiled, but the processor (which numba's index tells apart)."""
+    files = sorted(Path(__file__).parent.rglob("*.py"))
+    versions = f"{numba.__version__} {llvmlite.__version__}".encode()
+    return sha256(versions + b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 _DAMAGED = OSError, EOFError, pickle.UnpicklingError, ValueError, LookupError, AttributeError, ImportError, RuntimeError
+_KEPT_DAYS = 60
+_LOCKED_S = 300.0  # far longer than one kernel takes: whoever holds the lock so long has stopped
 _log = logging.getLogger(__name__)
 
 
-class _SourcesCache(FunctionCache):
-    """Numba's own cache looks at the file of the cached function only; its callees here live in several.
+class _SourcesLocator(_CacheLocator):
+    """Where a function's machine code is kept: a folder that is named by the sources, not by their place."""
 
-    It goes beside the sources, into the user's cache, or else into a temporary folder; a damaged one is made again.
+    def __init__(self, folder: Path, py_func, py_file):
+        self._folder, self._py_file = folder, py_file
+        self._line = py_func.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, py_func, py_file):
+        for place in _places(Path(py_file)):
+            with suppress(OSError):
+                return cls(_prepared(place), py_func, py_file)
+        return None
+
+    def get_cache_path(self):
+        return str(self._folder)
+
+    def get_source_stamp(self):
+        return sha256(_sources().encode() + Path(self._py_file).read_bytes()).hexdigest()
+
+    def get_disambiguator(self):
+        return str(self._line)
+
+
+def _places(file: Path) -> Iterator[Path]:
+    """Folders to keep machine code in, the preferred one first."""
+    if config.CACHE_DIR:
+        yield Path(config.CACHE_DIR)
+    yield platformdirs.user_cache_path("hfb") / "kernels"
+    yield file.parent / "__pycache__"
+
+
+@lru_cache
+def _prepared(place: Path) -> Path:
+    """The sources' folder in a place, which can be written; folders of sources that nobody used lately are removed."""
+    folder = place / f"hfb-{_sources()[:16]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()
+    os.utime(folder)
+    unused = time.time() - _KEPT_DAYS * 86400
+    for other in place.glob("hfb-" + "?" * 16):
+        with suppress(OSError):
+            if other.stat().st_mtime < unused:
+                shutil.rmtree(other)
+    return folder
+
+
+class _SourcesCacheImpl(CompileResultCacheImpl):
+    _locator_classes = (_SourcesLocator,)
+
+
+class _SourcesCache(FunctionCache):
+    """Numba's own cache looks at the file of the cached function and its place; its callees here live in several files.
+
+    It goes into `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else into a temporary folder; a damaged one
+    is made again. Of several processes that need a kernel which nobody has compiled, one compiles it.
     """
+
+    _impl_class = _SourcesCacheImpl
 
     def __init__(self, function):
         try:
@@ -54,8 +119,30 @@ class _SourcesCache(FunctionCache):
         except RuntimeError:  # no folder can be written
             _use_temporary_folder()
             super().__init__(function)
+        self._lock = None
 
     def load_overload(self, sig, target_context):
+        found = self._loaded(sig, target_context)
+        if found is not None:
+            return found
+        # made now: a forked process may not use its parent's
+        self._lock = FileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock", thread_local=False)
+        try:
+            self._lock.acquire(timeout=_LOCKED_S)
+        except (OSError, NotImplementedError, Timeout) as error:
+            _log.info("%s: compiled without a lock (%s)", self._name, error)
+            return None
+        found = self._loaded(sig, target_context)
+        if found is not None:  # another process has compiled it meanwhile
+            self._unlock()
+        return found
+
+    def _unlock(self):
+        if self._lock is not None:
+            self._lock.release(force=True)
+            self._lock = None
+
+    def _loaded(self, sig, target_context):
         try:
             return super().load_overload(sig, target_context)
         except _DAMAGED as error:
@@ -70,9 +157,8 @@ class _SourcesCache(FunctionCache):
         except _DAMAGED as error:
             _say_once(f"kernels are compiled again next time, since they cannot be kept ({error})")
             self.disable()
-
-    def _index_key(self, sig, codegen):
-        return (*super()._index_key(sig, codegen), _sources())
+        finally:
+            self._unlock()
 
 
 def _cached(compiled, function):
@@ -111,7 +197,7 @@ def _say_once(remark):
 
 
 def entry(function):
-    """Compile a function that Python calls, and keep the machine code beside it or in the user's cache."""
+    """Compile a function that Python calls, and keep the machine code for later processes."""
     return _cached(njit(**JIT)(function), function)
 
 

@@ -6,7 +6,7 @@ plain autograd function with the same kernels and the same way back, and some of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -88,7 +88,7 @@ def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
         def fake(*arguments: Any) -> tuple[Tensor, ...]:
             return arguments[0].new_empty(()), *(given.new_empty(given.shape) for given in arguments[:moving])
 
-        def keep(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+        def keep(ctx: Any, inputs: Sequence[Any], output: tuple[Tensor, ...]) -> None:
             ctx.save_for_backward(*output[1:])
             ctx.mark_non_differentiable(*output[1:])
             ctx.constants = len(inputs) - moving

@@ -1,7 +1,7 @@
 """Choose a matting method by name; only the chosen one is imported."""
 
 from hfb.config import MattingConfig
-from hfb.matting.matting import KnownBackground, Matting
+from hfb.matting.matting_protocol import KnownBackground, Matting
 
 
 def make_matting(config: MattingConfig) -> Matting:

@@ -12,7 +12,7 @@ from hfb.kernels.determinism import one_torch_thread
 from hfb.matting.alignment import aligned_plate
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.matte_network import CHANNELS, MatteNetwork, features
-from hfb.matting.matting import (
+from hfb.matting.matting_protocol import (
     LEAST_SHARE,
     MOST_SHARE,
     Picture,

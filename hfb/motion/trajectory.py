@@ -13,7 +13,7 @@ from hfb.geometry.rotations import (
     quaternion_to_matrix,
 )
 from hfb.kernels.dispatch import compiled
-from hfb.kernels.motion_operators import move
+from hfb.kernels.motion.motion_operators import move
 from hfb.typing import Float, Tensor
 
 RotationKind = Literal["quaternion", "axis-angle"]

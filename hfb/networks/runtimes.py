@@ -18,7 +18,7 @@ import torch
 
 from hfb.errors import InputError
 from hfb.kernels.determinism import one_torch_thread
-from hfb.networks.files import MOST_CODE_BYTES, check_torchscript, is_onnx
+from hfb.networks.network_files import MOST_CODE_BYTES, check_torchscript, is_onnx
 from hfb.typing import Array, Float
 
 _TOO_FEW = ("k argument", "selected index k out of range")

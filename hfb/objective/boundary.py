@@ -4,7 +4,7 @@ import torch
 
 from hfb.body.model import ShapedBody
 from hfb.kernels.dispatch import compiled, constant
-from hfb.kernels.motion_operators import boundary
+from hfb.kernels.motion.motion_operators import boundary
 from hfb.motion.trajectory import Trajectory
 from hfb.typing import Float, Tensor
 

@@ -14,8 +14,8 @@ from hfb.config import Weights
 from hfb.evidence.joint_evidence import JointEvidence
 from hfb.geometry.rotations import matrix_to_axis_angle
 from hfb.kernels.dispatch import compiled, constant
-from hfb.kernels.image_losses import Target
-from hfb.kernels.motion_operators import rotation_vectors
+from hfb.kernels.motion.motion_operators import rotation_vectors
+from hfb.kernels.objective.image_losses import Target
 from hfb.motion.clock import next_opening, subframe_clock
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.boundary import boundary_loss

@@ -1,6 +1,6 @@
 """Comparisons at several scales: what lies beside its place by a few pixels still meets it in a coarser picture.
 
-Readable torch; a fit on the processor runs the compiled form of the same, `hfb.kernels.image_losses`.
+Readable torch; a fit on the processor runs the compiled form of the same, `hfb.kernels.objective.image_losses`.
 """
 
 from collections.abc import Callable

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 
 from hfb.kernels.dispatch import compiled
-from hfb.kernels.losses_operators import motion_size, start_distance
+from hfb.kernels.objective.regularizer_operators import motion_size, start_distance
 from hfb.typing import Float, Tensor
 
 _EPSILON = 1e-6

@@ -22,7 +22,7 @@ import torch
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
 from hfb.geometry.rotations import axis_angle_to_quaternion
 from hfb.kernels.dispatch import compiled
-from hfb.kernels.priors_operators import anatomy
+from hfb.kernels.objective.anatomy_operators import anatomy
 from hfb.typing import Float, Int, Tensor
 
 _LIMIT_SCALE_DEG = 4.0

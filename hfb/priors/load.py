@@ -13,7 +13,7 @@ from torch.serialization import get_unsafe_globals_in_checkpoint, safe_globals
 
 from hfb.errors import InputError
 from hfb.io.array_files import UNPACKED_LIMIT, read_arrays, weights_file
-from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickle_reader import load_pickle
 from hfb.io.safe.pickled_arrays import to_array
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.priors.gmm import GmmPrior

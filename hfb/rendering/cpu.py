@@ -6,11 +6,11 @@ import torch
 
 from hfb.body.mesh import Mesh
 from hfb.geometry.camera import PinholeCamera
-from hfb.kernels.render_blocks import Setting
-from hfb.kernels.render_operators import Judge, draw, losses_of, pictures
+from hfb.kernels.rendering.render_blocks import Setting
+from hfb.kernels.rendering.render_operators import Judge, draw, losses_of, pictures
 from hfb.rendering.rasterizer import NEAR_M
 from hfb.rendering.reference_dibr import dibr_constants
-from hfb.rendering.texture import corner_uv
+from hfb.rendering.texels import corner_uv
 from hfb.typing import Float, Tensor
 
 

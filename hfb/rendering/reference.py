@@ -13,7 +13,7 @@ from hfb.body.mesh import Mesh
 from hfb.geometry.camera import PinholeCamera
 from hfb.rendering.rasterizer import NEAR_M
 from hfb.rendering.reference_dibr import soft_mask
-from hfb.rendering.texture import sample_texture
+from hfb.rendering.texels import sample_texture
 from hfb.typing import Bool, Float, Int, Tensor
 
 TIE = 1e-9  # squared distances [px^2] and barycentric coordinates closer than this are equal

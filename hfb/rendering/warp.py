@@ -10,7 +10,7 @@ from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.kernels.warp.operators import draw_by_warp
 from hfb.rendering.rasterizer import NEAR_M
-from hfb.rendering.texture import corner_uv
+from hfb.rendering.texels import corner_uv
 from hfb.typing import Float, Int, Tensor
 
 

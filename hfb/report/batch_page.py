@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.report.page import page, picture_uri, small_picture
 
 CLIPS_PER_PAGE = 100

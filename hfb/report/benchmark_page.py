@@ -10,7 +10,7 @@ import numpy as np
 
 from hfb.evaluation.cells import is_start
 from hfb.evaluation.table_page import UNKNOWN, interval, is_oracle, number
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.report.markdown import markdown
 from hfb.report.page import page, small_picture
 

@@ -6,7 +6,7 @@ Figures are objects of their own: no pyplot, no global state, the same bytes for
 import io
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from hfb.evaluation.cells import is_start
 
@@ -36,8 +36,15 @@ def styles(summary: Mapping[str, Any]) -> dict[str, Style]:
     return {**{name: {"color": GRAY, "marker": None, "linestyle": "--"} for name in summary["methods"]}, **styles}
 
 
-def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> tuple[Any, Any]:
-    """An empty figure and its axes (several side by side: a list of them)."""
+class Sheet(NamedTuple):
+    """An empty figure and its axes; several side by side are a list."""
+
+    figure: Any
+    axes: Any
+
+
+def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> Sheet:
+    """Return an empty figure with its axes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -50,7 +57,7 @@ def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> tuple[
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", color=FAINT_GRAY, linewidth=0.8)
         axes.set_axisbelow(True)
-    return figure, every[0] if panels == 1 else every
+    return Sheet(figure, every[0] if panels == 1 else every)
 
 
 def png(figure: Any, *every: Any, columns: int = 6) -> bytes:

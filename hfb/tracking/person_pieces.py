@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from hfb.matting.matting import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.photometry import srgb_to_linear
 from hfb.typing import Array, Float
 

@@ -13,7 +13,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.clip import PersonChoice
 from hfb.io.media.plate import changed_pixels
-from hfb.matting.matting import nobody_found
+from hfb.matting.matting_protocol import nobody_found
 from hfb.tracking.person_pieces import Alpha, Person, join_pieces
 from hfb.tracking.track_rows import read_rows
 from hfb.typing import Array, Bool, Float

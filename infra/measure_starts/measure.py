@@ -23,9 +23,9 @@ from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.initializer import Initializer, make_initializer
 from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept, silhouette
-from hfb.io.media.pictures import read_picture_srgb
-from hfb.io.media.video import read_frames
-from hfb.matting.matting import Matting, shrink
+from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.video.video_reading import read_frames
+from hfb.matting.matting_protocol import Matting, shrink
 from hfb.matting.methods import make_matting
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear

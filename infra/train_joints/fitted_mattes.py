@@ -15,7 +15,7 @@ from bank import parser_of, split
 from fits import Gym
 from pictures import until_found
 
-from hfb.matting.matting import clean, matte_region
+from hfb.matting.matting_protocol import clean, matte_region
 from hfb.matting.network import NetworkMatting
 from hfb.photometry import linear_to_srgb
 

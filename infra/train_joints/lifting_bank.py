@@ -11,7 +11,7 @@ from bank import SPLITS, split
 from people import INSTANTS, People, draw_amplitude
 
 from hfb.datasets.network_errors import draw_turns
-from hfb.datasets.viewpoints import PlacedCamera, front_of, in_camera, place
+from hfb.datasets.synthetic.viewpoints import PlacedCamera, front_of, in_camera, place
 from hfb.evidence.joint_network import Window
 from hfb.evidence.lifting_network import bone_lengths
 from hfb.geometry.rotations import axis_angle_to_matrix

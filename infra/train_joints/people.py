@@ -8,11 +8,11 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import MIRROR
-from hfb.datasets.motion_clip import MotionClip
+from hfb.datasets.motions.motion_clip import MotionClip
 from hfb.datasets.motions.resampling import has_jump, resample
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.network_errors import pose_errors
-from hfb.datasets.viewpoints import View, draw_view
+from hfb.datasets.synthetic.viewpoints import View, draw_view
 from hfb.evidence.joint_network import Window
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.priors.anatomy import AnatomicalPrior

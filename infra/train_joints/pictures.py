@@ -11,16 +11,16 @@ from people import INSTANTS, SECONDS, STARTS, People, draw_amplitude, draw_momen
 
 from hfb.body.height import height_m
 from hfb.body.mesh import Mesh
-from hfb.datasets.backgrounds import room_background
-from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.network_errors import draw_turns
-from hfb.datasets.scenery import draw_scenery
-from hfb.datasets.viewpoints import front_of, in_camera, place
+from hfb.datasets.synthetic.backgrounds import room_background
+from hfb.datasets.synthetic.clothed import draw_clothing, dress
+from hfb.datasets.synthetic.scenery import draw_scenery
+from hfb.datasets.synthetic.viewpoints import front_of, in_camera, place
 from hfb.evidence.joint_network import Window, picture_channels
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.matting.matte_network import features
-from hfb.matting.matting import clean, matte_region
+from hfb.matting.matting_protocol import clean, matte_region
 from hfb.matting.network import shipped_network
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.rendering.backends import make_rasterizer

@@ -20,7 +20,7 @@ from plates import read_photos
 
 from hfb.errors import InputError
 from hfb.matting.camera_noise import exposure_gain
-from hfb.matting.matting import KnownBackground
+from hfb.matting.matting_protocol import KnownBackground
 from hfb.matting.network import NetworkMatting
 from hfb.photometry import linear_to_srgb
 

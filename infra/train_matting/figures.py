@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.clothed import draw_clothing, dress
 from hfb.datasets.network_errors import draw_turns, pose_errors
-from hfb.datasets.textures import clothes_texture
+from hfb.datasets.synthetic.clothed import draw_clothing, dress
+from hfb.datasets.synthetic.textures import clothes_texture
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.texture import texel_faces
+from hfb.rendering.texels import texel_faces
 
 SIZE_PX = 224
 TEXTURE_PX = 256

@@ -18,7 +18,7 @@ from scenes import Difficulty, Scene, draw_scene
 
 from hfb.errors import InputError
 from hfb.matting.matte_network import CHANNELS, MatteNetwork
-from hfb.matting.matting import KnownBackground
+from hfb.matting.matting_protocol import KnownBackground
 from hfb.matting.network import NetworkMatting
 
 _RULES = Difficulty(

@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hfb.datasets.backgrounds import room_background
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.datasets.synthetic.backgrounds import room_background
+from hfb.io.media.images.image_io import read_picture_srgb
 
 ROOMS, PATTERNS = 160, 200
 _LONGER_PX = 640

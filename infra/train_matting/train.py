@@ -26,7 +26,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
-from hfb.matting.matting import clean
+from hfb.matting.matting_protocol import clean
 from hfb.matting.network import seen_beside_fit, shipped_network, shipped_second
 from hfb.matting.second_look import COLOUR_STARTS, EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, FIT_COLOUR_STARTS, SHARED_CHANNELS, fit_evidence

@@ -78,11 +78,15 @@ class Ledger:
         """Remember that a clip is done."""
         self._keep(name, Entry(stamp=stamp, status="done", link=link))
 
-    def failed(self, name: str, stamp: str, reason: str, attempts: int, wait_s: float, hopeless: bool) -> Entry:
+    def failed(self, name: str, stamp: str, reason: str, *, attempts: int, wait_s: float, hopeless: bool) -> Entry:
         """Remember a failure: tried again after a wait that doubles each time, or set aside.
 
         Args:
-            attempts: after how many failures it is set aside. wait_s: after the first failure.
+            name: of the clip.
+            stamp: of the clip as it is now.
+            reason: one sentence.
+            attempts: failures after which it is set aside.
+            wait_s: before the second attempt [s].
             hopeless: set aside at once, since only another file can mend it.
         """
         before = self.entry(name, stamp)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hfb.errors import InputError
-from hfb.interop.writers.names import REPORT, RESULT
+from hfb.interop.writers.export_names import REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
@@ -37,9 +37,12 @@ class BatchSummary:
     """All clips of a batch, as its pages show them."""
 
     def __init__(self, title: str, out: Path, thumbnails: Path) -> None:
-        """
+        """Begin with no clip.
+
         Args:
-            title: of the pages. thumbnails: the folder for small pictures, which no clip's result can be in.
+            title: of the pages.
+            out: the folder that they go to.
+            thumbnails: the folder for small pictures, which no clip's result can be in.
         """
         self._title, self._out, self._thumbnails = title, out, thumbnails
         self._names: list[str] = []
@@ -73,7 +76,14 @@ class BatchSummary:
         self._remove_from(pages)
 
     def show(self, name: str, status: str, reason: str = "", link: str | None = None) -> None:
-        """Show what became of one clip: its page, and the first, which counts."""
+        """Show what became of one clip: its page, and the first, which counts.
+
+        Args:
+            name: of the clip.
+            status: what became of it.
+            reason: why, where it failed.
+            link: its page in MLflow.
+        """
         from hfb.report.batch_page import CLIPS_PER_PAGE
 
         self._clips[name] = self._row(name, status, reason, link)
@@ -206,7 +216,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 def _is_thumbnail(path: Path) -> bool:
     """Whether it is a small JPEG: the folder may be from somebody else."""
-    from hfb.io.media.pictures import picture_size
+    from hfb.io.media.images.image_io import picture_size
 
     try:
         if path.is_symlink() or path.stat().st_size > _THUMBNAIL_BYTES:

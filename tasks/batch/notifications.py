@@ -66,7 +66,7 @@ def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
 
 
 @contextmanager
-def notifying(addresses: Sequence[str]) -> Iterator[None]:
+def enable_notifications(addresses: Sequence[str]) -> Iterator[None]:
     """Send what is told inside to these addresses. They are no argument of a flow: Prefect records those."""
     token = _addresses.set(tuple(addresses))
     try:
@@ -79,7 +79,9 @@ def notify(folder: str, troubles: Sequence[ClipTrouble], counts: Mapping[str, An
     """Tell every address of clips that failed. What cannot be told is said here, and ends nothing.
 
     Args:
-        folder: name of the folder of clips. counts: what became of all of them, and ``page``.
+        folder: name of the folder of clips.
+        counts: what became of all of them, and ``page``.
+        troubles: clips that failed in this look.
     """
     if not troubles:
         return

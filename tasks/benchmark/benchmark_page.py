@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.interop.writers.names import REPORT
+from hfb.interop.writers.export_names import REPORT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.benchmark.benchmark_results import ResultsHandle
 from hfb.tasks.benchmark.judge_case import JudgedHandle
+from hfb.tasks.core.environment import code_version, environment
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.core.task import code_version, task
-from hfb.tasks.tracking.environment import environment
+from hfb.tasks.task import task
 from hfb.tasks.tracking.tracking import flatten
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ def write_beside(experiment: Experiment, results: ResultsHandle, folder: Path) -
 
 @task("report")
 def draw_benchmark_page(
+    *,
     judged: tuple[JudgedHandle, ...],
     results: ResultsHandle,
     gallery: FileHandle,
@@ -58,7 +59,13 @@ def draw_benchmark_page(
     """Everything that a benchmark leaves, in one file; see `hfb.report.benchmark_page`.
 
     Args:
-        params: what decides the figures. methods: every method's options.
+        judged: the answers.
+        results: tables and plots.
+        gallery: some answers as images.
+        beside: the paper's numbers.
+        params: what decides the figures.
+        methods: every method's options.
+        folder: where the page goes.
     """
     from hfb.report.benchmark_page import Answer, benchmark_page
 

@@ -12,8 +12,9 @@ import numpy as np
 from hfb.config import Record
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.benchmark.judge_case import JudgedHandle
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version, task
+from hfb.tasks.task import task
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.run_record import RunHandle
 
@@ -39,6 +40,7 @@ class ResultsHandle(Record):
 
 @task("tables and plots")
 def tabulate(
+    *,
     judged: tuple[JudgedHandle, ...],
     set_name: str,
     frames: int,
@@ -49,7 +51,19 @@ def tabulate(
     notes: tuple[str, ...],
     folder: Path,
 ) -> ResultsHandle:
-    """Gather the rows of all cases and methods."""
+    """Gather the rows of all cases and methods.
+
+    Args:
+        judged: the answers.
+        set_name: the set, as on the command line.
+        frames: blurred frames per case.
+        methods: names, in their order.
+        count: how many cases there are.
+        seed: of the set.
+        skipped: name -> reason, of what was left out.
+        notes: what a reader of the table has to know.
+        folder: where the files go.
+    """
     import pandas
 
     from hfb.datasets.blur_bins import BLUR_BINS, bins_of
@@ -76,7 +90,7 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 
     Shown are the cases at fixed ranks of fitted over initial error, so that nobody chooses what is seen.
     """
-    from hfb.io.media.pictures import read_picture_srgb, write_png
+    from hfb.io.media.images.image_io import read_picture_srgb, write_png
     from hfb.report.strip import captioned
 
     rows = [(json.loads(one.path.read_text()), one) for one in judged]
@@ -101,11 +115,15 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
 
 @task("record in MLflow", cached=False)
 def record_benchmark(
-    name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, files: tuple[Path, ...]
+    *, name: str, params: dict[str, Any], methods: dict[str, Any], results: ResultsHandle, files: tuple[Path, ...]
 ) -> RunHandle:
     """A parent run for the set, a child per method; metrics of the bins are steps, in the order of the blur rate.
 
     Args:
+        name: of the run.
+        params: what decides the figures.
+        methods: options of every method.
+        results: tables and plots.
         files: what the benchmark leaves.
 
     Raises:
@@ -114,7 +132,7 @@ def record_benchmark(
     summary = results.content()
     key = digest([params, methods, code_version()])
     tags = {"code": code_version(), "seed": str(summary["seed"])}
-    with tracking.recorded_run(name, key, params, tags) as parent:
+    with tracking.record_run(name, key, params, tags) as parent:
         if not parent.complete:
             counts = {"count": [summary["count"]], "skipped": [summary["skipped"]]}
             tracking.log_histories(parent, counts)
@@ -123,8 +141,8 @@ def record_benchmark(
             cells = summary["methods"].get(method)
             if cells is None:
                 continue
-            with tracking.recorded_run(
-                f"{name}/{method}", digest([key, method]), {"method": options, **params}, tags, parent
+            with tracking.record_run(
+                f"{name}/{method}", digest([key, method]), {"method": options, **params}, tags, parent=parent
             ) as child:
                 if not child.complete:
                     tracking.log_histories(child, _metrics("all", [cells["all"]]) | _metrics("bin", cells["bins"]))

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from hfb.config import CameraConfig, ExposureConfig, InitConfig, MattingConfig, Record
 from hfb.datasets.case import Case, case_name, load_case
@@ -15,13 +15,12 @@ from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import read_clip
-from hfb.tasks.core.handles import ClipHandle, FileHandle, digest
-from hfb.tasks.core.task import task
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, digest
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
 from hfb.tasks.inputs.given_networks import check_networks
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
-from hfb.tasks.workers.workers import compute, spread
 
 Spec = SetSpec | RealSpec
 
@@ -75,13 +74,15 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
     """Open everything once: what is damaged is known, and named, before a case is drawn.
 
     Args:
+        spec: the set.
         listing: what lies in the folders that the set is made from (`listing_of`); with other files this is done again.
+        folder: where the list goes.
 
     Raises:
         InputError: nothing can be used; the sentence gives the first reasons.
     """
     if isinstance(spec, RealSpec):
-        from hfb.datasets.real.windows import real_windows
+        from hfb.datasets.real.case_windows import real_windows
 
         windows, refused = real_windows(spec)
         usable: Sequence[int] = range(len(windows))
@@ -98,37 +99,99 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
     return SourcesHandle.of(path, usable=tuple(usable), refused=refused)
 
 
-@task("case")
-def make_case(
-    spec: Spec, number: int, sources: SourcesHandle, networks: tuple[FileHandle, ...], folder: Path
-) -> CaseHandle:
-    """Make one case in ``folder/case_0001``.
+class MakeCall(Call):
+    """A case to make.
 
-    Args:
+    Attributes:
+        spec: the set.
+        number: of the case.
+        sources: what it can be made from.
         networks: the pose networks at hand, where they make the truth of real video: with other ones it is made again.
+        folder: of all cases; the case goes to ``case_0001`` and so on in it.
+    """
+
+    spec: Spec
+    number: int
+    sources: SourcesHandle
+    networks: tuple[FileHandle, ...]
+    folder: Path
+
+
+class SeeCall(Call):
+    """A case to look at.
+
+    Attributes:
+        case: its files.
+        start: where the static bodies come from.
+        matting: options of the mattes.
+        init: options of the static bodies.
+        networks: the pose networks at hand.
+        body: the user's body model; None for the embedded one.
+        folder: of all cases.
+    """
+
+    case: CaseHandle
+    start: Literal["simulated", "estimated"]
+    matting: MattingConfig
+    init: InitConfig
+    networks: tuple[FileHandle, ...]
+    body: FileHandle | None
+    folder: Path
+
+
+@task("case", where="worker")
+def make_case(call: MakeCall) -> CaseHandle:
+    """Make one case.
 
     Raises:
         InputError: this case cannot be made.
     """
-    return compute(_make, spec, number, sources.usable, folder / case_name(number))
+    spec, number, folder = call.spec, call.number, call.folder / case_name(call.number)
+    if isinstance(spec, RealSpec):
+        from hfb.datasets.real.real_case import make_numbered_real_case
+
+        make_numbered_real_case(spec, number, folder)
+    else:
+        from hfb.datasets.synthetic.synthesis import make_case as make
+
+        make(spec, number, call.sources.usable, folder)
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    return CaseHandle(number=number, files=tuple(FileHandle.of(path) for path in files))
 
 
-@task("mattes and starts")
-def see_case(
-    case: CaseHandle,
-    start: Literal["simulated", "estimated"],
-    matting: MattingConfig,
-    init: InitConfig,
-    networks: tuple[FileHandle, ...],
-    body: FileHandle | None,
-    folder: Path,
-) -> ReadyHandle:
+@task("mattes and starts", where="cluster")
+def see_case(call: SeeCall) -> ReadyHandle:
     """Estimate the mattes, and the static bodies unless the simulated ones are asked for.
 
     Raises:
         InputError: nothing differs from the background, or no person is found.
     """
-    return spread(_see, case, start, matting, init, networks, body, folder / case_name(case.number))
+    from hfb.datasets.truth import load_truth_of
+    from hfb.evaluation.judge import judge_start
+    from hfb.motion.static_pose import load_first_body
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
+
+    if call.start == "estimated":
+        check_networks(call.init, call.networks)
+    case, folder = call.case.open(), call.folder / case_name(call.case.number)
+    # What a user has, and no more: pictures, plate, clip.toml.
+    clip = prepare.fn(
+        frames=tuple(FileHandle.of(path) for path in case.frame_paths()),
+        background=FileHandle.of(case.background),
+        clip=read_clip(case.clip),
+        camera=CameraConfig(),
+        exposure=ExposureConfig(),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    mattes = tuple(matte.fn(clip=clip, index=index, config=call.matting, folder=folder) for index in range(case.frames))
+    starts = _starts(call, case, clip, mattes, folder=folder)
+    scores = judge_start(
+        [load_first_body(one.path) for one in starts], load_observation(clip, mattes), load_truth_of(case.truth),
+        load_chosen_body(call.body),
+    )  # fmt: skip
+    path = folder / "initial.json"
+    write_bytes_atomic(path, json.dumps(scores, allow_nan=False).encode())
+    return ReadyHandle(case=call.case, clip=clip, mattes=mattes, starts=starts, initial=FileHandle.of(path))
 
 
 def set_name(spec: Spec) -> str:
@@ -151,61 +214,10 @@ def _stamp(path: Path) -> str:
     return f"{facts.st_size} {facts.st_mtime_ns}"
 
 
-def _make(spec: Spec, number: int, usable: Sequence[int], folder: Path) -> CaseHandle:
-    if isinstance(spec, RealSpec):
-        from hfb.datasets.real.real_case import make_numbered_real_case
-
-        make_numbered_real_case(spec, number, folder)
-    else:
-        from hfb.datasets.synthesis import make_case as make
-
-        make(spec, number, usable, folder)
-    files = sorted(path for path in folder.iterdir() if path.is_file())
-    return CaseHandle(number=number, files=tuple(FileHandle.of(path) for path in files))
-
-
-def _see(
-    handle: CaseHandle,
-    start: Literal["simulated", "estimated"],
-    matting: MattingConfig,
-    init: InitConfig,
-    networks: tuple[FileHandle, ...],
-    body: FileHandle | None,
-    folder: Path,
-) -> ReadyHandle:
-    from hfb.datasets.truth import load_truth_of
-    from hfb.evaluation.judge import judge_start
-    from hfb.motion.static_pose import load_first_body
-    from hfb.tasks.core.scene import load_chosen_body, load_observation
-
-    if start == "estimated":
-        check_networks(init, networks)
-    case = handle.open()
-    # What a user has, and no more: pictures, plate, clip.toml.
-    clip = prepare.fn(
-        tuple(FileHandle.of(path) for path in case.frame_paths()),
-        FileHandle.of(case.background),
-        read_clip(case.clip),
-        CameraConfig(),
-        ExposureConfig(),
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    mattes = tuple(matte.fn(clip, index, matting, folder) for index in range(case.frames))
-    starts = _starts(case, start, clip, mattes, init, body, folder)
-    scores = judge_start(
-        [load_first_body(one.path) for one in starts], load_observation(clip, mattes), load_truth_of(case.truth),
-        load_chosen_body(body),
-    )  # fmt: skip
-    path = folder / "initial.json"
-    write_bytes_atomic(path, json.dumps(scores, allow_nan=False).encode())
-    return ReadyHandle(case=handle, clip=clip, mattes=mattes, starts=starts, initial=FileHandle.of(path))
-
-
 def _starts(
-    case: Case, start: str, clip: ClipHandle, mattes: tuple[FileHandle, ...], init: InitConfig,
-    body: FileHandle | None, folder: Path,
-) -> tuple[FileHandle, ...]:  # fmt: skip
-    if start == "simulated":
+    call: SeeCall, case: Case, clip: ClipHandle, mattes: tuple[FileHandle, ...], *, folder: Path
+) -> tuple[FileHandle, ...]:
+    if call.start == "simulated":
         missing = [path.name for path in case.start_paths() if not path.exists()]
         if missing:
             raise InputError(f"{case.folder} has no {missing[0]}: real video is started with --start estimated")
@@ -214,7 +226,11 @@ def _starts(
     from hfb.tasks.video.video_windows import mend_fronts
 
     numbers = tuple(range(case.frames))
-    found: Any = tuple(first_body.fn(clip, index, mattes, body, init, (), folder) for index in numbers)
-    if len(found) > 1:
-        found = mend_fronts.fn(numbers, found, folder).firsts
-    return tuple(FileHandle(path=one.path, sha256=one.sha256) for one in found)
+    firsts = tuple(
+        first_body.fn(
+            clip=clip, index=index, mattes=mattes, body=call.body, config=call.init, networks=(), folder=folder
+        )
+        for index in numbers
+    )
+    found = mend_fronts.fn(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
+    return tuple(FileHandle(path=one.path, sha256=one.sha256) for one in found if one is not None)

@@ -12,10 +12,9 @@ from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import MethodSpec
 from hfb.io.atomic import write_bytes_atomic
 from hfb.tasks.benchmark.cases import ReadyHandle
-from hfb.tasks.core.handles import FileHandle
+from hfb.tasks.core.handles import Call, FileHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
-from hfb.tasks.core.task import task
-from hfb.tasks.workers.workers import compute, spread
+from hfb.tasks.task import Where, task
 
 
 class JudgedHandle(FileHandle):
@@ -32,29 +31,44 @@ class JudgedHandle(FileHandle):
     look: FileHandle | None = None
 
 
-@task("methods")
-def judge_case(ready: ReadyHandle, method: MethodSpec, body: FileHandle | None, folder: Path) -> JudgedHandle:
+class JudgeCall(Call):
+    """A method and a case.
+
+    Attributes:
+        ready: the case as every method sees it.
+        method: the method.
+        body: the user's body model; None for the embedded one.
+        folder: of all methods; the answer goes to ``NAME/case_0001`` and so on in it.
+    """
+
+    ready: ReadyHandle
+    method: MethodSpec
+    body: FileHandle | None
+    folder: Path
+
+
+def _needs(call: JudgeCall) -> Where:
+    return "worker" if call.method.digests else "cluster"  # a network or prior of the user's lies on this machine
+
+
+@task("methods", where=_needs)
+def judge_case(call: JudgeCall) -> JudgedHandle:
     """Run a method on a case and compare with the truth.
 
     A method that cannot answer (a fit that diverges, a network that finds nobody) leaves a row that says why.
     """
-    place = folder / method.name / f"case_{ready.case.number:04d}"
-    # a network or prior of the user's lies on this machine, where its path says
-    run = compute if method.digests else spread
-    return run(_judge, ready, method, body, place)
-
-
-def _judge(ready: ReadyHandle, spec: MethodSpec, body: FileHandle | None, folder: Path) -> JudgedHandle:
     from hfb.datasets.truth import load_truth_of
     from hfb.evaluation.baselines.build import make_method
     from hfb.evaluation.judge import judge
     from hfb.fitting.alternatives import save_alternatives
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import save_motion
     from hfb.motion.static_pose import load_first_body
     from hfb.report.comparison import draw_comparison
 
-    case, model = ready.case.open(), load_chosen_body(body)
+    ready, spec = call.ready, call.method
+    folder = call.folder / spec.name / f"case_{ready.case.number:04d}"
+    case, model = ready.case.open(), load_chosen_body(call.body)
     observation = load_observation(ready.clip, ready.mattes)
     starts = [load_first_body(start.path) for start in ready.starts]
     facts: dict = {
@@ -92,7 +106,7 @@ def source_of(case: Case) -> str:
 
 def _sharp(case: Case) -> np.ndarray | None:
     """The true sub-frames; a case of real video need not have them."""
-    from hfb.datasets.sharp import load_sharp
+    from hfb.datasets.synthetic.sharp import load_sharp
 
     if not all(path.exists() for path in case.sharp_paths()):
         return None

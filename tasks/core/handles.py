@@ -30,6 +30,13 @@ _read: dict[Path, tuple[Stamp, str]] = {}
 """sha256 of the files that this process has read, and the stamp that each had then."""
 
 
+class Call(Record):
+    """The arguments of one call of a mapped task (`hfb.tasks.map_task`).
+
+    A field ``folder`` is where the call writes its files; it is no part of the call's content.
+    """
+
+
 class FileHandle(Record):
     """One finished file."""
 
@@ -85,6 +92,10 @@ class ClipHandle(Record):
     light: Literal["srgb", "linear"]
     remarks: tuple[str, ...] = ()
 
+    def only(self, index: int) -> ClipHandle:
+        """Return one frame as a clip of its own."""
+        return self.model_copy(update={"frames": (self.frames[index],)})
+
 
 class FirstBodyHandle(FileHandle):
     """The static body of one frame.
@@ -115,7 +126,7 @@ class FitHandle(Record):
 
     motion: FileHandle
     texture: FileHandle
-    texture_picture: FileHandle
+    texture_image: FileHandle
     history: FileHandle
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
@@ -128,6 +139,12 @@ class ScoresHandle(FileHandle):
     """What the evaluation found, by name; ``initial_*`` is the first body held still."""
 
     scores: dict[str, float]
+
+
+_NO_CONTENT: dict[type[Record], tuple[str, ...]] = {
+    Call: ("folder",), FileHandle: ("path", "seconds"), FitHandle: ("path", "seconds"),
+}  # fmt: skip
+"""Fields that say where something lies or how long it took, and so do not count in a digest."""
 
 
 def sha256_of(path: Path) -> str:
@@ -152,7 +169,7 @@ def _stamp(path: Path) -> Stamp:
 
 
 @contextmanager
-def unchanged(*values: object) -> Iterator[None]:
+def verify_unchanged(*values: object) -> Iterator[None]:
     """What is read inside is what the handles name, from the beginning to the end.
 
     Raises:
@@ -197,8 +214,8 @@ def digest(value: object) -> str:
 
 def _content(value: object) -> Any:
     if isinstance(value, BaseModel):
-        handle = isinstance(value, FileHandle | FitHandle)
-        names = [name for name in type(value).model_fields if not (handle and name in ("path", "seconds"))]
+        ignored = next((names for kind, names in _NO_CONTENT.items() if isinstance(value, kind)), ())
+        names = [name for name in type(value).model_fields if name not in ignored]
         return {name: _content(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [_content(one) for one in value]

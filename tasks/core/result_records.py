@@ -21,7 +21,7 @@ from prefect.settings import PREFECT_LOCAL_STORAGE_PATH, temporary_settings
 
 from hfb.io.safe_folder import check_tree, open_folder, read_file
 
-# Prefix of a task's record (`hfb.tasks.core.task.cache_key`); records of failures and flows are never read again.
+# Prefix of a task's record (`hfb.tasks.task.cache_key`); records of failures and flows are never read again.
 _NAME = "hfb-"
 _OURS = "hfb."
 _ASIDE, _LONGEST_NAME = "records-set-aside", 200

@@ -1,6 +1,12 @@
-"""From handles to what the method works on."""
+"""From handles to what the method works on: images in linear light, mattes, camera, body and texture.
 
-from collections.abc import Sequence
+A chain's tasks need the same frames again and again. Each process keeps what it has decoded, by content, so that a
+frame is decoded and linearised once; what a task gets is a copy of its own.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,20 +16,114 @@ from torch import Tensor
 from hfb.body.assets import load_body
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
-from hfb.io.media.pictures import read_matte, read_picture_srgb
+from hfb.io.media.images.image_decoding import Picture, decode_picture
+from hfb.io.media.images.image_io import read_matte
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
-from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.tasks.core.handles import ClipHandle, FileHandle, verify_unchanged
 from hfb.typing import Array
 
+Light = Literal["srgb", "linear"]
 
-def load_picture(picture: FileHandle, clip: ClipHandle) -> Tensor:
-    """A picture (H, W, 3) in the light in which the clip's blur is an average."""
-    return in_light(read_picture_srgb(picture.path, clip.transfer), clip.transfer, clip.light)
+_LIMIT_BYTES = 256 << 20
+_ALWAYS = 3  # frame, plate and matte of one photograph, however large
 
 
-def in_light(picture: Array, transfer: Transfer, light: Literal["srgb", "linear"]) -> Tensor:
-    """A picture (H, W, 3) as it was stored, in the light in which blur is an average."""
+class DecodedImages:
+    """The images that were used last, up to a number of bytes. Any thread may call."""
+
+    def __init__(self, limit_bytes: int, always: int) -> None:
+        """Begin with no image.
+
+        Args:
+            limit_bytes: of all images together.
+            always: how many are kept even if they are larger.
+        """
+        self._limit_bytes, self._always = limit_bytes, always
+        self._images: OrderedDict[tuple[str, ...], Tensor] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, key: tuple[str, ...], decode: Callable[[], Tensor]) -> Tensor:
+        """Return the image of a key, which is decoded unless it is kept. It must not be changed.
+
+        Args:
+            key: content and light.
+            decode: makes the image.
+        """
+        with self._lock:
+            if key in self._images:
+                self._images.move_to_end(key)
+                return self._images[key]
+        image = decode()
+        self.put(key, image)
+        return image
+
+    def put(self, key: tuple[str, ...], image: Tensor) -> None:
+        """Keep an image; those that were not used for longest go.
+
+        Args:
+            key: content and light.
+            image: the image.
+        """
+        with self._lock:
+            if key in self._images:
+                return
+            self._images[key] = image
+            self._bytes += image.nbytes
+            while self._bytes > self._limit_bytes and len(self._images) > self._always:
+                _, oldest = self._images.popitem(last=False)
+                self._bytes -= oldest.nbytes
+
+
+_kept = DecodedImages(_LIMIT_BYTES, _ALWAYS)
+
+
+def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Picture, Tensor]:
+    """Decode a user's image with all that its file says; `load_image` need not decode it again.
+
+    Args:
+        file: the image.
+        transfer: how it stores light.
+        light: in which blur is an average.
+
+    Returns:
+        the image as stored, and in that light, which must not be changed.
+
+    Raises:
+        StaleFile: the file is not what its handle says, before or after.
+        InputError: it cannot be decoded.
+    """
+    with verify_unchanged(file):
+        found = decode_picture(file.path, transfer)
+    image = in_light(found.pixels, transfer, light)
+    _kept.put(_key(file, transfer, light), image)
+    return found, image
+
+
+def load_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
+    """Return an image (H, W, 3) in the light in which the clip's blur is an average.
+
+    Args:
+        picture: one of the clip's frames, or its background.
+        clip: how light is stored, and in which it is averaged.
+    """
+    return _shared_image(picture, clip).clone()
+
+
+def load_mattes(mattes: Sequence[FileHandle]) -> Tensor:
+    """Return the person's share (T, H, W) of each pixel."""
+    return torch.stack([_shared_matte(matte) for matte in mattes])
+
+
+def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
+    """Return an image (H, W, 3) in the light in which blur is an average.
+
+    Args:
+        picture: as it was stored.
+        transfer: how it was stored.
+        light: the light.
+    """
     stored = torch.from_numpy(as_srgb(picture, transfer))
     if transfer == light:
         return stored
@@ -33,15 +133,21 @@ def in_light(picture: Array, transfer: Transfer, light: Literal["srgb", "linear"
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:
+    """Return the clip's camera."""
     return PinholeCamera.from_matrix(torch.tensor(clip.K, dtype=torch.float64), clip.height, clip.width)
 
 
 def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observation:
-    """The whole clip with its mattes."""
+    """Return the whole clip with its mattes.
+
+    Args:
+        clip: the frames.
+        mattes: of all its frames.
+    """
     return Observation(
-        frames_linear=torch.stack([load_picture(frame, clip) for frame in clip.frames]),
-        plate_linear=load_picture(clip.background, clip),
-        mattes=torch.from_numpy(np.stack([read_matte(matte.path) for matte in mattes])),
+        frames_linear=torch.stack([_shared_image(frame, clip) for frame in clip.frames]),
+        plate_linear=load_image(clip.background, clip),
+        mattes=load_mattes(mattes),
         camera=load_camera(clip),
         exposure_s=clip.exposure_s,
         interval_s=clip.interval_s,
@@ -50,11 +156,30 @@ def load_observation(clip: ClipHandle, mattes: Sequence[FileHandle]) -> Observat
 
 
 def load_chosen_body(body: FileHandle | None) -> Body:
-    """The user's body model, or the embedded one."""
+    """Return the user's body model, or the embedded one."""
     return load_body(body.path if body else None)
 
 
 def load_texture(texture: FileHandle) -> Tensor:
-    """The fitted texture (A, A, 3), in the clip's light."""
+    """Return the fitted texture (A, A, 3), in the clip's light."""
     with np.load(texture.path, allow_pickle=False) as file:
         return torch.from_numpy(file["texture"])
+
+
+def _shared_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
+    def decode() -> Tensor:
+        return decode_once(picture, clip.transfer, clip.light)[1]
+
+    return _kept.get(_key(picture, clip.transfer, clip.light), decode)
+
+
+def _shared_matte(matte: FileHandle) -> Tensor:
+    def decode() -> Tensor:
+        with verify_unchanged(matte):
+            return torch.from_numpy(read_matte(matte.path))
+
+    return _kept.get((matte.sha256, "matte"), decode)
+
+
+def _key(file: FileHandle, transfer: Transfer, light: Light) -> tuple[str, ...]:
+    return file.sha256, transfer, light

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
 
 _Row = tuple[float, float, float]
 
@@ -96,6 +97,32 @@ class MatteHandle(Record):
     reason: str = ""
 
 
+class FrameCall(Call):
+    """One frame of a clip.
+
+    Attributes:
+        still: the frame as a clip of its own.
+        number: of the frame in the clip.
+        folder: where the result goes.
+    """
+
+    still: ClipHandle
+    number: int
+    folder: Path
+
+
+class SeenFrameCall(FrameCall):
+    """One frame in which the person is seen.
+
+    Attributes:
+        matte: of the frame.
+        body: the user's body model; None for the embedded one.
+    """
+
+    matte: FileHandle
+    body: FileHandle | None
+
+
 class BodyFound(Record):
     """The first body of a frame; none, but a reason, where it was not found."""
 
@@ -132,7 +159,8 @@ class JoinedHandle(Record):
         edges: a JSON file of what happened at every window edge.
         gaps: first and last frame of every stretch without a pose.
         bridged: frames without anybody whose poses were made from their neighbours'.
-        worst_jump_mm, worst_velocity_share: the largest at any edge; None without edges.
+        worst_jump_mm: the largest at any edge; None without edges.
+        worst_velocity_share: the largest at any edge; None without edges.
     """
 
     motion: FileHandle

@@ -12,11 +12,12 @@ from hfb.motion.static_pose import load_first_body
 from hfb.rendering.backends import make_rasterizer
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
-from hfb.tasks.core.task import task
+from hfb.tasks.task import task
 
 
 @task("evaluation")
 def evaluate(
+    *,
     clip: ClipHandle,
     mattes: tuple[FileHandle, ...],
     first_bodies: tuple[FirstBodyHandle, ...],
@@ -26,7 +27,18 @@ def evaluate(
     config: FitConfig,
     folder: Path,
 ) -> ScoresHandle:
-    """Scores of the fit, and of the first body held still as ``initial_*``; always with the exact silhouette."""
+    """Score the fit, and the first body held still as ``initial_*``; always with the exact silhouette.
+
+    Args:
+        clip: all frames.
+        mattes: of all frames.
+        first_bodies: of all frames.
+        fit: the motion.
+        body: the user's body model; None for the embedded one.
+        truth: of a synthetic case.
+        config: options of the fit.
+        folder: where the scores go.
+    """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
     fitted, _ = load_motion(fit.motion.path)

@@ -7,13 +7,14 @@ from hfb.initialization.initializer import make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
-from hfb.tasks.core.task import task
 from hfb.tasks.inputs.given_networks import with_pose_network
+from hfb.tasks.task import task
 from hfb.tracking.clip_bodies import front_doubt
 
 
 @task("first body")
 def first_body(
+    *,
     clip: ClipHandle,
     index: int,
     mattes: tuple[FileHandle, ...],
@@ -25,13 +26,18 @@ def first_body(
     """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
 
     Args:
+        clip: all frames.
+        index: of the frame.
+        mattes: of all frames.
+        body: the user's body model; None for the embedded one.
+        config: options of the first body.
         networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+        folder: where the body goes.
 
     Raises:
         InputError: no person was found.
     """
-    alone = clip.model_copy(update={"frames": (clip.frames[index],)})
-    seen, model = load_observation(alone, (mattes[index],)), load_chosen_body(body)
+    seen, model = load_observation(clip.only(index), (mattes[index],)), load_chosen_body(body)
     found = make_initializer(with_pose_network(config, networks))(
         seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
     )

@@ -7,19 +7,20 @@ from hfb.config import FitConfig
 from hfb.fitting.alternatives import direction_record, save_alternatives
 from hfb.fitting.loop import fit
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.priors.load import load_pose_prior
 from hfb.priors.motion_prior import load_motion_prior
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
-from hfb.tasks.core.task import task
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 
 
 @task("fit")
 def fit_motion(
+    *,
     clip: ClipHandle,
     mattes: tuple[FileHandle, ...],
     first_bodies: tuple[FirstBodyHandle, ...],
@@ -29,7 +30,18 @@ def fit_motion(
     seed: int,
     folder: Path,
 ) -> FitHandle:
-    """Minimise eq. (11); leaves the motion, the texture and every term's history."""
+    """Minimise eq. (11); leaves the motion, the texture and every term's history.
+
+    Args:
+        clip: all frames.
+        mattes: of all frames.
+        first_bodies: of all frames.
+        body: the user's body model; None for the embedded one.
+        priors: of pose and motion.
+        config: options of the fit.
+        seed: of everything that is random.
+        folder: where the files go.
+    """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)
     result = fit(
         observation,
@@ -46,7 +58,7 @@ def fit_motion(
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())
-    motion, texture, texture_picture, history = (FileHandle.of(path) for path in paths)
+    motion, texture, texture_image, history = (FileHandle.of(path) for path in paths)
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
     if result.alternatives is not None:
@@ -56,7 +68,7 @@ def fit_motion(
     return FitHandle(
         motion=motion,
         texture=texture,
-        texture_picture=texture_picture,
+        texture_image=texture_image,
         history=history,
         alternatives=alternatives,
         directions=directions,

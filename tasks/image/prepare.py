@@ -1,16 +1,18 @@
 """The user's pictures: are they pictures, do they fit together, and how were they taken."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
-from hfb.io.media.picture_decoding import decode_picture, doubt_depths
-from hfb.photometry import Transfer, as_srgb
+from hfb.io.media.images.image_decoding import doubt_depths
+from hfb.photometry import Transfer, as_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.task import task
-from hfb.tasks.inputs.inputs import told_exposure_s
+from hfb.tasks.core.scene import Light, decode_once
+from hfb.tasks.inputs.inputs import find_exposure_s
+from hfb.tasks.task import task
 from hfb.typing import Array, Float
 
 _DEFAULT_FPS = 30.0
@@ -18,37 +20,49 @@ _DEFAULT_FPS = 30.0
 
 @task("pictures")
 def prepare(
-    frames: tuple[FileHandle, ...], background: FileHandle, clip: Clip, camera: CameraConfig, exposure: ExposureConfig
+    *,
+    frames: tuple[FileHandle, ...],
+    background: FileHandle,
+    clip: Clip,
+    camera: CameraConfig,
+    exposure: ExposureConfig,
 ) -> ClipHandle:
     """Check frames and plate against each other, and settle camera and clock.
 
     What an option says wins over clip.toml, which wins over a guess.
 
+    Args:
+        frames: blurred images of one camera.
+        background: the same view without the person.
+        clip: what clip.toml says.
+        camera: options of the camera.
+        exposure: options of the exposure.
+
     Raises:
         InputError: a file is no picture, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.matting.plate_doubts import doubt_plate
-    from hfb.photometry import srgb_to_linear
+    from hfb.matting.plate_check import find_plate_mismatch
 
-    pictures = _Pictures(clip.transfer)
-    plate, doubts = pictures.read(background), []
+    images = _Images(clip.transfer, exposure.light)
+    plate, plate_linear = images.read(background)
+    doubts: list[bool] = []
     told: str | None = None
     height, width = plate.shape[:2]
     for number, frame in enumerate(frames):
-        picture = pictures.read(frame)
-        if picture.shape != plate.shape:
-            other = " x ".join(map(str, picture.shape[1::-1]))
+        image, image_linear = images.read(frame)
+        if image.shape != plate.shape:
+            other = " x ".join(map(str, image.shape[1::-1]))
             raise InputError(
                 f"{frame.path} is {other} px and the background {background.path} {width} x {height} px: "
                 "give a background of the same camera at the same size"
             )
-        doubts.append(seems_to_hold_person(picture, plate))
+        doubts.append(seems_to_hold_person(image, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
-            told = doubt_plate(*(one if clip.transfer == "linear" else srgb_to_linear(one) for one in (picture, plate)))
-    remarks = pictures.remarks()
+            told = find_plate_mismatch(image_linear(), plate_linear())
+    remarks = images.remarks()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
-    exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
+    exposure_s = find_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "
@@ -68,20 +82,28 @@ def prepare(
     )
 
 
-class _Pictures:
-    """Reads the user's pictures one after another and keeps what is to be said of them."""
+class _Images:
+    """Reads the user's images one after another and collects remarks on them."""
 
-    def __init__(self, transfer: Transfer) -> None:
+    def __init__(self, transfer: Transfer, light: Light) -> None:
         self._transfer: Transfer = transfer
+        self._light: Light = light
         self._told: list[str] = []
         self._depths: list[tuple[Path, int | None]] = []
 
-    def read(self, file: FileHandle) -> Float[Array, "H W 3"]:
-        """The picture as it is stored in light, encoded as sRGB."""
-        found = decode_picture(file.path, self._transfer)
+    def read(self, file: FileHandle) -> tuple[Float[Array, "H W 3"], Callable[[], Float[Array, "H W 3"]]]:
+        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light."""
+        found, image = decode_once(file, self._transfer, self._light)
         self._told += found.remarks
         self._depths.append((file.path, found.seems_bits))
-        return as_srgb(found.pixels, self._transfer)
+        stored = as_srgb(found.pixels, self._transfer)
+
+        def linear() -> Float[Array, "H W 3"]:
+            if self._light == "linear":
+                return image.numpy()
+            return stored if self._transfer == "linear" else srgb_to_linear(stored)
+
+        return stored, linear
 
     def remarks(self) -> tuple[str, ...]:
         """Raises InputError where all of them seem to be of fewer bits than their files are."""
@@ -92,7 +114,14 @@ class _Pictures:
 def calibration(
     camera: CameraConfig, clip: Clip, height: int, width: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess."""
+    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess.
+
+    Args:
+        camera: options of the camera.
+        clip: what clip.toml says.
+        height: of the image [px].
+        width: of the image [px].
+    """
     if camera.focal_px is None and clip.camera.K is not None:
         return clip.camera.K
     focal_px = camera.focal_px or clip.camera.focal_px or math.hypot(height, width)

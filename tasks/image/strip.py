@@ -4,17 +4,18 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.fitting.alternatives import what_is_unknown
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion
 from hfb.rendering.backends import make_rasterizer
 from hfb.report.strip import draw_strip
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
-from hfb.tasks.core.task import task
+from hfb.tasks.task import task
 
 
 @task("strip")
 def strip(
+    *,
     clip: ClipHandle,
     mattes: tuple[FileHandle, ...],
     fit: FitHandle,
@@ -22,7 +23,16 @@ def strip(
     config: FitConfig,
     folder: Path,
 ) -> FileHandle:
-    """One picture that shows what was seen and how it is explained."""
+    """Draw what was seen and how the fit explains it.
+
+    Args:
+        clip: all frames.
+        mattes: of all frames.
+        fit: the motion and its texture.
+        body: the user's body model; None for the embedded one.
+        config: options of the fit.
+        folder: where the strip goes.
+    """
     motion, _ = load_motion(fit.motion.path)
     picture = draw_strip(
         load_observation(clip, mattes),

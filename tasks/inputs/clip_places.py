@@ -8,13 +8,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.io.clip import BACKGROUND_WORDS, Clip, read_clip
 from hfb.io.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, natural_order, others_in, pictures_in
 from hfb.io.names import is_text, shown_name
 from hfb.io.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
 from hfb.tasks.core.handles import FileHandle, StaleFile
-from hfb.tasks.core.result_folder import result_content
+from hfb.tasks.core.result_folder import read_result_content
 from hfb.tasks.inputs.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
 
 RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
@@ -30,7 +30,8 @@ class ClipPlace:
     """One clip of a folder of clips.
 
     Attributes:
-        source: what `hfb video` would be given. clip: its clip.toml, where it has one.
+        source: what `hfb video` would be given.
+        clip: its clip.toml, where it has one.
         files: everything that its result depends on, as far as the folder tells.
         stray: an entry because of which the clip is not worked on, and why.
         twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
@@ -71,16 +72,17 @@ class ClipPlace:
             raise InputError(f"{self.stray} {self.why}")
 
     def check_read(self, read: Iterable[FileHandle]) -> None:
-        """Raises NotNow where a file was read that is not watched, since the folder was changed meanwhile."""
+        """Raises TemporaryError where a file was read that is not watched, since the folder was changed meanwhile."""
         watched = {path.resolve() for path in self.files}
         if other := next((file.path for file in read if file.path not in watched), None):
-            raise NotNow(f"{other} came to {self.source} while it was being read: it is looked at again")
+            raise TemporaryError(f"{other} came to {self.source} while it was being read: it is looked at again")
 
 
 def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
     """The clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
 
     Args:
+        folder: of the clips.
         out: where results go; nothing in it is a clip.
 
     Raises:
@@ -197,7 +199,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = result_content(result.parent, result.name)["inputs"]["video"]
+        sha256 = read_result_content(result.parent, result.name)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False
@@ -271,7 +273,7 @@ def _inside(folder: Path) -> tuple[Path, ...]:
     frames = tuple(path for path in pictures_in(place) if not is_plate(path))
     if not frames:
         for other in others_in(place):
-            from hfb.io.media.picture_access import no_picture
+            from hfb.io.media.images.image_access import no_picture
 
             raise no_picture(other)
         raise InputError(f"{folder} holds neither a video nor pictures: give a video, or a folder of frames")

@@ -8,8 +8,8 @@ from pathlib import Path
 from hfb.config import InitConfig, MattingConfig, RunConfig
 from hfb.errors import InputError
 from hfb.interop.readers.beside import companions
-from hfb.networks.files import check_network_file
 from hfb.networks.mediapipe_files import LANDMARK_FULL, networks_in_use
+from hfb.networks.network_files import check_network_file
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.telemetry import progress
 

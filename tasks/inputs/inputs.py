@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hfb.config import ExposureConfig, Record, RunConfig
 from hfb.errors import InputError
-from hfb.interop.writers.names import check_formats
+from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, ClipCamera, ClipExposure, read_clip
 from hfb.io.names import is_text
 from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
@@ -62,6 +62,7 @@ def take_inputs(
     background: Path,
     config: RunConfig,
     clip: Path | None = None,
+    *,
     truth: Path | None = None,
     first_bodies: list[Path] | None = None,
     out: Path | None = None,
@@ -69,6 +70,12 @@ def take_inputs(
     """Everything the user names, hashed.
 
     Args:
+        frames: blurred images, in their order.
+        background: the same view without the person.
+        config: all options.
+        clip: a clip.toml.
+        truth: of a synthetic case.
+        first_bodies: one file per frame, instead of estimating them.
         out: where results go, to be checked.
 
     Raises:
@@ -102,7 +109,7 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
         remarks.append(
             "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
         )
-    if told_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
+    if find_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
         asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
         remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
     used = clip.model_copy(update={"person": clip.person.model_copy(update={"height_m": None})})
@@ -121,15 +128,18 @@ def with_height(config: RunConfig, clip: Clip) -> RunConfig:
     return config.model_copy(update={"fit": fit})
 
 
-def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
+def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
     """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
 
     Args:
-        picture: where clip.toml says ``auto``, its own record counts. interval_s: between frames.
+        picture: where clip.toml says ``auto``, its own record counts.
+        exposure: what clip.toml says.
+        config: options of the exposure.
+        interval_s: between frames.
     """
     told = config.seconds or exposure.exposure_s(interval_s)
     if told is None and exposure.auto:
-        from hfb.io.media.pictures import recorded_exposure
+        from hfb.io.media.images.image_io import recorded_exposure
 
         recorded = recorded_exposure(picture)
         told = recorded[0] if recorded else None
@@ -145,8 +155,8 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
     clip = read_clip(path)
     if clip.camera.calibration is None:
         return clip
-    from hfb.io.media.clip_lens import clip_lens
-    from hfb.io.media.pictures import picture_size
+    from hfb.io.media.images.image_io import picture_size
+    from hfb.io.media.lens.clip_lens import clip_lens
 
     height, width, _ = picture_size(picture)
     lens = clip_lens(clip.camera, picture.name, height, width)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from hfb.config import Record, RunConfig
 from hfb.errors import InputError
-from hfb.interop.writers.names import check_formats
+from hfb.interop.writers.export_names import check_formats
 from hfb.io.clip import Clip, PersonChoice, read_clip
 from hfb.tasks.core.handles import FileHandle, digest
 from hfb.tasks.inputs.clip_places import plate_beside, resolve_source
@@ -47,6 +47,7 @@ def take_video_inputs(
     config: RunConfig,
     clip: Path | None = None,
     background: str | None = None,
+    *,
     truth: Path | None = None,
     everyone: bool = False,
     out: Path | None = None,
@@ -55,7 +56,10 @@ def take_video_inputs(
 
     Args:
         source: see `hfb.tasks.inputs.clip_places.resolve_source`.
+        config: all options.
+        clip: a clip.toml that wins over one that is found.
         background: a file, ``"median"`` or ``"still"``; wins over clip.toml, which wins over a plate beside the clip.
+        truth: a motion file of what really happened.
         everyone: whatever clip.toml says of the person, all who are seen (or are in its file of tracks).
         out: where results go, to be checked.
 

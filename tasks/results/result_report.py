@@ -8,18 +8,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hfb.config import FitConfig, Record
+from hfb.config import Record
 from hfb.errors import InputError
-from hfb.interop.writers.names import CURVES, PAGE_FILM, REPORT
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
-from hfb.tasks.core.task import task
+from hfb.interop.writers.export_names import CURVES, PAGE_FILM, REPORT
+from hfb.tasks.core.environment import environment
+from hfb.tasks.core.handles import FileHandle, FitHandle
 from hfb.tasks.core.video_handles import WindowHandle
-from hfb.tasks.results.films import shot_of, watched
+from hfb.tasks.results.exports import ShotHandle, with_progress
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.secrets import hidden_in
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.environment import environment
-from hfb.tasks.workers.workers import compute
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
@@ -49,34 +48,51 @@ def fit_curves(fit: FitHandle, folder: Path) -> FileHandle:
     return _curves(folder, {"losses": json.loads(fit.history.path.read_text())})
 
 
-@task("curves")
+@task("curves", where="worker")
 def clip_curves(
     windows: tuple[WindowHandle, ...], scores: dict[str, tuple[tuple[int, float], ...]], folder: Path
 ) -> FileHandle:
-    """curves.json of a clip.
+    """Write curves.json of a clip.
 
     Args:
+        windows: of the clip.
         scores: figure -> (frame, value) of every frame that has one.
+        folder: where the file goes.
     """
-    return compute(_clip_curves, windows, scores, folder)
+    from hfb.fitting.clip.windows import load_window
+
+    found = []
+    for window in windows:
+        total = load_window(window.path).history.get("total", [])
+        found.append({"frames": list(window.frames), "total": [float(f"{value:.5g}") for value in total]})
+    return _curves(folder, {"windows": found, "frames": {name: list(pairs) for name, pairs in scores.items()}})
 
 
 @task("report's film")
-def page_film(
-    clip: ClipHandle, motion: FileHandle, texture: FileHandle, body: FileHandle | None, config: FitConfig, folder: Path
-) -> FileHandle:
-    """The small slow-motion film of the page; arguments as in `hfb.tasks.results.films.make_films`."""
-    return FileHandle.of(write_page_film(shot_of(clip, motion, texture, body, config), motion.sha256, folder))
-
-
-@task("report", cached=False)
-def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
-    """The page.
+def draw_page_film(shot: ShotHandle, folder: Path) -> FileHandle:
+    """Draw the small slow-motion film of the page.
 
     Args:
-        facts: the content of result.json, the run's id among it.
+        shot: what it is drawn from.
+        folder: where it goes.
     """
-    return compute(_write_report, parts, hidden_in(facts), folder)
+    return FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, folder))
+
+
+@task("report", where="worker", cached=False)
+def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
+    """Write the page.
+
+    Args:
+        parts: the files that it is made of.
+        facts: the content of result.json, the run's id among it.
+        folder: where the page goes.
+    """
+    from hfb.tasks.core.scene import load_chosen_body
+
+    path = folder / REPORT
+    write_page(parts, load_chosen_body(parts.body), hidden_in(facts), environment(), path=path)
+    return FileHandle.of(path)
 
 
 def shows_another_motion(film: Path, motion_sha256: str) -> bool:
@@ -93,7 +109,7 @@ def shows_another_motion(film: Path, motion_sha256: str) -> bool:
 
 def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
     """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
-    from hfb.io.media.video_writing import VideoWriter
+    from hfb.io.media.video.video_writing import VideoWriter
     from hfb.report import page_film as small
     from hfb.report.slow_motion import FILM_FPS
 
@@ -101,34 +117,44 @@ def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
     comment = f"hfb, {small.page_slow_factor(shot.motion):g} times slower{_OF_MOTION}{motion_sha256}"
     with VideoWriter(path, float(FILM_FPS), comment, small=True) as writer:
         pictures = ((None, picture) for picture in small.page_pictures(shot))
-        for _, picture in watched("", pictures, small.page_picture_count(shot.motion)):
+        for _, picture in with_progress("", pictures, small.page_picture_count(shot.motion)):
             writer.write(picture)
     return path
 
 
 def write_page(
-    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], path: Path
+    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], *, path: Path
 ) -> None:
-    """Put the page together; whole or not at all. Arguments and errors as in `page_text`."""
+    """Put the page together; whole or not at all. Arguments and errors as in `page_text`.
+
+    Args:
+        parts: the files that it is made of.
+        body: the model that was fitted, where it is at hand.
+        facts: the content of result.json.
+        versions: of the machine that made the result.
+        path: where the page goes.
+    """
     from hfb.io.atomic import write_bytes_atomic
 
-    write_bytes_atomic(path, page_text(parts, body, facts, versions, path.parent.name).encode())
+    write_bytes_atomic(path, page_text(parts, body, facts, versions, name=path.parent.name).encode())
 
 
 def page_text(
-    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], name: str
+    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], *, name: str
 ) -> str:
     """The page.
 
     Args:
+        parts: the files that it is made of.
         body: the model that was fitted, where it is at hand.
+        facts: the content of result.json.
         versions: of the machine that made the result.
         name: of the result, where the facts do not tell.
 
     Raises:
         InputError: a file is not what it should be.
     """
-    from hfb.io.media.pictures import stored_png
+    from hfb.io.media.images.image_io import stored_png
     from hfb.motion.motion_file import load_motion
     from hfb.report.page_film import page_slow_factor
     from hfb.report.result_curves import read_curves
@@ -175,26 +201,6 @@ def _repeat(facts: Mapping[str, Any]) -> str | None:
     return f"hfb rerun {shlex.quote(run_id)}" if isinstance(run_id, str) else None
 
 
-def _write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> FileHandle:
-    from hfb.tasks.core.scene import load_chosen_body
-
-    path = folder / REPORT
-    write_page(parts, load_chosen_body(parts.body), facts, environment(), path)
-    return FileHandle.of(path)
-
-
-def _clip_curves(
-    windows: tuple[WindowHandle, ...], scores: dict[str, tuple[tuple[int, float], ...]], folder: Path
-) -> FileHandle:
-    from hfb.fitting.clip.windows import load_window
-
-    found = []
-    for window in windows:
-        total = load_window(window.path).history.get("total", [])
-        found.append({"frames": list(window.frames), "total": [float(f"{value:.5g}") for value in total]})
-    return _curves(folder, {"windows": found, "frames": {name: list(pairs) for name, pairs in scores.items()}})
-
-
 def _curves(folder: Path, content: Mapping[str, Any]) -> FileHandle:
     from hfb.io.atomic import write_bytes_atomic
 
@@ -213,6 +219,6 @@ def add_report(run_id: str | None, report: FileHandle) -> None:
         return
     try:
         with tracking.store_losses():
-            tracking.log_files(tracking.recorded(run_id), [report.path])
+            tracking.log_files(tracking.open_run(run_id), [report.path])
     except tracking.StoreLost as lost:
         progress.say(f"report.html is not in MLflow, in the result's folder it is: {lost}")

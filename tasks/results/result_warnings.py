@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from hfb.config import FitConfig, Record
 from hfb.evaluation.warnings import Look, ResultWarning, find_warnings
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.task import task
+from hfb.tasks.task import task
 from hfb.tasks.telemetry import progress
-from hfb.tasks.workers.workers import compute
 
 _MOST_LOOKS, _LOOK_PX = 15, 480
 
@@ -20,8 +19,9 @@ class WarningsHandle(Record):
     warnings: tuple[ResultWarning, ...]
 
 
-@task("warnings")
+@task("warnings", where="worker")
 def look_for_warnings(
+    *,
     clip: ClipHandle,
     numbers: tuple[int, ...],
     mattes: tuple[FileHandle, ...],
@@ -33,10 +33,42 @@ def look_for_warnings(
     """Compare a few frames with their plate and with the fitted body.
 
     Args:
-        clip, mattes: of the frames ``numbers`` alone, at most `_MOST_LOOKS` of which are looked at.
+        clip: these frames alone; at most `_MOST_LOOKS` of them are looked at.
+        numbers: of these frames.
+        mattes: of these frames.
+        motion: of the whole clip.
         matte_iou: (frame, value) where it is known; of the frames that are looked at where it is empty.
+        body: the user's body model; None for the embedded one.
+        config: options of the fit.
     """
-    return compute(_look_for_warnings, clip, numbers, mattes, motion, matte_iou, body, config)
+    import numpy as np
+    import torch
+
+    from hfb.evaluation.metrics import soft_iou
+    from hfb.evaluation.protocol import pose_rows
+    from hfb.matting.matting_protocol import shrink
+    from hfb.motion.motion_file import load_motion
+    from hfb.photometry import linear_to_srgb
+    from hfb.rendering.backends import make_rasterizer
+    from hfb.tasks.core.scene import load_chosen_body, load_observation
+
+    found, _ = load_motion(motion.path)
+    model, rasterizer = load_chosen_body(body), make_rasterizer("coverage", config.rasterizer, config.threads)
+    looks, plate, iou = [], np.zeros((0, 0, 3), np.float32), dict(matte_iou)
+    for index, number in enumerate(numbers):
+        seen = load_observation(clip.only(index), (mattes[index],))
+        stored = [one.numpy() for one in (seen.frames_linear[0], seen.plate_linear)]
+        frame, plate = (linear_to_srgb(one.clip(0, 1)) if clip.light == "linear" else one for one in stored)
+        rows = found.rows_of(number)
+        matte, alpha = seen.mattes[0].numpy(), None
+        if len(rows):
+            with torch.no_grad():
+                vertices = pose_rows(found, rows, model).vertices
+                alpha = rasterizer.silhouette_mean(vertices, seen.camera, model.mesh).numpy()
+            iou.setdefault(number, soft_iou(alpha, matte))
+        small = None if alpha is None else shrink(alpha, _LOOK_PX)
+        looks.append(Look(number, shrink(frame, _LOOK_PX), shrink(matte, _LOOK_PX), small))
+    return WarningsHandle(warnings=find_warnings(looks, shrink(plate, _LOOK_PX), found, iou))
 
 
 def looks_over(numbers: Sequence[int]) -> tuple[int, ...]:
@@ -54,42 +86,3 @@ def tell(warnings: Sequence[ResultWarning]) -> None:
 def plate_warnings(remarks: Sequence[str]) -> tuple[ResultWarning, ...]:
     """What was said of the plate before the fit, as warnings of the result."""
     return tuple(ResultWarning(code="plate", value=1.0, frames=(), message=remark) for remark in remarks)
-
-
-def _look_for_warnings(
-    clip: ClipHandle,
-    numbers: tuple[int, ...],
-    mattes: tuple[FileHandle, ...],
-    motion: FileHandle,
-    matte_iou: tuple[tuple[int, float], ...],
-    body: FileHandle | None,
-    config: FitConfig,
-) -> WarningsHandle:
-    import numpy as np
-    import torch
-
-    from hfb.evaluation.metrics import soft_iou
-    from hfb.evaluation.protocol import pose_rows
-    from hfb.matting.matting import shrink
-    from hfb.motion.motion_file import load_motion
-    from hfb.photometry import linear_to_srgb
-    from hfb.rendering.backends import make_rasterizer
-    from hfb.tasks.core.scene import load_chosen_body, load_observation
-
-    found, _ = load_motion(motion.path)
-    model, rasterizer = load_chosen_body(body), make_rasterizer("coverage", config.rasterizer, config.threads)
-    looks, plate, iou = [], np.zeros((0, 0, 3), np.float32), dict(matte_iou)
-    for index, number in enumerate(numbers):
-        seen = load_observation(clip.model_copy(update={"frames": (clip.frames[index],)}), (mattes[index],))
-        stored = [one.numpy() for one in (seen.frames_linear[0], seen.plate_linear)]
-        frame, plate = (linear_to_srgb(one.clip(0, 1)) if clip.light == "linear" else one for one in stored)
-        rows = found.rows_of(number)
-        matte, alpha = seen.mattes[0].numpy(), None
-        if len(rows):
-            with torch.no_grad():
-                vertices = pose_rows(found, rows, model).vertices
-                alpha = rasterizer.silhouette_mean(vertices, seen.camera, model.mesh).numpy()
-            iou.setdefault(number, soft_iou(alpha, matte))
-        small = None if alpha is None else shrink(alpha, _LOOK_PX)
-        looks.append(Look(number, shrink(frame, _LOOK_PX), shrink(matte, _LOOK_PX), small))
-    return WarningsHandle(warnings=find_warnings(looks, shrink(plate, _LOOK_PX), found, iou))

@@ -47,18 +47,18 @@ class RunComparison:
 
 def compare_records(runs: Sequence[StoredRun]) -> RunComparison:
     """What the store says of some runs."""
-    config = _differing([run.params for run in runs])
+    config = _find_differences([run.params for run in runs])
     named = sorted({name for run in runs for name in run.metrics}, key=_order)
     return RunComparison(
         runs=tuple(runs),
         config=config,
         same_options=len({name for run in runs for name in run.params}) - len(config),
-        environment=_differing([_environment(run) for run in runs]),
+        environment=_find_differences([_environment(run) for run in runs]),
         metrics=tuple(Numbers(name, tuple(_finite(run.metrics.get(name)) for run in runs)) for name in named),
     )
 
 
-def _differing(records: Sequence[Mapping[str, str]]) -> tuple[Words, ...]:
+def _find_differences(records: Sequence[Mapping[str, str]]) -> tuple[Words, ...]:
     names = sorted({name for record in records for name in record})
     every = (Words(name, tuple(record.get(name) for record in records)) for name in names)
     return tuple(words for words in every if len(set(words.values)) > 1)

@@ -21,6 +21,7 @@ def check_address(variable: str, address: str, example: str) -> None:
 
     Args:
         variable: where the user set it.
+        address: what the user set.
         example: an address as it should be.
 
     Raises:

@@ -56,6 +56,7 @@ class Patience:
         """Run an action as `within` does, for as long as there is patience.
 
         Args:
+            action: the call.
             least_s: how long the action may take in any case, such as an upload of a large file.
 
         Raises:

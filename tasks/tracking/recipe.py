@@ -38,7 +38,7 @@ class Recipe(Record):
             whatever else the command was told.
         files: the files of the inputs by role.
         results: sha256 of the files that were made, by the name they were published under.
-        code: `hfb.tasks.core.task.code_version` then.
+        code: `hfb.tasks.core.environment.code_version` then.
     """
 
     format: Literal[1] = 1
@@ -56,15 +56,18 @@ def recipe(
     config: RunConfig,
     inputs: Record,
     results: Mapping[str, FileHandle],
+    *,
     code: str,
     options: Mapping[str, Any] | None = None,
 ) -> Recipe:
     """What there is to know about a run that has just come to its end.
 
     Args:
+        command: which made the run.
+        config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
         results: the files that say what came out; those that differ from run to run, such as timings, left out.
-        code: `hfb.tasks.core.task.code_version()`.
+        code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """
     files = {
@@ -74,7 +77,7 @@ def recipe(
     options_then = config.model_dump(mode="json")
     return Recipe(
         command=command,
-        config=_moved(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
+        config=_replace_paths(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
         inputs=inputs.model_dump(mode="json"),
         options=dict(options or {}),
         files=files,
@@ -104,13 +107,15 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
     """The run's options, with every file that they name where it lies now.
 
     Args:
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb does not know one of them.
     """
     try:
-        return to_record(RunConfig, _moved(recipe.config, _now(recipe, places)), f"the options of run {run}")
+        return to_record(RunConfig, _replace_paths(recipe.config, _now(recipe, places)), f"the options of run {run}")
     except InputError as error:
         raise InputError(f"{error}; it was made by hfb {recipe.code}: check that version out to repeat it") from None
 
@@ -120,12 +125,14 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
 
     Args:
         kind: the record that the command takes its inputs into.
+        recipe: of the run.
         places: sha256 -> the file.
+        run: its title, for messages.
 
     Raises:
         InputError: this version of hfb takes other inputs.
     """
-    return to_record(kind, _moved(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
+    return to_record(kind, _replace_paths(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
 
 
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
@@ -142,10 +149,10 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
     return {content: whole} if whole in paths else {}
 
 
-def _moved(content: Any, moved: Mapping[str, str]) -> Any:
+def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
     """Plain content with every path that a file was moved from replaced, in handles and options alike."""
     if isinstance(content, dict):
-        return {name: _moved(value, moved) for name, value in content.items()}
+        return {name: _replace_paths(value, moved) for name, value in content.items()}
     if isinstance(content, list):
-        return [_moved(one, moved) for one in content]
+        return [_replace_paths(one, moved) for one in content]
     return moved.get(content, content) if isinstance(content, str) else content

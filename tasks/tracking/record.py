@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
-from hfb.interop.writers.names import CURVES, EXPORTED_NAMES, RESULT
+from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RESULT
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, FitHandle, ScoresHandle, digest
-from hfb.tasks.core.task import code_version, task
 from hfb.tasks.inputs.inputs import Inputs, input_hashes
+from hfb.tasks.task import task
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, recipe
 from hfb.tasks.tracking.run_record import RecordedFile, RunHandle, RunRecord, write_run
 
@@ -24,6 +25,7 @@ def record(of_run: RunRecord, files: dict[str, FileHandle]) -> RunHandle:
     """Find or create a run, and log everything into it.
 
     Args:
+        of_run: the record.
         files: the files that the run leaves, by name.
 
     Raises:
@@ -33,6 +35,7 @@ def record(of_run: RunRecord, files: dict[str, FileHandle]) -> RunHandle:
 
 
 def fit_record(
+    *,
     inputs: Inputs,
     config: RunConfig,
     fit: FitHandle,
@@ -43,6 +46,10 @@ def fit_record(
     """The record of a fit, found again by its inputs, its options and the code.
 
     Args:
+        inputs: what the user handed over.
+        config: all options.
+        fit: the motion.
+        scores: how good it is.
         published: the files that the run leaves, by name.
         result: the content of result.json.
     """
@@ -61,7 +68,7 @@ def fit_record(
         for name, file in published.items()
         if name in _ARTIFACTS or name.startswith(_MATTE)
     }
-    made_of = recipe("fit", config, inputs, published, code_version())
+    made_of = recipe("fit", config, inputs, published, code=code_version())
     return RunRecord(
         name=Path(result["out"]).name,
         key=digest([params, code_version()]),

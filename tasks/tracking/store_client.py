@@ -12,7 +12,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.tasks.telemetry.secrets import without_secrets
 from hfb.tasks.tracking.patience import Patience
 from hfb.tasks.tracking.store_place import (
@@ -92,7 +92,7 @@ def usable_store(uri: str) -> Iterator[None]:
     """Check a store's tables, and say in one sentence what opening it inside fails with.
 
     Raises:
-        NotNow: the store does not answer, or its tables are of another version of MLflow.
+        TemporaryError: the store does not answer, or its tables are of another version of MLflow.
         InputError: what reads such a store is not installed, or the address is wrong.
     """
     import mlflow  # noqa: F401  (takes seconds, which do not count as waiting)
@@ -103,13 +103,13 @@ def usable_store(uri: str) -> Iterator[None]:
     except InputError:
         raise
     except StoreLost as lost:
-        raise NotNow(str(lost)) from lost
+        raise TemporaryError(str(lost)) from lost
     except ModuleNotFoundError as error:
         raise InputError(f"the runs in {shown} need the Python package {error.name}: install it") from None
     except Exception as error:
         where = f"the MLflow server at {shown}" if on_server(uri) else f"the MLflow store {shown}"
         what = "check its address and start it" if sqlite_file(uri) is None else "mend it"
-        raise NotNow(
+        raise TemporaryError(
             f"{where} cannot be used ({_first_line(error)[:_SHOWN]}): {what}, or set MLFLOW_TRACKING_URI to another"
         ) from error
 
@@ -146,7 +146,7 @@ def _check_tables(uri: str) -> None:
     engine = create_engine(uri, poolclass=NullPool, connect_args={limit: _CONNECT_S} if limit else {})
     migrations = ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations"))
     head = migrations.get_current_head()
-    found = _settled(lambda: _revision(engine), head)
+    found = _wait_until_settled(lambda: _revision(engine), head)
     if found in (None, head):
         return
     known = {script.revision for script in migrations.walk_revisions()}
@@ -159,7 +159,7 @@ def _check_tables(uri: str) -> None:
     )
 
 
-def _settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
+def _wait_until_settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
     """What is read, once it no longer changes: another process may be making the tables."""
     found, since = read(), time.monotonic()
     while found not in (None, wanted) and time.monotonic() - since < _MIGRATES_S:

@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 
 import platformdirs
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.tasks.telemetry.secrets import shown_address, without_secrets
 from hfb.tasks.tracking.addresses import check_address, no_answer
 
@@ -70,14 +70,14 @@ def check_store(uri: str) -> None:
 
     Raises:
         InputError: the address is none that MLflow takes.
-        NotNow: the store does not answer, or cannot be written.
+        TemporaryError: the store does not answer, or cannot be written.
     """
     scheme = _scheme(uri)
     if on_server(uri):
         check_address(_VARIABLE, uri, "http://127.0.0.1:5000")
         if reason := no_answer(f"{uri.rstrip('/')}/health", _HEALTH_TIMEOUT_S):
             shown = shown_address(uri)
-            raise NotNow(
+            raise TemporaryError(
                 f"the MLflow server at {shown} {reason}: start it, or unset {_VARIABLE} to record locally"
             )  # fmt: skip
     elif scheme == "sqlite":
@@ -166,9 +166,11 @@ def _check_sqlite(uri: str) -> None:
     try:
         make_folder(uri)
         if file.is_dir():
-            raise NotNow(f"runs cannot be recorded in {file}, which is a folder: {_advice(str(file / 'mlflow.db'))}")
+            raise TemporaryError(
+                f"runs cannot be recorded in {file}, which is a folder: {_advice(str(file / 'mlflow.db'))}"
+            )
         if file.exists() and file.stat().st_size and not _is_sqlite(file):
-            raise NotNow(f"runs cannot be recorded in {file}, which is no SQLite database: {other}")
+            raise TemporaryError(f"runs cannot be recorded in {file}, which is no SQLite database: {other}")
         with tempfile.TemporaryFile(dir=file.parent) as probe:
             os.posix_fallocate(probe.fileno(), 0, _NEEDED_BYTES)
         if file.exists():
@@ -177,10 +179,12 @@ def _check_sqlite(uri: str) -> None:
                 database.execute("create table hfb_can_write (a)")  # SQLite begins on a file that it may only read
                 database.rollback()
     except OSError as error:
-        raise NotNow(f"runs cannot be recorded in {file} ({error.strerror or error}): {_mend(error, other)}") from None
+        raise TemporaryError(
+            f"runs cannot be recorded in {file} ({error.strerror or error}): {_mend(error, other)}"
+        ) from None
     except sqlite3.DatabaseError as error:
         if "locked" not in str(error):  # by a record of another process, which is soon over
-            raise NotNow(f"runs cannot be recorded in {file} ({error}): {other}") from None
+            raise TemporaryError(f"runs cannot be recorded in {file} ({error}): {other}") from None
 
 
 def _is_sqlite(file: Path) -> bool:

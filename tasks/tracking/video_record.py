@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from hfb.config import RunConfig
-from hfb.interop.writers.names import RESULT
+from hfb.interop.writers.export_names import RESULT
+from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle, digest
-from hfb.tasks.core.task import code_version
 from hfb.tasks.inputs.video_inputs import VideoInputs, video_hashes
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
@@ -98,7 +98,7 @@ class ClipRecord:
         if run is None or run.complete:
             return
         for metric in points.keys() - self._there.keys():
-            self._there[metric] = tracking.logged_steps(run, metric)
+            self._there[metric] = tracking.read_logged_steps(run, metric)
         new = {
             metric: {step: value for step, value in values.items() if step not in self._there[metric]}
             for metric, values in points.items()
@@ -118,13 +118,13 @@ class ClipRecord:
         self._log(self._points)
         self._log(_final(result))
         with tracking.store_losses():
-            tracking.log_files(run, _looked_at(files))
+            tracking.log_files(run, _artifact_paths(files))
             for name, content in self._contents(files, result).items():
                 tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
 
     def _contents(self, files: Mapping[str, FileHandle], result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        made_of = recipe("video", self._config, self._inputs, files, code_version())
+        made_of = recipe("video", self._config, self._inputs, files, code=code_version())
         options = self._config.model_dump(mode="json")
         return {RESULT: dict(result), "config.json": options, RECIPE: made_of.model_dump(mode="json")}
 
@@ -145,5 +145,5 @@ def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
     return final | {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
 
 
-def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:
+def _artifact_paths(files: Mapping[str, FileHandle]) -> Sequence[Path]:
     return [file.path for _, file in sorted(files.items())]

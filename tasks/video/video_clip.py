@@ -14,13 +14,12 @@ import numpy as np
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.clip import Clip, PersonChoice
-from hfb.tasks.core.handles import FileHandle, unchanged
-from hfb.tasks.core.task import task
+from hfb.io.clip import PersonChoice
+from hfb.tasks.core.handles import FileHandle, verify_unchanged
 from hfb.tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
 from hfb.tasks.image.prepare import calibration
 from hfb.tasks.inputs.video_inputs import VideoInputs
-from hfb.tasks.workers.workers import compute
+from hfb.tasks.task import task
 
 if TYPE_CHECKING:
     from hfb.io.media.footage import Footage
@@ -28,51 +27,144 @@ if TYPE_CHECKING:
     from hfb.tracking.tracks import ClipFrames
 
 
-@task("video")
+@task("video", where="worker")
 def look_at_clip(
-    inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
+    *, inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
 ) -> FootageHandle:
     """Decode everything once: how many frames there are, when and how they were taken, and what is wrong with them.
+
+    Args:
+        inputs: what the user handed over.
+        average: how many frames of the video are one frame of the clip.
+        camera: options of the camera.
+        exposure: options of the exposure.
+        folder: where the description goes.
 
     Raises:
         InputError: not one frame can be decoded, or what is told about the clip does not fit it.
     """
-    return compute(_look_at_clip, inputs.video, inputs.clip, inputs.calibration, average, camera, exposure, folder)
+    from hfb.io.media.footage import open_footage
+    from hfb.io.media.lens.clip_lens import clip_lens
+    from hfb.io.media.timing import settle_timing
+
+    clip = inputs.clip
+    paths = [file.path for file in inputs.video]
+    footage = open_footage(
+        paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
+        stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
+        scan=clip.scan,
+    )  # fmt: skip
+    given = clip.camera.model_copy(update={"calibration": inputs.calibration.path if inputs.calibration else None})
+    lens = clip_lens(given, paths[0].name, footage.height, footage.width)
+    footage = footage.through(lens)
+    timing = settle_timing(footage, clip.exposure, exposure)
+    given_files = [file.model_dump(mode="json") for file in inputs.video]
+    content = {"footage": _plain(footage), "timing": _plain(timing), "given": given_files}
+    path, size = folder / "footage.json", (footage.height, footage.width)
+    write_bytes_atomic(path, json.dumps(content).encode())
+    return FootageHandle.of(
+        path,
+        count=footage.count,
+        height=footage.height,
+        width=footage.width,
+        K=lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size),
+        exposure_s=timing.exposure_s,
+        interval_s=timing.interval_s,
+        transfer=footage.transfer,
+        light=exposure.light,
+        bits=footage.bits,
+        remarks=(*footage.remarks, timing.source),
+    )
 
 
-@task("background")
+@task("background", where="worker")
 def find_background(
     footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
 ) -> PlateHandle:
-    """The view without the person.
+    """Find the view without the person.
+
+    Args:
+        footage: the clip.
+        how: where it comes from.
+        given: the user's own image of it.
+        folder: where it goes.
 
     Raises:
         InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
             camera or size.
     """
-    return compute(_find_background, footage, how, given, folder)
+    from hfb.io.media.images.image_io import write_png
+    from hfb.io.media.plate import find_plate
+
+    if given is not None:
+        where: Path | Literal["median", "still"] = given.path
+    else:
+        where = "still" if how == "still" else "median"
+    with reading(footage) as pictures:
+        picture, source = find_plate(pictures, where)
+    path = folder / "plate.png"
+    write_png(path, picture, bits=footage.bits)
+    return PlateHandle.of(path, source=source)
 
 
-@task("person's track")
+@task("person's track", where="worker")
 def find_person(
     footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
 ) -> TrackHandle:
-    """Where the chosen person is in every frame.
+    """Find where the chosen person is in every frame.
+
+    Args:
+        footage: the clip.
+        plate: its background.
+        choice: which person.
+        track: the user's own file of tracks.
 
     Raises:
         InputError: the chosen one is not there.
     """
-    return compute(_find_person, footage, plate, choice, track)
+    from hfb.io.media.images.image_io import read_picture_srgb
+    from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
+
+    if track is not None:
+        frames = _clip_frames(footage)
+        found = read_track(track.path, choice.id, frames)
+        others = len(read_track_names(track.path, frames)) - 1
+    else:
+        with reading(footage) as pictures:
+            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
+        found, others = choose_track(tracks, choice), len(tracks) - 1
+    boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
+    return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
 
 
-@task("everyone's tracks")
+@task("everyone's tracks", where="worker")
 def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
-    """Who is there, each with the choice that takes that one.
+    """Find who is there, each with the choice that takes that one.
+
+    Args:
+        footage: the clip.
+        plate: its background.
+        track: the user's own file of tracks.
 
     Raises:
         InputError: nobody is.
     """
-    return compute(_find_everyone, footage, plate, track)
+    from hfb.io.media.images.image_io import read_picture_srgb
+    from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
+
+    if track is not None:
+        named = PersonChoice(track=Path(track.path.name))
+        frames = _clip_frames(footage)
+        chosen = [
+            (read_track(track.path, name, frames), named.model_copy(update={"id": name}))
+            for name in read_track_names(track.path, frames)
+        ]
+    else:
+        with reading(footage) as pictures:
+            seen = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
+        chosen = list(choose_everyone(seen))
+    people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
+    return PeopleHandle(people=tuple(people))
 
 
 def load_footage(handle: FootageHandle) -> Footage:
@@ -94,7 +186,7 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
     if len(given) > 1:
         last = footage.count if stop is None else stop
         given = given[footage.first + start * footage.average : footage.first + last * footage.average]
-    with unchanged(tuple(FileHandle(**one) for one in given)):
+    with verify_unchanged(tuple(FileHandle(**one) for one in given)):
         yield footage
 
 
@@ -109,102 +201,6 @@ def load_timing(handle: FootageHandle) -> Timing:
 def _content(path: Path, sha256: str) -> dict[str, Any]:
     """Of footage.json; a folder of ten thousand pictures makes it megabytes, which every sixteen frames ask for."""
     return dict(json.loads(path.read_bytes()))
-
-
-def _look_at_clip(
-    video: tuple[FileHandle, ...],
-    clip: Clip,
-    calibrated: FileHandle | None,
-    average: int,
-    camera: CameraConfig,
-    exposure: ExposureConfig,
-    folder: Path,
-) -> FootageHandle:
-    from hfb.io.media.clip_lens import clip_lens
-    from hfb.io.media.footage import open_footage
-    from hfb.io.media.timing import settle_timing
-
-    paths = [file.path for file in video]
-    footage = open_footage(
-        paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
-        stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
-        scan=clip.scan,
-    )  # fmt: skip
-    given = clip.camera.model_copy(update={"calibration": calibrated.path if calibrated else None})
-    lens = clip_lens(given, paths[0].name, footage.height, footage.width)
-    footage = footage.through(lens)
-    timing = settle_timing(footage, clip.exposure, exposure)
-    given_files = [file.model_dump(mode="json") for file in video]
-    content = {"footage": _plain(footage), "timing": _plain(timing), "given": given_files}
-    path, size = folder / "footage.json", (footage.height, footage.width)
-    write_bytes_atomic(path, json.dumps(content).encode())
-    return FootageHandle.of(
-        path,
-        count=footage.count,
-        height=footage.height,
-        width=footage.width,
-        K=lens.pinhole() if lens and camera.focal_px is None else calibration(camera, clip, *size),
-        exposure_s=timing.exposure_s,
-        interval_s=timing.interval_s,
-        transfer=footage.transfer,
-        light=exposure.light,
-        bits=footage.bits,
-        remarks=(*footage.remarks, timing.source),
-    )
-
-
-def _find_background(
-    footage: FootageHandle, how: Literal["file", "median", "still"], given: FileHandle | None, folder: Path
-) -> PlateHandle:
-    from hfb.io.media.pictures import write_png
-    from hfb.io.media.plate import find_plate
-
-    if given is not None:
-        where: Path | Literal["median", "still"] = given.path
-    else:
-        where = "still" if how == "still" else "median"
-    with reading(footage) as pictures:
-        picture, source = find_plate(pictures, where)
-    path = folder / "plate.png"
-    write_png(path, picture, bits=footage.bits)
-    return PlateHandle.of(path, source=source)
-
-
-def _find_person(
-    footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
-) -> TrackHandle:
-    from hfb.io.media.pictures import read_picture_srgb
-    from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
-
-    if track is not None:
-        frames = _clip_frames(footage)
-        found = read_track(track.path, choice.id, frames)
-        others = len(read_track_names(track.path, frames)) - 1
-    else:
-        with reading(footage) as pictures:
-            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
-        found, others = choose_track(tracks, choice), len(tracks) - 1
-    boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
-    return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
-
-
-def _find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
-    from hfb.io.media.pictures import read_picture_srgb
-    from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
-
-    if track is not None:
-        named = PersonChoice(track=Path(track.path.name))
-        frames = _clip_frames(footage)
-        chosen = [
-            (read_track(track.path, name, frames), named.model_copy(update={"id": name}))
-            for name in read_track_names(track.path, frames)
-        ]
-    else:
-        with reading(footage) as pictures:
-            seen = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
-        chosen = list(choose_everyone(seen))
-    people = (PersonSeen(name=one.name, choice=choice, frames=int(one.present.sum())) for one, choice in chosen)
-    return PeopleHandle(people=tuple(people))
 
 
 def _clip_frames(footage: FootageHandle) -> ClipFrames:
@@ -237,8 +233,8 @@ def _numbers(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _from_json(value: Any) -> Any:
-    from hfb.io.media.lens import Lens
-    from hfb.io.media.video_index import VideoIndex
+    from hfb.io.media.lens.lens import Lens
+    from hfb.io.media.video.video_index import VideoIndex
 
     if not isinstance(value, dict):
         return value

@@ -1,4 +1,4 @@
-"""The tasks that look at a clip's motion: how well it explains every frame, the truth where it is known, a picture."""
+"""The tasks that evaluate and draw a clip's motion: scores per frame, errors against a truth, strip and texture."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from hfb.config import FitConfig
 from hfb.errors import InputError
-from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.task import task
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle
 from hfb.tasks.core.video_handles import FrameScoresHandle
-from hfb.tasks.workers.workers import compute, spread
+from hfb.tasks.task import task
 
 if TYPE_CHECKING:
     from hfb.motion.sampled import SampledMotion
@@ -19,102 +18,60 @@ if TYPE_CHECKING:
 _LEAST_KNOWN = 0.5
 
 
-@task("scores")
-def score_frames(
-    clip: ClipHandle,
-    numbers: tuple[int, ...],
-    mattes: tuple[FileHandle, ...],
-    motion: FileHandle,
-    person: FileHandle,
-    body: FileHandle | None,
-    config: FitConfig,
-) -> FrameScoresHandle:
-    """IoU with the matte and PSNR of the re-blurred picture, frame by frame; always with the exact silhouette.
+class ScoreCall(Call):
+    """Some frames of a clip's motion.
 
-    Args:
-        clip, mattes: of the frames ``numbers`` alone.
+    Attributes:
+        clip: these frames alone.
+        numbers: of the frames in the clip.
+        mattes: of these frames.
+        motion: of the whole clip.
+        person: who it is.
+        body: the user's body model; None for the embedded one.
+        config: options of the fit.
     """
-    return spread(_score_frames, clip, numbers, mattes, motion, person, body, config)
+
+    clip: ClipHandle
+    numbers: tuple[int, ...]
+    mattes: tuple[FileHandle, ...]
+    motion: FileHandle
+    person: FileHandle
+    body: FileHandle | None
+    config: FitConfig
 
 
-@task("errors")
-def judge_clip(motion: FileHandle, truth: FileHandle) -> FrameScoresHandle:
-    """MPJPE against the true joints, frame by frame, after one rotation of the whole clip.
-
-    Raises:
-        InputError: the truth is of another clip.
-    """
-    return compute(_judge_clip, motion, truth)
-
-
-@task("strip")
-def draw_clip(
-    clip: ClipHandle,
-    numbers: tuple[int, ...],
-    mattes: tuple[FileHandle, ...],
-    motion: FileHandle,
-    person: FileHandle,
-    body: FileHandle | None,
-    config: FitConfig,
-    note: str,
-    folder: Path,
-) -> FileHandle:
-    """Some of the clip's frames: what was seen, and how it is explained."""
-    return compute(_draw_clip, clip, numbers, mattes, motion, person, body, config, note, folder)
-
-
-@task("texture")
-def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: Path) -> FileHandle:
-    """The person's texture as a picture to look at."""
-    return compute(_draw_texture, light, person, folder)
-
-
-def only_frames(motion: SampledMotion, numbers: tuple[int, ...]) -> SampledMotion:
-    """Some frames of a motion, numbered from 0 in the order given."""
-    import numpy as np
-
-    rows = [motion.rows_of(number) for number in numbers]
-    chosen = np.concatenate(rows)
-    radius = motion.joint_radius_mm
-    return replace(
-        motion,
-        poses=motion.poses[chosen],
-        trans=motion.trans[chosen],
-        joints=motion.joints[chosen],
-        times_s=motion.times_s[chosen],
-        frame_index=np.repeat(np.arange(len(rows)), [len(one) for one in rows]),
-        joint_radius_mm=None if radius is None else radius[chosen],
-    )
-
-
-def _score_frames(
-    clip: ClipHandle,
-    numbers: tuple[int, ...],
-    mattes: tuple[FileHandle, ...],
-    motion: FileHandle,
-    person: FileHandle,
-    body: FileHandle | None,
-    config: FitConfig,
-) -> FrameScoresHandle:
+@task("scores", where="cluster")
+def score_frames(call: ScoreCall) -> FrameScoresHandle:
+    """Score frame by frame: IoU with the matte and PSNR of the re-blurred image, always with the exact silhouette."""
     from hfb.evaluation.protocol import picture_scores, reblur
     from hfb.fitting.clip_person import load_person
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
-    whole, _ = load_motion(motion.path)
-    texture, model = load_person(person.path).texture, load_chosen_body(body)
-    rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
+    whole, _ = load_motion(call.motion.path)
+    texture, model = load_person(call.person.path).texture, load_chosen_body(call.body)
+    rasterizer = make_rasterizer("coverage", call.config.rasterizer, call.config.threads)
     scores: dict[str, list[float]] = {}
-    for index, number in enumerate(numbers):
-        seen = load_observation(clip.model_copy(update={"frames": (clip.frames[index],)}), (mattes[index],))
+    for index, number in enumerate(call.numbers):
+        seen = load_observation(call.clip.only(index), (call.mattes[index],))
         blurred = reblur(only_frames(whole, (number,)), texture, seen, model, rasterizer)
         for name, value in picture_scores(blurred, seen).items():
             scores.setdefault(name, []).append(value)
-    return FrameScoresHandle(frames=numbers, scores={name: tuple(values) for name, values in scores.items()})
+    return FrameScoresHandle(frames=call.numbers, scores={name: tuple(values) for name, values in scores.items()})
 
 
-def _judge_clip(motion: FileHandle, truth: FileHandle) -> FrameScoresHandle:
+@task("errors", where="worker")
+def judge_clip(motion: FileHandle, truth: FileHandle) -> FrameScoresHandle:
+    """Compute MPJPE against the true joints, frame by frame, after one rotation of the whole clip.
+
+    Args:
+        motion: of the clip.
+        truth: the true motion.
+
+    Raises:
+        InputError: the truth is of another clip.
+    """
     import numpy as np
 
     from hfb.evaluation.metrics import errors_mm
@@ -135,7 +92,9 @@ def _judge_clip(motion: FileHandle, truth: FileHandle) -> FrameScoresHandle:
     return FrameScoresHandle(frames=numbers, scores={"mpjpe_mm": each})
 
 
-def _draw_clip(
+@task("strip", where="worker")
+def draw_clip(
+    *,
     clip: ClipHandle,
     numbers: tuple[int, ...],
     mattes: tuple[FileHandle, ...],
@@ -146,14 +105,27 @@ def _draw_clip(
     note: str,
     folder: Path,
 ) -> FileHandle:
+    """Draw some of the clip's frames: what was seen, and how the motion explains it.
+
+    Args:
+        clip: these frames alone.
+        numbers: of the frames in the clip.
+        mattes: of these frames.
+        motion: of the whole clip.
+        person: who it is.
+        body: the user's body model; None for the embedded one.
+        config: options of the fit.
+        note: a line below the strip.
+        folder: where it goes.
+    """
     from hfb.fitting.clip_person import load_person
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.report.strip import draw_strip
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
-    picture = draw_strip(
+    image = draw_strip(
         load_observation(clip, mattes),
         only_frames(load_motion(motion.path)[0], numbers),
         load_person(person.path).texture,
@@ -161,16 +133,42 @@ def _draw_clip(
         make_rasterizer("coverage", config.rasterizer, config.threads),
         note,
     )
-    write_png(folder / "strip.png", picture)
+    write_png(folder / "strip.png", image)
     return FileHandle.of(folder / "strip.png")
 
 
-def _draw_texture(light: str, person: FileHandle, folder: Path) -> FileHandle:
+@task("texture", where="worker")
+def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: Path) -> FileHandle:
+    """Write the person's texture as an image.
+
+    Args:
+        light: the texture's.
+        person: who it is.
+        folder: where it goes.
+    """
     from hfb.fitting.clip_person import load_person
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
     from hfb.photometry import linear_to_srgb
 
     texture = load_person(person.path).texture
     stored = linear_to_srgb(texture.clamp(0, 1)) if light == "linear" else texture.clamp(0, 1)
     write_png(folder / "texture.png", stored.numpy())
     return FileHandle.of(folder / "texture.png")
+
+
+def only_frames(motion: SampledMotion, numbers: tuple[int, ...]) -> SampledMotion:
+    """Return some frames of a motion, numbered from 0 in the order given."""
+    import numpy as np
+
+    rows = [motion.rows_of(number) for number in numbers]
+    chosen = np.concatenate(rows)
+    radius = motion.joint_radius_mm
+    return replace(
+        motion,
+        poses=motion.poses[chosen],
+        trans=motion.trans[chosen],
+        joints=motion.joints[chosen],
+        times_s=motion.times_s[chosen],
+        frame_index=np.repeat(np.arange(len(rows)), [len(one) for one in rows]),
+        joint_radius_mm=None if radius is None else radius[chosen],
+    )

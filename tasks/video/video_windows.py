@@ -1,4 +1,4 @@
-"""The tasks of a clip's windows: the person, the fits, the join, and how well it explains every frame."""
+"""The tasks from first bodies to the clip's motion: agree on fronts, fill gaps, fit windows, join."""
 
 from __future__ import annotations
 
@@ -6,115 +6,87 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from hfb.config import FitConfig
 from hfb.io.atomic import write_bytes_atomic
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
-from hfb.tasks.core.task import AtOnce, task
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
 from hfb.tasks.core.video_handles import ClipBodiesHandle, FootageHandle, JoinedHandle, WindowHandle
-from hfb.tasks.workers.workers import compute, remote, spread
+from hfb.tasks.task import BatchFunction, Where, task
 
 
-@task("fronts and backs")
+class WindowCall(Call):
+    """A window of a clip.
+
+    Attributes:
+        clip: the window's frames alone.
+        frames: their numbers in the clip.
+        segment: number of the stretch without a gap that the window belongs to.
+        mattes: of the window's frames.
+        firsts: first bodies of the window's frames.
+        body: the user's body model; None for the embedded one.
+        priors: of pose and motion.
+        person: who it is, where that is known.
+        config: options of the fit.
+        seed: of everything that is random.
+        folder: where the fit goes.
+    """
+
+    clip: ClipHandle
+    frames: tuple[int, ...]
+    segment: int
+    mattes: tuple[FileHandle, ...]
+    firsts: tuple[FirstBodyHandle, ...]
+    body: FileHandle | None
+    priors: PriorsHandle
+    person: FileHandle | None
+    config: FitConfig
+    seed: int
+    folder: Path
+
+
+@task("fronts and backs", where="worker")
 def mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], folder: Path) -> ClipBodiesHandle:
-    """Bodies of some frames that agree on which way the person faces; in the order of ``numbers``."""
-    return compute(_mend_fronts, numbers, firsts, folder)
-
-
-@task("missed frames")
-def fill_bodies(
-    numbers: tuple[int, ...],
-    firsts: tuple[FirstBodyHandle, ...],
-    present: tuple[bool, ...],
-    longest_fill: int,
-    folder: Path,
-) -> ClipBodiesHandle:
-    """A body for every frame that has one or lies in a short stretch without; a longer one is a gap."""
-    return compute(_fill_bodies, numbers, firsts, present, longest_fill, folder)
-
-
-def _count_at_once(call: tuple[Any, ...]) -> int:
-    """Windows that are one problem for a GPU; a cluster's worker is given one at a time."""
-    from hfb.fitting.clip.windows import windows_at_once
-
-    (config,) = (one for one in call if isinstance(one, FitConfig))
-    return 1 if remote() else windows_at_once(config)
-
-
-def _fit_at_once(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
-    return compute(_fit_windows, calls)
-
-
-@task("windows", at_once=AtOnce(_count_at_once, _fit_at_once))
-def fit_clip_window(
-    clip: ClipHandle,
-    frames: tuple[int, ...],
-    segment: int,
-    mattes: tuple[FileHandle, ...],
-    firsts: tuple[FirstBodyHandle, ...],
-    body: FileHandle | None,
-    priors: PriorsHandle,
-    person: FileHandle | None,
-    config: FitConfig,
-    seed: int,
-    folder: Path,
-) -> WindowHandle:
-    """Fit one window, with the clip's person where it is known.
+    """Make the bodies of some frames agree on which way the person faces.
 
     Args:
-        clip, mattes, firsts: of the window's frames alone.
+        numbers: of the frames.
+        firsts: their bodies.
+        folder: where the new bodies go, in the order of ``numbers``.
     """
-    return spread(
-        _fit_window, clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder,
-        gpu=config.rasterizer == "cuda",
-    )  # fmt: skip
-
-
-@task("person")
-def settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
-    """Shape and texture that a few windows agree on."""
-    return compute(_settle_person, windows, body, folder)
-
-
-@task("join")
-def join_clip(
-    footage: FootageHandle,
-    windows: tuple[WindowHandle, ...],
-    person: FileHandle,
-    body: FileHandle | None,
-    subframes: int,
-    longest_fill: int,
-    folder: Path,
-) -> JoinedHandle:
-    """One continuous motion out of all windows; short stretches without anybody are bridged."""
-    return compute(_join, footage, windows, person, body, subframes, longest_fill, folder)
-
-
-def _mend_fronts(numbers: tuple[int, ...], firsts: tuple[FirstBodyHandle, ...], folder: Path) -> ClipBodiesHandle:
     from hfb.motion.static_pose import load_first_body
-    from hfb.tasks.video.video_frames import saved_body
+    from hfb.tasks.video.video_frames import write_body
     from hfb.tracking.clip_bodies import agree_on_front
 
     found = agree_on_front(
         {n: load_first_body(one.path) for n, one in zip(numbers, firsts, strict=True)},
         {n: one.doubt for n, one in zip(numbers, firsts, strict=True)},
     )
-    agreed = tuple(saved_body(folder / f"agreed_body_{number:06d}.npz", found[number]) for number in numbers)
+    agreed = tuple(write_body(folder / f"agreed_body_{number:06d}.npz", found[number]) for number in numbers)
     return ClipBodiesHandle(firsts=agreed, filled=(False,) * len(agreed), usable=(True,) * len(agreed))
 
 
-def _fill_bodies(
+@task("missed frames", where="worker")
+def fill_bodies(
+    *,
     numbers: tuple[int, ...],
     firsts: tuple[FirstBodyHandle, ...],
     present: tuple[bool, ...],
     longest_fill: int,
     folder: Path,
 ) -> ClipBodiesHandle:
+    """Find a body for every frame that has one or lies in a short stretch without; a longer one is a gap.
+
+    Args:
+        numbers: of the frames with a body.
+        firsts: their bodies.
+        present: for every frame of the clip whether somebody is seen.
+        longest_fill: how many frames without a body are filled from their neighbours.
+        folder: where the new bodies go.
+    """
     import numpy as np
 
     from hfb.motion.static_pose import load_first_body
-    from hfb.tasks.video.video_frames import saved_body
+    from hfb.tasks.video.video_frames import write_body
     from hfb.tracking.clip_bodies import fill_missed
 
     known = dict(zip(numbers, firsts, strict=True))
@@ -126,32 +98,22 @@ def _fill_bodies(
         if body is None:
             files.append(None)
         elif whole.filled[number]:
-            files.append(saved_body(folder / f"filled_body_{number:06d}.npz", body))
+            files.append(write_body(folder / f"filled_body_{number:06d}.npz", body))
         else:
             files.append(known[number])
     filled, usable = (tuple(bool(one) for one in marks) for marks in (whole.filled, whole.usable))
     return ClipBodiesHandle(firsts=tuple(files), filled=filled, usable=usable)
 
 
-def _fit_window(
-    clip: ClipHandle,
-    frames: tuple[int, ...],
-    segment: int,
-    mattes: tuple[FileHandle, ...],
-    firsts: tuple[FirstBodyHandle, ...],
-    body: FileHandle | None,
-    priors: PriorsHandle,
-    person: FileHandle | None,
-    config: FitConfig,
-    seed: int,
-    folder: Path,
-) -> WindowHandle:
-    call = clip, frames, segment, mattes, firsts, body, priors, person, config, seed, folder
-    return _fit_windows([call])[0]
+def _gpu_batch_size(call: WindowCall) -> int:
+    """How many windows are one problem for a GPU."""
+    from hfb.fitting.clip.windows import windows_at_once
+
+    return windows_at_once(call.config)
 
 
-def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
-    """Of one clip, with the same options; see `_fit_window` for what a call is."""
+def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
+    """Fit windows of one clip with the same options as one problem."""
     from hfb.fitting.clip.windows import ClipWindow, WindowScene, fit_windows, save_window
     from hfb.fitting.clip_person import load_person
     from hfb.motion.static_pose import load_first_body
@@ -159,34 +121,52 @@ def _fit_windows(calls: Sequence[tuple[Any, ...]]) -> list[WindowHandle]:
     from hfb.priors.motion_prior import load_motion_prior
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
-    body, priors, _, config, seed, _ = calls[0][5:]
+    shared = calls[0]
     scenes = [
         WindowScene(
-            ClipWindow(frames, segment),
-            load_observation(clip, mattes),
-            [load_first_body(first.path) for first in firsts],
-            load_person(person.path) if person else None,
+            ClipWindow(call.frames, call.segment),
+            load_observation(call.clip, call.mattes),
+            [load_first_body(first.path) for first in call.firsts],
+            load_person(call.person.path) if call.person else None,
         )
-        for clip, frames, segment, mattes, firsts, _, _, person, *_ in calls
+        for call in calls
     ]
+    pose, motion = shared.priors.pose, shared.priors.motion
     fits = fit_windows(
         scenes,
-        load_chosen_body(body),
-        config,
-        seed,
-        load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        load_motion_prior(priors.motion.path if priors.motion else None),
+        load_chosen_body(shared.body),
+        shared.config,
+        shared.seed,
+        load_pose_prior(pose.path if pose else None, shared.priors.kind),
+        load_motion_prior(motion.path if motion else None),
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):
-        person, folder = call[7], call[-1]
-        path = folder / f"{'window' if person else 'person_window'}_{found.frames[0]:06d}.npz"
+        path = call.folder / f"{'window' if call.person else 'person_window'}_{found.frames[0]:06d}.npz"
         save_window(path, found)
         handles.append(WindowHandle.of(path, frames=found.frames, segment=found.segment, loss=found.loss))
     return handles
 
 
-def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
+def _needs(call: WindowCall) -> Where:
+    return "gpu" if call.config.rasterizer == "cuda" else "cluster"
+
+
+@task("windows", where=_needs, batch=BatchFunction(_gpu_batch_size, _fit_windows))
+def fit_clip_window(call: WindowCall) -> WindowHandle:
+    """Fit one window, with the clip's person where it is known."""
+    return _fit_windows([call])[0]
+
+
+@task("person", where="worker")
+def estimate_identity(windows: tuple[WindowHandle, ...], body: FileHandle | None, folder: Path) -> FileHandle:
+    """Find the shape and texture that a few windows agree on.
+
+    Args:
+        windows: fitted without a person.
+        body: the user's body model; None for the embedded one.
+        folder: where the person goes.
+    """
     from hfb.fitting.clip.person import agree_on_person
     from hfb.fitting.clip.windows import load_window
     from hfb.fitting.clip_person import save_person
@@ -197,7 +177,9 @@ def _settle_person(windows: tuple[WindowHandle, ...], body: FileHandle | None, f
     return FileHandle.of(path)
 
 
-def _join(
+@task("join", where="worker")
+def join_clip(
+    *,
     footage: FootageHandle,
     windows: tuple[WindowHandle, ...],
     person: FileHandle,
@@ -206,6 +188,17 @@ def _join(
     longest_fill: int,
     folder: Path,
 ) -> JoinedHandle:
+    """Join all windows into one continuous motion; short stretches without anybody are bridged.
+
+    Args:
+        footage: the clip.
+        windows: fitted with the person.
+        person: who it is.
+        body: the user's body model; None for the embedded one.
+        subframes: per frame.
+        longest_fill: how many frames without anybody are bridged.
+        folder: where the motion goes.
+    """
     import numpy as np
 
     from hfb.fitting.clip.join import join_windows

@@ -16,15 +16,16 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, ParamSpec, Protocol, TypeVar
 
-from hfb.errors import InputError, NotNow
-from hfb.tasks.core.handles import FileHandle, files_in, with_files
-from hfb.tasks.core.task import code_version
+from hfb.errors import InputError, TemporaryError
+from hfb.tasks.core.environment import code_version
+from hfb.tasks.core.handles import Call, FileHandle, files_in, with_files
 from hfb.tasks.telemetry.secrets import without_secrets
-from hfb.tasks.workers.engine import Engine, WorkerLost
+from hfb.tasks.workers.engine import Engine, WorkerLost, bare
 from hfb.tasks.workers.shared_store import shared_store
 
+P = ParamSpec("P")
 R = TypeVar("R")
 _log = logging.getLogger(__name__)
 _ANSWER_S = 30
@@ -36,7 +37,7 @@ class _Members(Protocol):
     """A cluster's workers, each with one thread."""
 
     def count(self) -> int: ...
-    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R: ...
+    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R: ...
     def close(self) -> None: ...
 
 
@@ -44,11 +45,13 @@ class Cluster:
     """Runs functions of handles elsewhere, any number at a time.
 
     Attributes:
-        count: workers when it was found. busy_s: for how long they computed, together.
+        count: workers when it was found.
+        busy_s: for how long they computed, together.
     """
 
     def __init__(self, engine: Engine) -> None:
-        """
+        """Find the cluster.
+
         Raises:
             InputError: the library is missing, nobody answers, or nobody works there.
         """
@@ -59,20 +62,25 @@ class Cluster:
         self.count, self.busy_s = self._members.count(), 0.0
         self._lock, self._closed = threading.Lock(), False
 
-    def run(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
-        """The function's result; its files are where they would be if it had run here.
+    def run(self, function: Callable[..., R], call: Call, gpu: bool) -> R:
+        """Return the function's result; its files are where they would be if it had run here.
+
+        Args:
+            function: a function of a module, or a task, of one record.
+            call: the record.
+            gpu: whether it needs a GPU.
 
         Raises:
             WorkerLost: see there.
             InputError: the worker has another version of hfb, or what the function raises.
         """
         if self._store:
-            shared_store(self._store).put(args)
-        value, seconds = self._members.call(_compute_away, (self._store, code_version(), function, args), gpu)
+            shared_store(self._store).put(call)
+        value, seconds = self._members.call(gpu, _compute_away, self._store, code_version(), function, call)
         with self._lock:
             self.busy_s += seconds
         _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
-        folder = _folder_of(args)
+        folder: Path | None = getattr(call, "folder", None)
         if self._store and folder is not None:
             value = shared_store(self._store).take(value, lambda file: folder / file.path)
         return value
@@ -95,22 +103,24 @@ class _Dask:
             self._client: Any = Client(address, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError) as error:
             place = without_secrets(address)
-            raise NotNow(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
+            raise TemporaryError(f"no Dask scheduler answers at {place} ({type(error).__name__}): is it up?") from None
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
         try:
             self._client.wait_for_workers(1, timeout=_ANSWER_S)
         except TimeoutError:
-            raise NotNow("the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`") from None
+            raise TemporaryError(
+                "the Dask cluster has no worker: start some with `dask worker ADDRESS --nthreads 1`"
+            ) from None
         return sum(self._client.nthreads().values())
 
-    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
+    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
 
         needs = {"GPU": 1} if gpu else None
-        future = self._client.submit(function, *args, pure=False, retries=_RETRIES, resources=needs)
+        future = self._client.submit(function, *args, **kwargs, pure=False, retries=_RETRIES, resources=needs)
         self._running.add(future)
         try:
             result: R = future.result()
@@ -136,17 +146,17 @@ class _Ray:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, RuntimeError, ValueError) as error:
             place = without_secrets(address)
-            raise NotNow(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
+            raise TemporaryError(f"no Ray node answers at {place} ({type(error).__name__}): is it up?") from None
         self._ray: Any = ray
         self._running: set[Any] = set()
 
     def count(self) -> int:
         return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
-    def call(self, function: Callable[..., R], args: tuple[Any, ...], gpu: bool) -> R:
+    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         errors = self._ray.exceptions
         distant = self._ray.remote(num_cpus=1, num_gpus=int(gpu), max_retries=_RETRIES)(function)
-        reference = distant.remote(*args)
+        reference = distant.remote(*args, **kwargs)
         self._running.add(reference)
         try:
             result: R = self._ray.get(reference)
@@ -164,15 +174,8 @@ class _Ray:
         self._ray.shutdown()
 
 
-def _folder_of(args: tuple[Any, ...]) -> Path | None:
-    """The folder that a call writes to: the one path among its arguments that belongs to no handle."""
-    folders = [one for one in args if isinstance(one, Path)]
-    assert len(folders) <= 1, "what leaves this machine writes to one folder"
-    return folders[0] if folders else None
-
-
-def _compute_away(store: str | None, code: str, function: Callable[..., R], args: tuple[Any, ...]) -> tuple[R, float]:
-    """On the worker: the result, and how long it took [s].
+def _compute_away(store: str | None, code: str, function: Callable[[Call], R], call: Call) -> tuple[R, float]:
+    """Run a call on the worker; return the result, and how long it took [s].
 
     Raises:
         InputError: this is another version of hfb.
@@ -180,18 +183,20 @@ def _compute_away(store: str | None, code: str, function: Callable[..., R], args
     import torch
 
     if code_version() != code:
-        raise NotNow(f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both")
+        raise TemporaryError(
+            f"a worker runs hfb {code_version()}, this machine {code}: install the same version on both"
+        )
     torch.set_num_threads(1)
     began = time.monotonic()
     if store is None:
-        return function(*args), time.monotonic() - began
+        return bare(function)(call), time.monotonic() - began
     with _cache as cached, tempfile.TemporaryDirectory(prefix="hfb-") as made:
         folder = Path(made).resolve()
         there = shared_store(store)
-        here = there.take(args, lambda file: cached / file.sha256 / file.path.name)
-        value = function(*(folder if isinstance(one, Path) else one for one in here))
+        here = there.take(call, lambda file: cached / file.sha256 / file.path.name)
+        value = bare(function)(here.model_copy(update={"folder": folder}) if hasattr(call, "folder") else here)
         there.put(value)
-        given = {(file.sha256, file.path.name): file.path for file in files_in(args)}
+        given = {(file.sha256, file.path.name): file.path for file in files_in(call)}
         value = with_files(value, lambda file: _as_called_there(file, folder, given))
     return value, time.monotonic() - began
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast, get_args
+from typing import Literal, ParamSpec, TypeVar, cast, get_args
 
 from hfb.errors import InputError
 
 Kind = Literal["processes", "threads", "dask", "ray"]
 _CLUSTERS = ("dask", "ray")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class WorkerLost(Exception):
-    """Whoever computed something died, more than once, or can no longer be reached."""
+    """A worker died, more than once, or can no longer be reached."""
+
+
+class Stopped(Exception):
+    """The workers were told to stop: nobody waits for this computation any more."""
 
 
 @dataclass(frozen=True)
@@ -58,3 +65,9 @@ def engine_of(words: str | int, store: str | None = None) -> Engine:
     if not rest.isdecimal() or int(rest) < 1:
         raise InputError(f"--workers {words}: give 1 or more")
     return Engine(cast(Kind, kind), int(rest))
+
+
+def bare(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the bare function of a task, which is sent by its name; any other function as it is."""
+    found: Callable[P, R] = getattr(function, "fn", function)
+    return found

@@ -15,6 +15,7 @@ import multiprocessing.synchronize
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -23,11 +24,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from hfb.tasks.core.stopped import Stopped
 from hfb.tasks.telemetry.structured_log import WithIds, about, ids_now
-from hfb.tasks.workers.engine import Engine, WorkerLost
+from hfb.tasks.workers.engine import Engine, Stopped, WorkerLost, bare
 
 if TYPE_CHECKING:
+    from hfb.tasks.core.handles import Call
     from hfb.tasks.workers.clusters import Cluster
 
 P = ParamSpec("P")
@@ -35,6 +36,8 @@ R = TypeVar("R")
 _ATTEMPTS = 3
 _log = logging.getLogger(__name__)
 _LAST_WORDS_S = 0.5
+_PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
+"""Modules that no worker needs, or that start threads when they are imported."""
 
 
 class _Pool:
@@ -45,20 +48,20 @@ class _Pool:
         self._lock = threading.Lock()
         self._closed = False
         self.busy_s = 0.0
-        self._executor = self._started()
+        self._executor = self._start()
 
-    def _started(self) -> ProcessPoolExecutor:
-        # spawn: a forked child would inherit locks that threads of the parent hold
-        context = multiprocessing.get_context("spawn")
+    def _start(self) -> ProcessPoolExecutor:
+        context = _fork_server()
         # one per set of processes: a process that is killed while it writes leaves its queue locked
         self._records = _Records(context)
-        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=(self._records.queue,))
+        begin = (self._records.queue, dict(os.environ))
+        return ProcessPoolExecutor(self.count, context, initializer=_begin, initargs=begin)
 
     def run(self, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                result, seconds = executor.submit(_timed, ids_now(), function, args, kwargs).result()
+                result, seconds = executor.submit(_run_timed, ids_now(), function, *args, **kwargs).result()
                 with self._lock:
                     self.busy_s += seconds
                 _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
@@ -80,7 +83,7 @@ class _Pool:
             if self._executor is broken:  # every thread that waited finds out; one of them mends
                 broken.shutdown(wait=False)
                 self._records.close()
-                self._executor = self._started()
+                self._executor = self._start()
 
     def close(self) -> None:
         # What still computes has no one to give it to: an interrupted flow must not wait for it.
@@ -95,10 +98,21 @@ class _Pool:
         self._records.close()
 
 
+def _fork_server() -> multiprocessing.context.ForkServerContext:
+    """Start workers as forks of a process that has imported what computes and has no threads.
+
+    A fork of this process would inherit locks that its threads hold; a fresh process takes seconds to import torch.
+    """
+    context = multiprocessing.get_context("forkserver")
+    ours = [name for name in sys.modules if name.startswith("hfb.") and not name.startswith(_PARENT_ONLY)]
+    context.set_forkserver_preload(["torch", *ours])
+    return context
+
+
 class _Records:
     """What workers log, said by this process: its handlers know the log file and the display."""
 
-    def __init__(self, context: multiprocessing.context.SpawnContext) -> None:
+    def __init__(self, context: multiprocessing.context.ForkServerContext) -> None:
         self._reader, writer = context.Pipe(duplex=False)
         self._end_reader, self._end = context.Pipe(duplex=False)
         self.queue = _RecordQueue(writer, context.Lock())
@@ -132,7 +146,7 @@ class _RecordQueue:
             self._writer.send(record)
 
 
-class _Shared:
+class _Utilisation:
     """How long steps over many inputs took, and how busy the workers were in them."""
 
     def __init__(self) -> None:
@@ -142,7 +156,7 @@ class _Shared:
 _pool: _Pool | None = None
 _cluster: Cluster | None = None
 _threads = 1
-_shared = _Shared()
+_mapped = _Utilisation()
 
 
 @contextmanager
@@ -150,15 +164,16 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
     """Computations inside run where the engine says; a number is one of processes.
 
     Args:
+        engine: what computes.
         apart: a single worker is a process too, which can be stopped, and whose memory is not this process's;
             otherwise one means this process itself.
 
     Raises:
         InputError: a cluster cannot be used.
     """
-    global _pool, _cluster, _threads, _shared
+    global _pool, _cluster, _threads, _mapped
     engine = Engine(count=engine) if isinstance(engine, int) else engine
-    _shared = _Shared()
+    _mapped = _Utilisation()
     try:
         if engine.remote:
             from hfb.tasks.workers.clusters import Cluster
@@ -176,23 +191,23 @@ def workers(engine: Engine | int, apart: bool = False) -> Iterator[None]:
 
 def worker_count() -> int:
     """How many compute at a time."""
-    crew = _cluster or _pool
-    return crew.count if crew else _threads
+    pool = _cluster or _pool
+    return pool.count if pool else _threads
 
 
 @contextmanager
-def shared_out() -> Iterator[None]:
-    """What is computed inside is one step over many inputs, meant to keep every worker busy."""
-    crew = _cluster or _pool
-    if crew is None:
+def measure_utilisation() -> Iterator[None]:
+    """Count what is computed inside as a step over many inputs, meant to keep every worker busy."""
+    pool = _cluster or _pool
+    if pool is None:
         yield
         return
-    began, busy_s = time.monotonic(), crew.busy_s
+    began, busy_s = time.monotonic(), pool.busy_s
     try:
         yield
     finally:
-        _shared.seconds += time.monotonic() - began
-        _shared.busy_s += crew.busy_s - busy_s
+        _mapped.seconds += time.monotonic() - began
+        _mapped.busy_s += pool.busy_s - busy_s
 
 
 def busy_share() -> float | None:
@@ -200,11 +215,11 @@ def busy_share() -> float | None:
 
     What is missing of 1 is the cost of orchestration, and the wait for the last of each step.
     """
-    return round(_shared.busy_s / (worker_count() * _shared.seconds), 4) if _shared.seconds else None
+    return round(_mapped.busy_s / (worker_count() * _mapped.seconds), 4) if _mapped.seconds else None
 
 
 def remote() -> bool:
-    """Whether what is spread goes to a cluster's workers."""
+    """Return whether `run_remote` sends calls to a cluster's workers."""
     return _cluster is not None
 
 
@@ -216,39 +231,46 @@ def stop_computing() -> None:
         _pool.close()
 
 
-def compute(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-    """The function's result, from a worker process of this machine where there are some.
+def run_local(function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+    """Return the function's result, from a worker process of this machine where there are some.
+
+    Args:
+        function: a function of a module, or a task (`hfb.tasks.task`), of which the bare function runs.
+        args: its arguments.
+        kwargs: its keyword arguments.
 
     Raises:
         WorkerLost: the process that computed it died, three times.
     """
-    return _pool.run(function, *args, **kwargs) if _pool else function(*args, **kwargs)
+    return _pool.run(function, *args, **kwargs) if _pool else bare(function)(*args, **kwargs)
 
 
-def spread(function: Callable[..., R], *args: Any, gpu: bool = False) -> R:
-    """As `compute`, for one of many inputs: from a cluster's worker where there is one.
+def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
+    """As `run_local`, for one of many inputs: from a cluster's worker where there is one.
 
-    Such a function takes handles, plain values and one folder, reads nothing but the handles' files, and names no file
-    but those that it writes into the folder.
+    Such a function reads nothing but the files of the call's handles, and names no file but those and what it writes
+    into the call's ``folder``.
 
     Args:
-        gpu: a worker with a GPU that nobody else uses at the time is needed.
+        function: as of `run_local`.
+        call: its only argument.
+        gpu: whether it needs a worker with a GPU that nobody else uses at the time.
 
     Raises:
-        WorkerLost: see `compute`; or the cluster can no longer be reached.
+        WorkerLost: see `run_local`; or the cluster can no longer be reached.
     """
-    return _cluster.run(function, args, gpu) if _cluster else compute(function, *args)
+    return _cluster.run(function, call, gpu) if _cluster else run_local(function, call)
 
 
-def _timed(
-    ids: dict[str, Any], function: Callable[..., R], args: tuple[Any, ...], kwargs: dict[str, Any]
-) -> tuple[R, float]:  # fmt: skip
+def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
     began = time.monotonic()
     with about(ids):
-        return function(*args, **kwargs), time.monotonic() - began
+        return bare(function)(*args, **kwargs), time.monotonic() - began
 
 
-def _begin(records: Any) -> None:
+def _begin(records: Any, environment: dict[str, str]) -> None:
+    os.environ.clear()
+    os.environ.update(environment)  # the fork server has the one of its own start
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends its workers
     logging.captureWarnings(True)
     handler = logging.handlers.QueueHandler(records)

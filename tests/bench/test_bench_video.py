@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.datasets.clip_making import make_clip
+from hfb.datasets.synthetic.clip_making import make_clip
 from tests.bench import jobs
 from tests.bench.conftest import Scale
 from tests.bench.figures import Figures

@@ -12,7 +12,7 @@ import torch
 
 from hfb.errors import InputError
 from hfb.io.safe import pickle_stream
-from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickle_reader import load_pickle
 from hfb.io.safe.pickle_stream import Steps
 from hfb.io.safe.pickled_arrays import to_array
 from hfb.io.safe.torch_files import load_torch

@@ -10,7 +10,7 @@ from hfb.body import skinning
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import PARENTS
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.kernels import body_operators as operators
+from hfb.kernels.body import body_operators as operators
 from hfb.kernels.dispatch import readable_formulas
 from hfb.kernels.simd import LANES
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hfb.flows.cli.cli import main
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from tests.orchestration import TINY_OPTIONS, Problem
 
 
@@ -95,9 +95,9 @@ def test_a_place_that_cannot_be_written(
 
 
 def test_two_at_once(problem: Problem, store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from hfb.flows.runtime.workplace import workplace
+    from hfb.flows.runtime.workspace import workspace
 
-    with workplace(tmp_path / "out"):
+    with workspace(tmp_path / "out"):
         code = main(
             ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(tmp_path / "out")]
         )

@@ -10,7 +10,7 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.flows.cli.cli import main
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion, save_motion
 from tests.interop.writers.motions import motion_of
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from hfb.datasets.case import load_case
+from hfb.evaluation.experiments import find_experiment
 from hfb.flows.cli import judging
 from hfb.flows.cli.cli import main
 
@@ -71,5 +72,5 @@ def test_reproduce(
 
 def test_every_experiment_is_found() -> None:
     for number in range(1, 6):
-        experiment = judging.experiment_of(f"table{number}")
+        experiment = find_experiment(f"table{number}")
         judging.method_specs(",".join(experiment.methods), None)

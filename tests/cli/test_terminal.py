@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from hfb.flows.cli.cli import main
-from hfb.flows.runtime.running import results_alone_on_stdout
+from hfb.flows.runtime.session import results_alone_on_stdout
 from hfb.tasks.telemetry import displays
 from tests.orchestration import TINY_OPTIONS, Problem
 
@@ -24,9 +24,9 @@ _ROOT = Path(__file__).parents[2]
 # Steps, log lines from this thread, another one and a worker process, and a long line, while a bar turns.
 LOGGING = """
 import logging, sys, threading, time
-from hfb.flows.runtime.surroundings import keep_log
+from hfb.flows.runtime.server import keep_log
 from hfb.tasks.telemetry import displays, progress
-from hfb.tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import run_local, workers
 
 def warn(words):
     logging.getLogger("hfb.test").warning(words)
@@ -41,7 +41,7 @@ if __name__ == "__main__":
         thread = threading.Thread(target=warn, args=("a line of another thread",))
         thread.start()
         thread.join()
-        compute(warn, "a line of a worker")
+        run_local(warn, "a line of a worker")
         progress.say("a long line " + "0123456789" * 12 + " ends here")
         time.sleep(0.3)
 """

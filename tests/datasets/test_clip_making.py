@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hfb.datasets.clip_making import make_clip
+from hfb.datasets.synthetic.clip_making import make_clip
 from hfb.errors import InputError
 from hfb.io.clip import read_clip
 from hfb.io.media.footage import open_footage
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.io.media.plate import changed_pixels
 from hfb.motion.motion_file import load_motion
 

@@ -6,7 +6,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.body.subdivision import subdivide
-from hfb.datasets.clothed import draw_clothing, dress, on_subdivided, vertex_normals
+from hfb.datasets.synthetic.clothed import draw_clothing, dress, on_subdivided, vertex_normals
 
 
 def thickness_mm(seed: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.evaluation.metrics import blur_rate
 from hfb.evaluation.protocol import pose_rows, truth_scores
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.motion_file import save_motion
 from hfb.motion.sampled import SampledMotion
 from hfb.rendering.backends import make_rasterizer

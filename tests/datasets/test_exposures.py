@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hfb.datasets.exposures import shutter_of
+from hfb.datasets.synthetic.exposures import shutter_of
 
 
 @given(

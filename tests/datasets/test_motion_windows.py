@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hfb.datasets.motion_clip import MotionClip
-from hfb.datasets.motion_windows import (
+from hfb.datasets.motions.motion_clip import MotionClip
+from hfb.datasets.motions.motion_windows import (
     LONGEST_S,
     SHORTEST_S,
     draw_columns,

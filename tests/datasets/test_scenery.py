@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.datasets.scenery import TEXTURE_PX, draw_scenery, to_file_and_back
+from hfb.datasets.synthetic.scenery import TEXTURE_PX, draw_scenery, to_file_and_back
 from hfb.errors import InputError
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.photometry import srgb_to_linear
 
 REAL = Path(__file__).parents[2].parent / "shared" / "data" / "backgrounds" / "polyhaven"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hfb.datasets.case import Case
-from hfb.datasets.sharp import load_sharp, save_sharp
+from hfb.datasets.synthetic.sharp import load_sharp, save_sharp
 from hfb.errors import InputError
 from hfb.photometry import linear_to_srgb
 

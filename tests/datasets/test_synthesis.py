@@ -10,21 +10,21 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.datasets import motion_search, synthesis
 from hfb.datasets.blur_bins import wanted_interval
 from hfb.datasets.case import Case, load_case
-from hfb.datasets.motion_clip import MotionClip
+from hfb.datasets.motions.motion_clip import MotionClip
 from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.set_spec import SetSpec
-from hfb.datasets.sharp import load_sharp
-from hfb.datasets.synthesis import make_case
+from hfb.datasets.synthetic import motion_search, synthesis
+from hfb.datasets.synthetic.sharp import load_sharp
+from hfb.datasets.synthetic.synthesis import make_case
 from hfb.datasets.truth import Truth, load_truth
 from hfb.errors import InputError
 from hfb.evaluation.metrics import blur_rate, soft_iou
 from hfb.evaluation.protocol import pose_rows
 from hfb.geometry.camera import PinholeCamera
 from hfb.io.clip import read_clip
-from hfb.io.media.pictures import read_matte, read_picture_srgb
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.motion.clock import subframe_times_s
 from hfb.motion.static_pose import load_first_body
 from hfb.photometry import linear_to_srgb, srgb_to_linear

@@ -5,7 +5,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from hfb.body.assets import load_default_body
-from hfb.datasets.viewpoints import View, draw_view, front_of, in_camera, place
+from hfb.datasets.synthetic.viewpoints import View, draw_view, front_of, in_camera, place
 from hfb.geometry.rotations import axis_angle_to_matrix
 
 _SIZE = 200

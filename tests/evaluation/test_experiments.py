@@ -1,6 +1,7 @@
 """The paper's tables as data: every digit as in its source, consistent in themselves, and ours set beside them."""
 
 import re
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -8,17 +9,22 @@ import pytest
 from hfb.datasets.blur_bins import bins_of, paper_counts
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import method_spec
-from hfb.evaluation.experiments import beside_paper, load_experiment, papers_ratios
+from hfb.evaluation.experiments import (
+    beside_paper,
+    experiment_names,
+    find_experiment,
+    load_experiment,
+    papers_ratios,
+)
 from hfb.evaluation.tables import summarize
 
-FOLDER = Path(__file__).parents[2] / "infra/experiments"
 SOURCE = Path(__file__).parents[3] / "shared/paper/human-from-blur.tex"
-NAMES = sorted(path.stem for path in FOLDER.glob("*.toml"))
+NAMES = experiment_names()
 TABLES = [name for name in NAMES if name.startswith("table")]
 
 
 def _experiment(name: str):
-    return load_experiment(FOLDER / f"{name}.toml")
+    return find_experiment(name)
 
 
 def _row(experiment, name: str):
@@ -214,7 +220,7 @@ def test_a_figure_says_which_strips_to_look_at():
     ],
 )
 def test_a_wrong_file_is_refused_with_the_reason(tmp_path, before, after, said):
-    text = (FOLDER / "table1.toml").read_text()
+    text = (resources.files("hfb.evaluation") / "data" / "table1.toml").read_text()
     assert before in text
     path = tmp_path / "wrong.toml"
     path.write_text(text.replace(before, after, 1))

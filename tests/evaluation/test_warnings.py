@@ -18,7 +18,7 @@ from hfb.evaluation.warnings import (
     check_static,
     find_warnings,
 )
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.sampled import SampledMotion
 from hfb.tracking.tracks import find_tracks
 

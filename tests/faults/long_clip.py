@@ -23,7 +23,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.small_clips import children
+from tests.small_clips import computing
 
 _COMPARED = ("motion.npz", "strip.png", "texture.png", "edges.json")
 _MADE_ONCE = ("frame_*", "matte_*", "key_body_*", "first_body_*", "window_*", "person_window_*")
@@ -40,7 +40,7 @@ def main() -> None:
     }  # fmt: skip
     clip = given.folder / f"clip-{given.frames}"
     if not (clip / "truth.npz").exists():
-        from hfb.datasets.clip_making import make_clip
+        from hfb.datasets.synthetic.clip_making import make_clip
 
         make_clip(clip, given.frames, given.height, given.width, seed=1)
     command = [
@@ -94,9 +94,8 @@ def _watched(command: list[str], out: Path) -> dict[str, Any]:
 def _watch(process: subprocess.Popen[str], peak: dict[str, float]) -> None:
     while process.poll() is None:
         peak["command_mb"] = max(peak["command_mb"], _highest_mb(process.pid))
-        for child in children(process.pid):
-            if b"spawn_main" in _read(child, "cmdline"):
-                peak["worker_mb"] = max(peak["worker_mb"], _highest_mb(child))
+        for worker in computing(process.pid):
+            peak["worker_mb"] = max(peak["worker_mb"], _highest_mb(worker))
         time.sleep(1)
 
 
@@ -124,7 +123,7 @@ def _killed(command: list[str], out: Path, given: argparse.Namespace, quiet: Pat
         time.sleep(rng.uniform(20, given.within))
         if process.poll() is not None:
             break
-        workers = [one for one in children(process.pid) if b"spawn_main" in _read(one, "cmdline")]
+        workers = computing(process.pid)
         if number % 2 and workers:
             os.kill(rng.choice(workers), signal.SIGKILL)
             continue

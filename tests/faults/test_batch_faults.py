@@ -61,7 +61,7 @@ def test_no_result_is_kept_of_a_clip_that_changed(tmp_path: Path) -> None:
     clip = tmp_path / "clip"
     shutil.copytree(small_clip(_FRAMES).truth.parent, clip)
     inputs = take_video_inputs(clip, small_config())
-    seen = look_at_clip.fn(inputs, 1, CameraConfig(), ExposureConfig(), tmp_path)
+    seen = look_at_clip.fn(inputs=inputs, average=1, camera=CameraConfig(), exposure=ExposureConfig(), folder=tmp_path)
     with reading(seen) as footage:
         assert len(list(footage.frames())) == _FRAMES
     with reading(seen, 0, 1):  # only its own pictures matter to a step

@@ -26,7 +26,7 @@ with progress.showing(displays.lines_on(sys.stderr, first_s=0.05)):
     fit_image([frame], plate, out, config, first_bodies=[first])
 """
 SERVER = """
-from hfb.flows.runtime.surroundings import PrefectServer
+from hfb.flows.runtime.server import PrefectServer
 import time
 print(PrefectServer()._process.pid, flush=True)
 time.sleep(600)

@@ -13,7 +13,7 @@ from hfb.flows.export import export_result
 from hfb.flows.report import make_report
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import is_finished
-from hfb.tasks.results.found_result import found_result
+from hfb.tasks.results.resolve_result import resolve_result
 from hfb.tasks.results.stored_runs import find_run
 from tests.faults.killed_publish import run
 from tests.orchestration import Problem
@@ -30,8 +30,8 @@ def contents(out: Path) -> dict[str, str]:
 def is_told_unfinished(out: Path) -> bool:
     """Whether every reader says so."""
     readers = [
-        lambda: found_result(str(out), ("texture.png", "strip.png")).__enter__(), lambda: find_run(str(out)),
-        lambda: found_result(str(out / "motion.npz"), ("texture.png",)).__enter__(),
+        lambda: resolve_result(str(out), ("texture.png", "strip.png")).__enter__(), lambda: find_run(str(out)),
+        lambda: resolve_result(str(out / "motion.npz"), ("texture.png",)).__enter__(),
         lambda: make_report(str(out), None), lambda: export_result(str(out), None, ("csv",), ()),
     ]  # fmt: skip
     for reader in readers:
@@ -63,7 +63,7 @@ def test_never_a_mixture(kind: str, problem: Problem, store: Path, tmp_path: Pat
             states.append("old" if contents(killed) == old else "new")
             assert contents(killed) in (old, new)
             assert json.loads((killed / "result.json").read_text())["sha256"] == contents(killed)
-            with found_result(str(killed), ("texture.png",)) as found:
+            with resolve_result(str(killed), ("texture.png",)) as found:
                 assert found.folder == killed
         else:
             states.append("unfinished")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.flows.cli.cli import main
 from hfb.tasks.tracking import tracking
 from tests.cli.conftest import _own_logging  # noqa: F401  (commands run in this process)
@@ -86,7 +86,7 @@ def test_an_older_schema_and_the_advice_for_it(tmp_path: Path, monkeypatch: pyte
     file = tmp_path / "a b.db"
     revision = older_store(file)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{file}")
-    with pytest.raises(NotNow, match="of an older MLflow: run `") as told:
+    with pytest.raises(TemporaryError, match="of an older MLflow: run `") as told:
         tracking.open_store()
     assert mlflow_rows(file, "select version_num from alembic_version") == [(revision,)], "nothing was migrated"
     command = str(told.value).partition("`")[2].partition("`")[0]
@@ -128,7 +128,7 @@ def test_postgresql_stands_still_and_comes_back(
                 with pytest.raises(tracking.StoreLost):
                     tracking.log_points(tracking.Run(uri, "1", "0" * 32, 0, False), {"a": {0: 1.0}})
         result = run(problem, tmp_path / "out")
-        with at_most(), pytest.raises(NotNow, match="cannot be used"):
+        with at_most(), pytest.raises(TemporaryError, match="cannot be used"):
             tracking.open_store()
     assert result["mlflow_run_id"] is None
     assert result["files"].count("record.json") == 1
@@ -148,7 +148,7 @@ def test_postgresql_crashes_and_comes_back(cluster: Postgres, monkeypatch: pytes
                 tracking.log_points(run_, {"a": {step: 1.0}})
         with pytest.raises(tracking.StoreLost):
             tracking.begin_run("clip", "a-clip", {}, {})
-        with pytest.raises(NotNow, match="refused"):
+        with pytest.raises(TemporaryError, match="refused"):
             tracking.open_store()
     cluster.start()
     again = tracking.begin_run("clip", "a-clip", {}, {})

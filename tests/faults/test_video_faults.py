@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from urllib.request import urlopen
 
 import pytest
 
-from tests.orchestration import mlflow_rows
+from tests.orchestration import mlflow_rows, prefect_tables
 from tests.small_clips import (
     LONGER,
     assert_every_frame_once,
@@ -143,6 +144,8 @@ def test_mlflow_goes_away_and_comes_back(
 def test_prefects_server_goes_away(out: Path, store: Path, tmp_path: Path) -> None:
     before = stamps(out, "window_*.npz")
     environment = {"PREFECT_HOME": str(tmp_path / "prefect"), "PREFECT_API_URL": ""}
+    (tmp_path / "prefect" / "hfb").mkdir(parents=True)
+    shutil.copy(prefect_tables(), tmp_path / "prefect" / "hfb")
     victim = started(out, *LONGER, **environment)
     until(lambda: new_windows(out, before) >= 2, victim, out)
     (server,) = [one for one in children(victim.pid) if b"uvicorn" in Path(f"/proc/{one}/cmdline").read_bytes()]

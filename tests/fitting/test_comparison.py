@@ -10,8 +10,8 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.config import FitConfig, preset
-from hfb.datasets.backgrounds import room_background
-from hfb.datasets.textures import clothes_texture
+from hfb.datasets.synthetic.backgrounds import room_background
+from hfb.datasets.synthetic.textures import clothes_texture
 from hfb.evidence.joint_evidence import look_for_joints
 from hfb.fitting.comparison import Before, beside_the_fit, drawn, matted_again, shown
 from hfb.fitting.variables import Variables, start_variables

@@ -21,7 +21,7 @@ from hfb.priors.mixture import shipped_mixture
 from hfb.priors.motion_prior import load_motion_prior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.texture import texel_faces
+from hfb.rendering.texels import texel_faces
 from tests.bench.jobs import with_pose_blend_shapes
 from tests.fitting.scenes import true_evidence
 from tests.scenes import Scene, moving_scene
@@ -244,6 +244,6 @@ def test_windows_together_are_the_windows_alone() -> None:
 def test_every_run_has_the_same_bits(device: str) -> None:
     first, again = (fits(device, SHORT, scenes(2)) for _ in range(2))
     for one, other in zip(first, again, strict=True):
-        assert one.history == other.history
+        assert one.loss == other.loss
         assert torch.equal(one.trajectory.rotation, other.trajectory.rotation)
         assert torch.equal(one.texture, other.texture)

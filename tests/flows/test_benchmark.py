@@ -13,7 +13,7 @@ from hfb.datasets.set_spec import SetSpec
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import method_spec
 from hfb.flows.benchmark import BenchmarkPlan, run_benchmark, run_synthesis
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
 from tests.orchestration import mlflow_rows

@@ -13,7 +13,7 @@ from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.flows.export import export_result
 from hfb.flows.fit_image import fit_image
-from hfb.interop.writers.names import EXPORTED_NAMES, FILE_NAMES
+from hfb.interop.writers.export_names import EXPORTED_NAMES, FILE_NAMES
 from hfb.motion.motion_file import load_motion
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, begun, finished, run_clip, small_clip, stamps
@@ -115,7 +115,7 @@ def test_films_of_an_earlier_clip(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_library_that_is_missing_is_said_before_anything_is_computed(
     problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hfb.interop.writers.names.find_spec", lambda name: None)
+    monkeypatch.setattr("hfb.interop.writers.export_names.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"hfb\[c3d\]"):
         run(problem, tmp_path / "out", ExportConfig(formats=("c3d",)))
     assert not (tmp_path / "out").exists()

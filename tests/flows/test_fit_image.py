@@ -16,7 +16,7 @@ from hfb.errors import InputError
 from hfb.fitting.alternatives import LIMB_NAMES, load_alternatives
 from hfb.flows.fit_image import fit_image
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.io.media.pictures import read_matte, read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
 from hfb.tracking.clip_bodies import mirrored_in_depth

@@ -16,7 +16,7 @@ from hfb.flows.fit_image import fit_image
 from hfb.interop.readers.pose_track import load_track, save_track
 from hfb.interop.readers.sniff import read_tracks
 from hfb.motion.static_pose import load_first_body
-from hfb.tasks.video.given_result import ResultHandle
+from hfb.tasks.video.external_poses import ResultHandle
 from tests.matting.networks import DifferenceMatting, save_scripted
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import FRAMES, finished, run_clip, small_clip

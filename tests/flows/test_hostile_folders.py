@@ -10,18 +10,18 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.config import RunConfig
-from hfb.datasets.clip_making import _make_room
-from hfb.errors import InputError, NotNow
+from hfb.datasets.synthetic.clip_making import _make_room
+from hfb.errors import InputError, TemporaryError
 from hfb.flows.compare import _check_room
 from hfb.flows.export import export_result
 from hfb.flows.report import make_report
-from hfb.flows.runtime.workplace import beside_result, mark_unfinished, publish, workplace
+from hfb.flows.runtime.workspace import beside_result, mark_unfinished, publish, workspace
 from hfb.io.safe_folder import NotOrdinary
 from hfb.motion.motion_file import save_motion
 from hfb.tasks.core.result_folder import check_result, is_finished
 from hfb.tasks.core.result_records import drop_foreign
 from hfb.tasks.results.stored_runs import find_run
-from tests.flows.test_workplace import published
+from tests.flows.test_workspace import published
 from tests.interop.writers.motions import motion_of
 
 
@@ -52,7 +52,7 @@ def test_links_in_a_folder_for_results(outside: Path, tmp_path: Path, place: str
     link = tmp_path / "out" / place
     link.parent.mkdir(parents=True)
     link.symlink_to(outside / target)
-    with pytest.raises(NotOrdinary, match=f"{place} is a symbolic link"), workplace(tmp_path / "out"):
+    with pytest.raises(NotOrdinary, match=f"{place} is a symbolic link"), workspace(tmp_path / "out"):
         pytest.fail("worked in")
     assert is_whole(outside)
     assert link.is_symlink()
@@ -63,7 +63,7 @@ def test_pipes_do_not_hang(tmp_path: Path, place: str) -> None:
     pipe = tmp_path / "out" / place
     pipe.parent.mkdir(parents=True)
     os.mkfifo(pipe)
-    with pytest.raises(NotOrdinary, match=f"{place} is a named pipe"), workplace(tmp_path / "out"):
+    with pytest.raises(NotOrdinary, match=f"{place} is a named pipe"), workspace(tmp_path / "out"):
         pytest.fail("worked in")
 
 
@@ -81,7 +81,7 @@ def test_the_users_own_link(outside: Path, tmp_path: Path) -> None:
 def test_a_lock_is_not_emptied(tmp_path: Path) -> None:
     (tmp_path / "intermediate").mkdir()
     (tmp_path / "intermediate" / ".lock").write_text("mine")
-    with workplace(tmp_path):
+    with workspace(tmp_path):
         pass
     assert (tmp_path / "intermediate" / ".lock").read_text() == "mine"
 
@@ -91,7 +91,7 @@ def received(tmp_path: Path) -> Path:
     """A result of which but the motion and the facts are there."""
     out = tmp_path / "received"
     save_motion(tmp_path / "motion.npz", motion_of(load_default_body(), frames=1), "hfb")
-    with workplace(out):
+    with workspace(out):
         publish(out, {"motion.npz": tmp_path / "motion.npz"}, {"out": str(out), "mlflow_run_id": None})
     return out
 
@@ -177,7 +177,7 @@ def test_what_a_killed_writer_left_and_what_others_did(tmp_path: Path) -> None:
     kept = (".video.mp4.part", ".holiday.jpg.123-0a1b2c3d.part", "movie.part", "intermediate/.x.part")
     for name in (*left, *kept):
         (tmp_path / name).write_text("x")
-    with workplace(tmp_path):
+    with workspace(tmp_path):
         pass
     assert not [name for name in left if (tmp_path / name).exists()]
     assert all((tmp_path / name).exists() for name in kept)
@@ -208,7 +208,7 @@ def test_records_of_others_are_kept_away_from_prefect(outside: Path, tmp_path: P
 
 def test_a_file_where_a_folder_belongs(tmp_path: Path) -> None:
     (tmp_path / "intermediate").write_text("mine")
-    with pytest.raises(NotNow, match="is another kind: move it away"), workplace(tmp_path):
+    with pytest.raises(TemporaryError, match="is another kind: move it away"), workspace(tmp_path):
         pytest.fail("worked in")
     (tmp_path / "intermediate").unlink()
     (tmp_path / "motion.npz").mkdir()
@@ -219,10 +219,10 @@ def test_a_file_where_a_folder_belongs(tmp_path: Path) -> None:
 @pytest.mark.parametrize("inner", ["intermediate", "intermediate/publish", "intermediate/new/new"])
 def test_no_result_among_the_intermediate_files_of_another(tmp_path: Path, inner: str) -> None:
     published(tmp_path, {"motion.npz": "1"})
-    with pytest.raises(InputError, match="lies among the intermediate files"), workplace(tmp_path / inner):
+    with pytest.raises(InputError, match="lies among the intermediate files"), workspace(tmp_path / inner):
         pytest.fail("worked in")
     (tmp_path / "lost").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(InputError, match="a link that leads nowhere"), workplace(tmp_path / "lost"):
+    with pytest.raises(InputError, match="a link that leads nowhere"), workspace(tmp_path / "lost"):
         pytest.fail("worked in")
 
 
@@ -230,7 +230,7 @@ def test_an_unfinished_result_is_told_and_mended(tmp_path: Path) -> None:
     mark_unfinished(tmp_path)
     assert not list(tmp_path.iterdir())
     published(tmp_path, {"motion.npz": "1", "overlay.mp4": "1"})
-    with workplace(tmp_path):
+    with workspace(tmp_path):
         mark_unfinished(tmp_path)
     assert not is_finished(tmp_path)
     with pytest.raises(InputError, match="is unfinished"):
@@ -269,7 +269,7 @@ def test_a_comparison_takes_nothing_of_the_users(tmp_path: Path) -> None:
 
 
 def test_the_examples_folder(outside: Path, tmp_path: Path) -> None:
-    from hfb.flows.demo import fit_example
+    from hfb.flows.fit_image import fit_example
 
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "example").symlink_to(outside)
@@ -282,7 +282,7 @@ def test_meshes_do_not_take_the_users_texture(received: Path) -> None:
     meshes = received / "export" / "meshes"
     meshes.mkdir(parents=True)
     (meshes / "texture.png").write_text("mine")
-    with pytest.raises(NotNow, match=r"texture\.png is not from hfb"):
+    with pytest.raises(TemporaryError, match=r"texture\.png is not from hfb"):
         export_result(str(received), None, (), ("obj",))
     assert (meshes / "texture.png").read_text() == "mine"
     assert np.load(received / "motion.npz")["poses"].shape[1] == 72

@@ -22,7 +22,7 @@ from hfb.flows.runtime.prefect_home import make_home
 from hfb.tasks.telemetry import displays, progress
 with progress.showing(displays.lines_on(sys.stderr, first_s=999)):
     make_home()
-    from hfb.flows.runtime.surroundings import PrefectServer
+    from hfb.flows.runtime.server import PrefectServer
     PrefectServer().wait()
     from hfb.flows.runtime.reaper import end_abandoned_flow_runs
     print(end_abandoned_flow_runs())

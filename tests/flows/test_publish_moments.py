@@ -11,15 +11,15 @@ import pytest
 from hfb.errors import InputError
 from hfb.tasks.core.handles import sha256_of
 from hfb.tasks.core.result_folder import check_result, is_finished, is_unfinished
-from tests.flows.test_workplace import published
+from tests.flows.test_workspace import published
 
 _SCRIPT = """
 import sys
 from pathlib import Path
-from hfb.flows.runtime.workplace import publish, workplace
+from hfb.flows.runtime.workspace import publish, workspace
 from tests.faults.killed_publish import kill_at_each_step
 out, made = Path(sys.argv[1]), {path.name: path for path in Path(sys.argv[2]).iterdir()}
-with workplace(out):
+with workspace(out):
     print(kill_at_each_step(publish, out, made, {"out": str(out), "number": 2}))
 """
 

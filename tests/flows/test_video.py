@@ -11,7 +11,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.errors import InputError
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.motion_file import load_motion
 from tests.cli.conftest import _own_logging  # noqa: F401  (a command runs in this process)
 from tests.faults.stores import artifacts_of, assert_recorded_later, lost
@@ -178,7 +178,7 @@ def test_unusable_clips_are_told_and_leave_nothing(store: Path, tmp_path: Path) 
 def make_other_plate(folder: Path) -> Path:
     """The view of another camera."""
     picture = read_picture_srgb(small_clip(4, video=True).background)
-    from hfb.io.media.pictures import write_png
+    from hfb.io.media.images.image_io import write_png
 
     write_png(folder / "other.png", np.ascontiguousarray(picture[::-1, ::-1]))
     return folder / "other.png"

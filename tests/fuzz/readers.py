@@ -11,20 +11,20 @@ from hfb.body.smpl_file import read_smpl
 from hfb.config import RunConfig
 from hfb.datasets.case import Case, load_case
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.real.footage import _timing
 from hfb.datasets.real.markers import read_joints_npz, read_trc
-from hfb.datasets.sharp import load_sharp
+from hfb.datasets.real.source_videos import _timing
+from hfb.datasets.synthetic.sharp import load_sharp
 from hfb.datasets.truth import load_truth_of
 from hfb.evaluation.baselines.chain_spec import read_chains
 from hfb.evaluation.baselines.stored_poses import read_estimates
 from hfb.initialization.network_body import read_samplings
 from hfb.interop.readers.sniff import read_tracks
 from hfb.io.clip import ClipCamera, read_clip
-from hfb.io.media.calibration import read_calibration
-from hfb.io.media.clip_lens import clip_lens
 from hfb.io.media.footage import open_footage
-from hfb.io.media.pictures import picture_size, read_matte, read_picture_srgb, recorded_exposure
-from hfb.io.media.video import read_frames
+from hfb.io.media.images.image_io import picture_size, read_matte, read_picture_srgb, recorded_exposure
+from hfb.io.media.lens.camera_files import read_calibration
+from hfb.io.media.lens.clip_lens import clip_lens
+from hfb.io.media.video.video_reading import read_frames
 from hfb.io.toml_file import read_toml, to_record
 from hfb.matting.user_networks.external import weights_of
 from hfb.motion.motion_file import load_motion

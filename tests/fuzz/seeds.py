@@ -32,8 +32,8 @@ from tests.evaluation.baselines.networks import (
 )
 from tests.fuzz.results import write_result
 from tests.interop.readers import files
-from tests.io.media.test_picture_colours import P3, SRGB_CURVE, profile, save
-from tests.io.media.test_picture_depths import packed_tiff
+from tests.io.media.test_image_colours import P3, SRGB_CURVE, profile, save
+from tests.io.media.test_image_depths import packed_tiff
 from tests.io.media.videos import picture, write_video
 from tests.priors.test_gmm import make_mixture
 from tests.priors.test_vposer import make_vposer

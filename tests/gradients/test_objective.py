@@ -13,7 +13,7 @@ from hfb.objective.objective import Objective
 from hfb.objective.texture import texel_neighbours
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.texture import texel_faces
+from hfb.rendering.texels import texel_faces
 from tests.scenes import moving_scene
 
 PARAMETERS = ("rotation", "translation", "betas", "texture")

@@ -26,7 +26,7 @@ from typing import Any
 import psutil
 from distributed import Client
 
-from hfb.datasets.clip_making import make_clip
+from hfb.datasets.synthetic.clip_making import make_clip
 from hfb.tasks.core.handles import sha256_of
 from tests.faults.servers import free_port
 from tests.infra.orchestration_cost import processor_s

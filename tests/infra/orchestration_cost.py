@@ -32,10 +32,9 @@ import psutil
 
 import hfb.flows  # noqa: F401 (its settings come before Prefect is imported)
 from hfb.motion.static_pose import load_first_body
-from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.video_handles import BodyFound
-from hfb.tasks.video import video_frames
-from hfb.tasks.video.video_frames import saved_body
+from hfb.tasks.task import task
+from hfb.tasks.video.video_frames import BetweenCall, write_body
 from tests.faults.servers import Postgres, PrefectProcess, postgres, prefect_server
 from tests.small_clips import SMALL_OPTIONS
 
@@ -50,17 +49,11 @@ _STEP = re.compile(r"^(frames|mattes|first bodies|first bodies between|who it is
 _IDLE_SHARE, _LOOK_S = 0.1, 5.0
 
 
-def near_body(
-    still: ClipHandle,
-    number: int,
-    matte: FileHandle,
-    known: tuple[tuple[int, FirstBodyHandle], ...],
-    body: FileHandle | None,
-    folder: Path,
-) -> BodyFound:
-    """Instead of `hfb.tasks.video.video_frames._body_between`: the body of the key frame before."""
-    found = load_first_body(known[0][1].path)
-    return BodyFound(first=saved_body(folder / f"first_body_{number:06d}.npz", found))
+@task("first bodies between", where="worker")
+def near_body(call: BetweenCall) -> BodyFound:
+    """Instead of `hfb.tasks.video.video_frames.find_body_between`: the body of the key frame before."""
+    found = load_first_body(call.known[0][1].path)
+    return BodyFound(first=write_body(call.folder / f"first_body_{call.number:06d}.npz", found))
 
 
 def command(arguments: list[str]) -> int:
@@ -68,7 +61,9 @@ def command(arguments: list[str]) -> int:
     from hfb.flows.cli import cli
 
     if arguments[0] == "cheap":
-        video_frames._body_between = near_body
+        from hfb.flows import clip_steps
+
+        clip_steps.find_body_between = near_body  # type: ignore[assignment]
     code = cli.main(arguments[1:])
     used = resource.getrusage(resource.RUSAGE_SELF)
     print(f"{_OWN}{used.ru_utime + used.ru_stime}", file=sys.stderr)
@@ -77,7 +72,7 @@ def command(arguments: list[str]) -> int:
 
 def long_clip(place: Path, frames: int, real: bool) -> Path:
     """The folder of a clip of any length."""
-    from hfb.datasets.clip_making import make_clip
+    from hfb.datasets.synthetic.clip_making import make_clip
 
     size = (480, 640) if real else (48, 64)
     made, clip = place / f"made-{size[0]}", place / f"clip-{size[0]}-{frames}"

@@ -15,7 +15,7 @@ from hfb.initialization.initializer import make_initializer
 from hfb.initialization.landmarks import LANDMARK, PoseNetworks, Region, cut_region, networks_ready
 from hfb.initialization.person_landmarks import draw_stick_figure, find_landmarks
 from hfb.initialization.silhouette_fit import matte_level, overlap
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.matting.methods import make_matting
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear

@@ -9,7 +9,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.clip import PersonChoice
-from hfb.io.media.pictures import read_picture_srgb
+from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.tracking.tracks import (
     ClipFrames,
     Track,

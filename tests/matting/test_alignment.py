@@ -50,7 +50,7 @@ def test_another_scene_is_not_moved() -> None:
 
 
 def test_a_moved_plate_costs_the_matte_little() -> None:
-    from hfb.matting.matting import KnownBackground
+    from hfb.matting.matting_protocol import KnownBackground
 
     scene = composite(generated_plate("stripes"), 16, 7)
     right = np.abs(KnownBackground()(scene.frame, scene.plate) - scene.alpha).mean()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hfb.config import MattingConfig
-from hfb.io.media.pictures import read_picture_srgb
-from hfb.matting.matting import shrink
+from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.matting.matting_protocol import shrink
 from hfb.matting.methods import make_matting
 from hfb.photometry import srgb_to_linear
 from tests.matting.silhouettes import Composite, composite

@@ -7,9 +7,9 @@ import pytest
 
 from hfb.config import MattingConfig
 from hfb.errors import InputError
-from hfb.io.media.pictures import read_picture_srgb
-from hfb.io.media.video import average_frames, read_frames
-from hfb.matting.matting import matte_region, shrink
+from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.video.video_reading import average_frames, read_frames
+from hfb.matting.matting_protocol import matte_region, shrink
 from hfb.matting.methods import make_matting
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from tests.matting.silhouettes import Composite, composite, generated_plate

@@ -14,10 +14,10 @@ from hfb.config import MattingConfig
 from hfb.datasets.example import write_example
 from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
-from hfb.io.media.pictures import read_picture_srgb
-from hfb.io.media.video import average_frames, read_frames
+from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.video.video_reading import average_frames, read_frames
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
-from hfb.matting.matting import KnownBackground, Matting, matte_region, shrink
+from hfb.matting.matting_protocol import KnownBackground, Matting, matte_region, shrink
 from hfb.matting.methods import make_matting
 from hfb.matting.network import BesideFit, NetworkMatting
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence

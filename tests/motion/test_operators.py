@@ -5,7 +5,7 @@ import torch
 
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.kernels.dispatch import readable_formulas
-from hfb.kernels.motion_operators import move, rotation_vectors
+from hfb.kernels.motion.motion_operators import move, rotation_vectors
 from hfb.motion.trajectory import Trajectory
 
 

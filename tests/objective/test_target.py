@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from hfb.kernels.image_losses import Target
+from hfb.kernels.objective.image_losses import Target
 from hfb.objective.pyramid import image_over_scales, matte_over_scales
 
 Scales = tuple[int, int]

@@ -8,8 +8,8 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.datasets.motions.bvh import read_bvh
-from hfb.datasets.motions.retargeting import retarget
+from hfb.datasets.motions.files.bvh import read_bvh
+from hfb.datasets.motions.skeletons.retargeting import retarget
 from hfb.geometry.rotations import (
     axis_angle_to_matrix,
     axis_angle_to_quaternion,

@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 import hfb
 from hfb.body.assets import load_default_body
 from hfb.body.model import ShapedBody
-from hfb.datasets.motion_windows import draw_columns
+from hfb.datasets.motions.motion_windows import draw_columns
 from hfb.datasets.motions.sources import open_motions
 from hfb.errors import InputError
 from hfb.kernels.dispatch import readable_formulas

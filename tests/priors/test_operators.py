@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from hfb.kernels import priors_operators as operators
+from hfb.kernels.objective import anatomy_operators as operators
 from hfb.priors.anatomy import AnatomicalPrior, _tables
 
 PRIOR = AnatomicalPrior()

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from hfb.geometry.camera import PinholeCamera
-from hfb.kernels import render_operators as operators
-from hfb.kernels.image_losses import Target
+from hfb.kernels.objective.image_losses import Target
+from hfb.kernels.rendering import render_operators as operators
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.cpu import CpuRasterizer
 from tests.rendering.bodies import at, ball, smooth_texture

@@ -67,6 +67,7 @@ def _in_child(results: "multiprocessing.Queue[int]") -> None:
     results.put(sum(run_tasks(lambda i: i * i, 10, 2)))
 
 
+@pytest.mark.integration
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_child_makes_its_own_threads() -> None:

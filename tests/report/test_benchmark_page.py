@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hfb.evaluation.tables import summarize, table_markdown
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.report import benchmark_page as pages
 from hfb.report.benchmark_page import Answer, benchmark_page
 from hfb.report.markdown import markdown
@@ -88,6 +88,7 @@ def test_markdown_is_tables_and_words_alone() -> None:
     assert "<img" not in html
 
 
+@pytest.mark.integration
 def test_in_a_browser(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text(made_page(tmp_path, beside_paper=BESIDE))

@@ -18,7 +18,7 @@ from hfb.flows.report import make_report
 from hfb.interop.writers.bvh import bvh_text
 from hfb.interop.writers.joint_tables import csv_text
 from hfb.interop.writers.keys import even_keys
-from hfb.io.media.video_file import FRAME_LIMIT
+from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.report.limb_speed import exposure_s
 from hfb.report.page import checked_picture

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
@@ -19,6 +19,8 @@ from hfb.report.result_unknown import alternatives_table, by_probability, revers
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
+
+pytestmark = pytest.mark.integration
 
 BODY = load_default_body()
 NASTY = """</script><script>alert(1)</script><b>"'"""

@@ -71,6 +71,7 @@ def test_a_page_without_pictures() -> None:
     assert "<img" not in run_page([""], [], [RunLook("one"), RunLook("other")], None)
 
 
+@pytest.mark.integration
 def test_one_slider_moves_every_run(tmp_path: Path) -> None:
     """In Chromium, from disk: three runs with other sub-frames, one of them without a body model."""
     body = load_default_body(torch.float64)

@@ -12,12 +12,12 @@ def test_failures_wait_longer_each_time_and_end_aside(tmp_path: Path) -> None:
     assert ledger.entry("a", "s") is None
     waits = []
     for _ in range(3):
-        entry = ledger.failed("a", "s", "the disk is full", 4, 10.0, hopeless=False)
+        entry = ledger.failed("a", "s", "the disk is full", attempts=4, wait_s=10.0, hopeless=False)
         waits.append(entry.due - time.time())
         assert entry.status == "failed"
     assert [round(wait / 10) for wait in waits] == [1, 2, 4]
-    assert ledger.failed("a", "s", "the disk is full", 4, 10.0, hopeless=False).status == "set aside"
-    assert ledger.failed("b", "s", "no video", 4, 10.0, hopeless=True).status == "set aside"
+    assert ledger.failed("a", "s", "the disk is full", attempts=4, wait_s=10.0, hopeless=False).status == "set aside"
+    assert ledger.failed("b", "s", "no video", attempts=4, wait_s=10.0, hopeless=True).status == "set aside"
 
     read = Ledger(tmp_path / "batch.json")  # another process
     entry = read.entry("a", "s")

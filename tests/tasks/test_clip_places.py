@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from hfb.config import InitConfig, RunConfig
-from hfb.errors import InputError, NotNow
-from hfb.io.media.picture_files import footage_files
+from hfb.errors import InputError, TemporaryError
+from hfb.io.media.footage_files import footage_files
 from hfb.tasks.batch.batch_ledger import stamp_of
 from hfb.tasks.core.handles import FileHandle, files_in
 from hfb.tasks.inputs.clip_places import find_clips, plate_beside, resolve_source
@@ -289,7 +289,7 @@ def test_what_is_read_is_what_is_watched(tmp_path: Path) -> None:
     place.check_read(read)
     touch(tmp_path / "walk" / "frames" / "1.png")
     later = take_video_inputs(place.source, RunConfig(init=InitConfig(method="matte")), place.clip)
-    with pytest.raises(NotNow, match=r"1\.png came to .*walk while it was being read"):
+    with pytest.raises(TemporaryError, match=r"1\.png came to .*walk while it was being read"):
         place.check_read(files_in(later.video))
 
 

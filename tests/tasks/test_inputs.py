@@ -10,7 +10,7 @@ from PIL import Image
 from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip, read_clip
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.tasks.inputs.inputs import assumptions, take_inputs, with_height
 
 

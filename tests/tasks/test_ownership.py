@@ -5,7 +5,11 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 from hfb.tasks.tracking.ownership import is_abandoned, owner
+
+pytestmark = pytest.mark.integration
 
 SLEEPER = "from hfb.tasks.tracking.ownership import owner; import time; print(owner(), flush=True); time.sleep(60)"
 

@@ -9,10 +9,10 @@ from PIL import Image
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.clip import Clip
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
-from hfb.tasks.core.scene import load_camera, load_picture
+from hfb.tasks.core.scene import load_camera, load_image
 from hfb.tasks.image.prepare import prepare
 from tests.matting.silhouettes import composite, generated_plate
 
@@ -25,7 +25,10 @@ def picture(tmp_path: Path) -> FileHandle:
 
 def prepared(picture: FileHandle, clip: dict | None = None, focal_px: float | None = None, **exposure) -> ClipHandle:
     camera = CameraConfig(focal_px=focal_px)
-    return prepare.fn((picture,), picture, Clip.model_validate(clip or {}), camera, ExposureConfig(**exposure))
+    known = Clip.model_validate(clip or {})
+    return prepare.fn(
+        frames=(picture,), background=picture, clip=known, camera=camera, exposure=ExposureConfig(**exposure)
+    )
 
 
 def test_guesses(picture: FileHandle) -> None:
@@ -74,7 +77,7 @@ def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, pictur
 def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None:
     clip = prepared(picture, {"transfer": transfer}, light=light)
     torch.testing.assert_close(
-        load_picture(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
+        load_image(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
     )  # fmt: skip
 
 
@@ -89,10 +92,13 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
     for name, picture in pictures.items():
         write_png(tmp_path / f"{name}.png", linear_to_srgb(picture) if transfer == "srgb" else picture, bits=16)
     files = {name: FileHandle.of(tmp_path / f"{name}.png") for name in pictures}
-    clip, options = Clip.model_validate({"transfer": transfer}), (CameraConfig(), ExposureConfig())
+    clip = Clip.model_validate({"transfer": transfer})
 
     def remarks(*names: str) -> tuple[str, ...]:
-        return prepare.fn(tuple(files[name] for name in names), files["plate"], clip, *options).remarks
+        frames = tuple(files[name] for name in names)
+        return prepare.fn(
+            frames=frames, background=files["plate"], clip=clip, camera=CameraConfig(), exposure=ExposureConfig()
+        ).remarks
 
     assert remarks("right") == ()
     (beside,), (bright,) = remarks("beside"), remarks("bright")

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from hfb.tasks.telemetry import displays, progress
 from hfb.tasks.telemetry.progress_artifacts import Artifacts
-from hfb.tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import run_local, workers
 
 
 def live(width: int = 80) -> tuple[io.StringIO, displays.Live]:
@@ -93,7 +93,7 @@ def test_workers_log_through_this_process(
     # Prefect's own console handler is there where another test of this process has run a flow
     monkeypatch.setattr(logging.getLogger(), "handlers", [caplog.handler])
     with workers(1, apart=True):
-        compute(_warns)
+        run_local(_warns)
     assert [record.getMessage() for record in caplog.records if record.name == "hfb.somewhere"] == [
         "this frame is dark"
     ]
@@ -151,7 +151,7 @@ def test_a_run_that_a_server_started_says_how_far_it_is(store: Path, caplog: pyt
 
     @flow(name="deployed")
     def deployed() -> None:
-        with displays.shown_somewhere(), progress.step("frames"):
+        with displays.show_progress(), progress.step("frames"):
             progress.say("hfb: one clip")
 
     with caplog.at_level(logging.INFO):

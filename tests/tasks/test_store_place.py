@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.errors import InputError, NotNow
+from hfb.errors import InputError, TemporaryError
 from hfb.tasks.tracking.store_place import check_store, pages_command, sqlite_file, tracking_uri
 
 UNPRIVILEGED = 65534
@@ -56,7 +56,7 @@ def test_runs_are_recorded_there(given: str, tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("MLFLOW_TRACKING_URI", given.replace("/{here}", str(tmp_path)))
     tracking.open_store()
     (tmp_path / "a.txt").write_text("a")
-    with tracking.recorded_run("name", "k", {}, {}) as run:
+    with tracking.record_run("name", "k", {}, {}) as run:
         tracking.log_files(run, [tmp_path / "a.txt"])
     file = tmp_path / WORK[given]
     with closing(sqlite3.connect(file)) as database:
@@ -131,19 +131,19 @@ def test_file_stores_where_mlflow_allows_them(monkeypatch: pytest.MonkeyPatch, t
 
 
 def test_a_folder_in_the_files_place(tmp_path: Path) -> None:
-    with pytest.raises(NotNow, match=r"is a folder: set MLFLOW_TRACKING_URI to sqlite:////.*/mlflow.db"):
+    with pytest.raises(TemporaryError, match=r"is a folder: set MLFLOW_TRACKING_URI to sqlite:////.*/mlflow.db"):
         check_store(f"sqlite:///{tmp_path}")
 
 
 def test_a_file_that_is_no_database(tmp_path: Path) -> None:
     (tmp_path / "a.db").write_text("hello " * 100)
-    with pytest.raises(NotNow, match="no SQLite database"):
+    with pytest.raises(TemporaryError, match="no SQLite database"):
         check_store(f"sqlite:///{tmp_path}/a.db")
 
 
 def test_below_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(NotNow, match="set MLFLOW_TRACKING_URI to a file in a folder of yours"):
+    with pytest.raises(TemporaryError, match="set MLFLOW_TRACKING_URI to a file in a folder of yours"):
         check_store(f"sqlite:///{tmp_path}/file/mlflow.db")
 
 
@@ -178,6 +178,7 @@ def said(script: str, *words: str) -> str:
     return done.stdout.strip()
 
 
+@pytest.mark.integration
 def test_a_full_disk_is_told_before_work_begins(tmp_path: Path) -> None:
     told = said(FULL, f"sqlite:///{tmp_path}/mlflow.db")
     assert "cannot be recorded" in told
@@ -185,6 +186,7 @@ def test_a_full_disk_is_told_before_work_begins(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_what_belongs_to_somebody_else(kind: str, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.flows.runtime.surroundings import LOG_VARIABLE, keep_log, log_path
+from hfb.flows.runtime.server import LOG_VARIABLE, keep_log, log_path
 from tests.small_clips import run_clip, small_clip
 
 
@@ -52,10 +52,10 @@ def test_a_clip(log: Path, store: Path, tmp_path: Path) -> None:
 
 def test_workers_know_what_they_work_for(log: Path) -> None:
     from hfb.tasks.telemetry.structured_log import about
-    from hfb.tasks.workers.workers import compute, workers
+    from hfb.tasks.workers.workers import run_local, workers
 
     with workers(1, apart=True), about({"flow_run": "f", "task": "t", "frames": [3]}):
-        compute(_log_in_worker)
+        run_local(_log_in_worker)
         deadline = time.monotonic() + 20
         while "from a worker" not in log.read_text():  # it comes through a queue
             assert time.monotonic() < deadline

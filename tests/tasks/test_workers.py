@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from hfb.tasks.core.stopped import Stopped
-from hfb.tasks.workers.workers import WorkerLost, busy_share, compute, shared_out, stop_computing, workers
+from hfb.tasks.workers.engine import Stopped
+from hfb.tasks.workers.workers import WorkerLost, busy_share, measure_utilisation, run_local, stop_computing, workers
+
+pytestmark = pytest.mark.integration
 
 
 def process_id(_: int) -> int:
@@ -46,34 +48,34 @@ def meet(folder: Path) -> int:
 
 
 def test_without_workers_the_process_computes_itself() -> None:
-    assert compute(process_id, 0) == os.getpid()
+    assert run_local(process_id, 0) == os.getpid()
     with workers(1):
-        assert compute(process_id, 0) == os.getpid()
+        assert run_local(process_id, 0) == os.getpid()
 
 
 def test_two_workers_compute_elsewhere_and_mend(tmp_path: Path) -> None:
     with workers(2), ThreadPoolExecutor(4) as threads:
-        seen = list(threads.map(lambda _: compute(meet, tmp_path), range(2)))
+        seen = list(threads.map(lambda _: run_local(meet, tmp_path), range(2)))
         assert os.getpid() not in seen
         assert len(set(seen)) == 2
         with pytest.raises(ValueError, match="said by the computation"):
-            compute(fail)
-        assert compute(die_once, tmp_path / "mark") == "survived"
+            run_local(fail)
+        assert run_local(die_once, tmp_path / "mark") == "survived"
         with pytest.raises(WorkerLost):
-            compute(die)
-        assert compute(process_id, 0) != os.getpid()
-    assert compute(process_id, 0) == os.getpid()
+            run_local(die)
+        assert run_local(process_id, 0) != os.getpid()
+    assert run_local(process_id, 0) == os.getpid()
 
 
 def test_one_worker_apart_is_another_process_and_says_how_busy_it_was() -> None:
     assert busy_share() is None
     with workers(1, apart=True):
-        assert compute(process_id, 0) != os.getpid()
+        assert run_local(process_id, 0) != os.getpid()
         assert busy_share() is None
         began = time.monotonic()
-        with shared_out():
+        with measure_utilisation():
             entered = time.monotonic()
-            napped = compute(nap, 0.2)
+            napped = run_local(nap, 0.2)
             answered = time.monotonic()
             time.sleep(0.2)
             left = time.monotonic()
@@ -93,15 +95,15 @@ def nap(seconds: float) -> float:
 def test_what_is_stopped_does_not_wait() -> None:
     began = time.monotonic()
     with workers(1, apart=True), ThreadPoolExecutor(3) as threads:
-        compute(process_id, 0)
-        running = [threads.submit(compute, nap, 60.0) for _ in range(3)]
+        run_local(process_id, 0)
+        running = [threads.submit(run_local, nap, 60.0) for _ in range(3)]
         time.sleep(0.3)
         stop_computing()
         for one in running:
             with pytest.raises(Stopped):
                 one.result(timeout=20)
         with pytest.raises(Stopped):
-            compute(process_id, 0)
+            run_local(process_id, 0)
     assert time.monotonic() - began < 40
 
 
@@ -121,16 +123,16 @@ def chatter() -> str:
 def test_nobody_who_listens_holds_no_work_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logging.getLogger(), "handlers", [_Deaf()])
     with ThreadPoolExecutor(1) as threads, workers(1, apart=True):
-        assert threads.submit(compute, chatter).result(timeout=60) == "done"
+        assert threads.submit(run_local, chatter).result(timeout=60) == "done"
 
 
 ORPHANS = """
 import os, sys, time
-from hfb.tasks.workers.workers import compute, workers
+from hfb.tasks.workers.workers import run_local, workers
 from tests.tasks.test_workers import process_id
 if __name__ == "__main__":
     with workers(2):
-        print(compute(process_id, 0), flush=True)
+        print(run_local(process_id, 0), flush=True)
         time.sleep(60)
 """
 

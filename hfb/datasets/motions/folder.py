@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from hfb.datasets.motion_clip import MotionClip
-from hfb.datasets.motions.bvh import read_bvh
-from hfb.datasets.motions.cape import FRAME_FILE, load_cape
-from hfb.datasets.motions.deepmimic import is_deepmimic, read_deepmimic
-from hfb.datasets.motions.retargeting import retarget
-from hfb.datasets.motions.smpl_motions import check_clip, load_smpl_motion, uniform_clip
+from hfb.datasets.motions.files.bvh import read_bvh
+from hfb.datasets.motions.files.cape import FRAME_FILE, load_cape
+from hfb.datasets.motions.files.deepmimic import is_deepmimic, read_deepmimic
+from hfb.datasets.motions.files.smpl_motions import check_clip, load_smpl_motion, uniform_clip
+from hfb.datasets.motions.motion_clip import MotionClip
+from hfb.datasets.motions.skeletons.retargeting import retarget
 from hfb.errors import InputError
 
 _log = logging.getLogger(__name__)

@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from hfb.datasets.motion_clip import MotionSource
+from hfb.datasets.motions.built_in.procedural import ProceduralMotions
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.motions.procedural import ProceduralMotions
+from hfb.datasets.motions.motion_clip import MotionSource
 from hfb.errors import InputError
 
 

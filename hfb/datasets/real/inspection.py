@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from hfb.datasets.real.footage import Footage
 from hfb.datasets.real.markers import body_columns
-from hfb.datasets.real.recording import Recording, changed
+from hfb.datasets.real.source_videos import Footage
+from hfb.datasets.real.video_assets import Recording, changed
 from hfb.errors import InputError
 from hfb.typing import Array, Float
 

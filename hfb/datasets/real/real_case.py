@@ -12,23 +12,30 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import InitConfig
 from hfb.datasets.case import Case, load_case
-from hfb.datasets.real.footage import Footage
-from hfb.datasets.real.joints import SeenJoints, SharpEstimates, all_points, measured_joints, pixels_of, share_inside
+from hfb.datasets.real.case_windows import RealWindow, choose, real_windows
 from hfb.datasets.real.real_spec import RealSpec
 from hfb.datasets.real.sharp_frames import Exposure, expose
 from hfb.datasets.real.shutter import Shutter
+from hfb.datasets.real.source_videos import Footage
+from hfb.datasets.real.true_joints import (
+    SeenJoints,
+    SharpEstimates,
+    all_points,
+    measured_joints,
+    pixels_of,
+    share_inside,
+)
 from hfb.datasets.real.truth_source import TRUTH_SOURCES, truth_kind, truth_offsets_mm
 from hfb.datasets.real.view import Box, View, box_of_change, box_of_joints, make_view
-from hfb.datasets.real.windows import RealWindow, choose, real_windows
-from hfb.datasets.sharp import save_sharp
+from hfb.datasets.synthetic.sharp import save_sharp
 from hfb.datasets.truth import JointTruth, save_joint_truth
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.initializer import make_initializer
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import ClipCamera
-from hfb.io.media.calibration import CalibratedCamera
-from hfb.io.media.pictures import write_matte, write_png
+from hfb.io.media.images.image_io import write_matte, write_png
+from hfb.io.media.lens.camera_files import CalibratedCamera
 from hfb.photometry import linear_to_srgb
 from hfb.rendering.backends import make_rasterizer
 from hfb.typing import Array, Float

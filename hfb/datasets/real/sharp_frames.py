@@ -9,7 +9,7 @@ import numpy as np
 from hfb.config import MattingConfig
 from hfb.datasets.real.shutter import Shutter
 from hfb.datasets.real.view import Box, View
-from hfb.datasets.sharp import SHARP_SUBFRAMES
+from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES
 from hfb.errors import InputError
 from hfb.matting.methods import make_matting
 from hfb.typing import Array, Bool, Float

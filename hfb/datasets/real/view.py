@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from hfb.datasets.real.footage import Footage
-from hfb.datasets.real.recording import Recording
+from hfb.datasets.real.source_videos import Footage
+from hfb.datasets.real.video_assets import Recording
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
-from hfb.io.media.calibration import CalibratedCamera
+from hfb.io.media.lens.camera_files import CalibratedCamera
 from hfb.matting.camera_noise import exposure_gain
 from hfb.matting.known_background import gather_evidence, main_change
-from hfb.matting.matting import shrink
+from hfb.matting.matting_protocol import shrink
 from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480

@@ -8,8 +8,8 @@ import numpy as np
 from hfb.datasets.case import Case, case_name
 from hfb.errors import InputError
 from hfb.evaluation.baselines.chain_spec import ChainSpec, DeblurrerLayout
-from hfb.io.media.pictures import read_picture_srgb
-from hfb.io.media.video import read_frames
+from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.video.video_reading import read_frames
 from hfb.networks.runtimes import Network, denormalised, load_network, normalised
 from hfb.rendering.observation import Observation
 from hfb.typing import Array, Float

@@ -10,8 +10,8 @@ import torch
 from hfb.body.height import height_m
 from hfb.body.model import Body
 from hfb.datasets.case import Case
-from hfb.datasets.sharp import SHARP_SUBFRAMES, load_sharp
 from hfb.datasets.simulated_start import simulated_starts
+from hfb.datasets.synthetic.sharp import SHARP_SUBFRAMES, load_sharp
 from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.evaluation.baselines.chain import found_in
@@ -21,7 +21,7 @@ from hfb.evaluation.baselines.method import Method
 from hfb.evaluation.baselines.rows import middle_times_s
 from hfb.evaluation.prediction import Prediction
 from hfb.initialization.initializer import Initializer
-from hfb.io.media.pictures import read_matte
+from hfb.io.media.images.image_io import read_matte
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import srgb_to_linear

@@ -9,7 +9,7 @@ from hfb.fitting.clip.windows import WindowFit
 from hfb.fitting.clip_person import ClipPerson
 from hfb.geometry.camera import PinholeCamera
 from hfb.motion.clock import subframe_clock
-from hfb.rendering.texture import fill_texture_gutter, texel_faces, visible_texels
+from hfb.rendering.texels import fill_texture_gutter, texel_faces, visible_texels
 from hfb.typing import Bool, Float, Tensor
 
 _SEEN_FROM_PX = 256

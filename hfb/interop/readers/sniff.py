@@ -5,18 +5,28 @@ from pathlib import Path
 from typing import Any
 
 from hfb.errors import InputError
-from hfb.interop.readers import amass, gvhmr, hybrik, joints, keypoints, own, phalp, pymaf, sam3d, tram, wham
+from hfb.interop.readers.image_names import ClipPictures, by_pictures
 from hfb.interop.readers.joining import JOINT, joined
-from hfb.interop.readers.picture_names import ClipPictures, by_pictures
 from hfb.interop.readers.pose_track import PoseTrack, tidy
+from hfb.interop.readers.systems import (
+    amass,
+    gvhmr,
+    hybrik,
+    joint_files,
+    keypoints,
+    own,
+    phalp,
+    pymaf,
+    sam3d,
+    tram,
+    wham,
+)
 from hfb.io.safe.contents import named, read_contents
 
 _ANY_CLIP = ClipPictures()
 Reader = Callable[[Any, tuple[int, int], dict[str, Any]], list[PoseTrack] | None]
-_READERS: tuple[Reader, ...] = (
-    own.read, wham.read, pymaf.read, hybrik.read, phalp.read, tram.read, gvhmr.read, sam3d.read, amass.read,
-    joints.read, keypoints.read,
-)  # fmt: skip
+_SYSTEMS = (own, wham, pymaf, hybrik, phalp, tram, gvhmr, sam3d, amass, joint_files, keypoints)
+_READERS: tuple[Reader, ...] = tuple(system.read for system in _SYSTEMS)
 SYSTEMS = (
     "PyMAF",
     "HybrIK",

@@ -8,8 +8,8 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
+from hfb.interop.writers.export_names import check_formats
 from hfb.interop.writers.joint_tables import marker_table
-from hfb.interop.writers.names import check_formats
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Bool

@@ -12,7 +12,7 @@ import torch
 
 from hfb.body.model import Body, ShapedBody
 from hfb.config import MeshFormat
-from hfb.errors import NotNow
+from hfb.errors import TemporaryError
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.safe_folder import check_tree, is_regular
@@ -37,16 +37,16 @@ def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
     """What an earlier export left: of a longer one, meshes would stay among the new ones.
 
     Raises:
-        NotNow: a file of such a name is not from hfb.
+        TemporaryError: a file of such a name is not from hfb.
     """
     check_tree(folder)
     named = [path for path in sorted(folder.glob(f"frame_*.{form}")) if _NAME.fullmatch(path.name)]
     for path in named:
         if not is_regular(path) or not _is_marked(path):
-            raise NotNow(f"{path} is not from this version of hfb: move it away, or choose another --out")
+            raise TemporaryError(f"{path} is not from this version of hfb: move it away, or choose another --out")
     texture = folder / _TEXTURE
     if form == "obj" and texture.exists() and not _is_material(folder / _MATERIAL):
-        raise NotNow(f"{texture} is not from hfb, and meshes bring one: move it away, or choose another --out")
+        raise TemporaryError(f"{texture} is not from hfb, and meshes bring one: move it away, or choose another --out")
     return named
 
 
@@ -68,7 +68,7 @@ def write_meshes(
         texture_png: the person's texture as an sRGB picture; .obj files refer to it.
 
     Raises:
-        NotNow: see `earlier_meshes`.
+        TemporaryError: see `earlier_meshes`.
     """
     for earlier in earlier_meshes(folder, form):
         earlier.unlink()
@@ -118,5 +118,6 @@ def _obj(vertices: Float[Array, "V 3"], surface: bytes, textured: bool) -> bytes
 def _ply(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> bytes:
     import trimesh  # slow to import, and few need it
 
-    content: bytes = trimesh.Trimesh(vertices, faces, process=False).export(file_type="ply", vertex_normal=False)
+    content = trimesh.Trimesh(vertices, faces, process=False).export(file_type="ply", vertex_normal=False)
+    assert isinstance(content, bytes)  # of another kind of file it may be text, or several files
     return content.replace(_TRIMESH_COMMENT, f"comment {_MARK}".encode(), 1)  # hfb replaces only what it marked

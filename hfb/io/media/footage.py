@@ -14,14 +14,14 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.media.capture_rate import differs
+from hfb.io.media.footage_files import footage_files, one_size, sample_remarks
 from hfb.io.media.footage_names import PICTURE_SUFFIXES
-from hfb.io.media.frame_times import irregular, is_pulled_down, nominal_interval
-from hfb.io.media.interlacing import Scan
-from hfb.io.media.lens import Lens
-from hfb.io.media.picture_files import footage_files, one_size, sample_remarks
-from hfb.io.media.pictures import read_picture_srgb, recorded_exposure
-from hfb.io.media.video_index import OnProgress, VideoIndex, index_video
-from hfb.io.media.video_packets import ASSUMED_FPS
+from hfb.io.media.images.image_io import read_picture_srgb, recorded_exposure
+from hfb.io.media.lens.lens import Lens
+from hfb.io.media.video.frame_times import irregular, is_pulled_down, nominal_interval
+from hfb.io.media.video.interlacing import Scan
+from hfb.io.media.video.video_index import OnProgress, VideoIndex, index_video
+from hfb.io.media.video.video_packets import ASSUMED_FPS
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.typing import Array, Float
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.media.footage import Footage
-from hfb.io.media.picture_decoding import decode_picture, doubt_depths
-from hfb.io.media.video_pixels import square_size, stretched
+from hfb.io.media.images.image_decoding import decode_picture, doubt_depths
+from hfb.io.media.video.video_pixels import square_size, stretched
 from hfb.typing import Array, Bool, Float, Shaped
 
 OnProgress = Callable[[int, int], None]

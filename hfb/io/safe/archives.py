@@ -7,7 +7,7 @@ from typing import Any
 from hfb.errors import InputError
 from hfb.io.array_files import UNPACKED_LIMIT, names_in
 from hfb.io.array_files import read_arrays as read_arrays_of
-from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickle_reader import load_pickle
 from hfb.io.safe.pickle_stream import Steps
 from hfb.io.safe.pickled_arrays import to_array
 from hfb.typing import Array, Shaped

@@ -14,7 +14,7 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.array_files import UNPACKED_LIMIT, names_in, parse_array, read_arrays
-from hfb.io.safe.load import load_pickle
+from hfb.io.safe.pickle_reader import load_pickle
 from hfb.io.safe.pickle_stream import Steps, sides_of
 from hfb.io.safe.pickled_arrays import to_array
 from hfb.io.safe.placeholders import JoblibArray, NumpyArray, NumpyScalar

@@ -253,7 +253,7 @@ def load_from(stream: Bytes, load_torch: TorchReader, outside: Callable[[Any], A
         outside: gives what the pickle refers to outside itself; without it that is an error.
 
     Raises:
-        InputError: see `hfb.io.safe.load.load_pickle`.
+        InputError: see `hfb.io.safe.pickle_reader.load_pickle`.
     """
     try:
         return _Unpickler(stream, outside, load_torch).load()

@@ -13,7 +13,7 @@ class Placeholder:
     """An object of a class that is never imported: what it was called with, and its state."""
 
     kind = "object"
-    arguments: tuple[Any, ...] = ()
+    arguments: Sequence[Any] = ()
     state: Any = None
 
     def __init__(self, *arguments: Any) -> None:
@@ -177,7 +177,7 @@ def nothing(*_arguments: Any) -> None:
     """Sets and the like, which chumpy keeps beside its values; they are of no use here."""
 
 
-def size_of(values: Any = ()) -> tuple[Any, ...]:
+def size_of(values: Any = ()) -> tuple[object, ...]:
     """torch.Size.
 
     Raises:

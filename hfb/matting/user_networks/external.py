@@ -11,9 +11,9 @@ import torch
 from hfb.config import MattingConfig
 from hfb.errors import InputError
 from hfb.io.array_files import weights_file
-from hfb.matting.matting import LEAST_SHARE, Matting, Picture, Plate, check_sizes, nobody_found, shrink
+from hfb.matting.matting_protocol import LEAST_SHARE, Matting, Picture, Plate, check_sizes, nobody_found, shrink
 from hfb.matting.user_networks.bgmv2_network import MattingNetwork, network_of
-from hfb.networks.files import holds_weights, is_onnx
+from hfb.networks.network_files import holds_weights, is_onnx
 from hfb.networks.runtimes import Given, Network, Outputs, PictureTooSmall, TorchNetwork, load_network
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float

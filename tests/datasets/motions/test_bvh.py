@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hfb.datasets.motions.bvh import read_bvh
+from hfb.datasets.motions.files.bvh import read_bvh
 from hfb.errors import InputError
 
 _ARM = """HIERARCHY

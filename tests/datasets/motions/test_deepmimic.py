@@ -8,9 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.motion_clip import MotionClip
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.motions.kinematics import joint_positions, rest_joints, to_world
+from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.errors import InputError
 from hfb.geometry.quaternions import from_axis_angle, rotate
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hfb.datasets.motion_clip import MotionClip
+from hfb.datasets.motions.motion_clip import MotionClip
 from hfb.datasets.motions.resampling import has_jump, resample
 
 

@@ -8,8 +8,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from hfb.body.assets import load_default_body
-from hfb.datasets.motion_clip import MotionClip
-from hfb.datasets.motions.smpl_motions import load_smpl_motion
+from hfb.datasets.motions.files.smpl_motions import load_smpl_motion
+from hfb.datasets.motions.motion_clip import MotionClip
 from hfb.errors import InputError
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.clock import subframe_times_s

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from hfb.errors import InputError
-from hfb.io.media.calibration import camera_of, read_calibration
+from hfb.io.media.lens.camera_files import camera_of, read_calibration
 from tests.datasets.real.videos import HEIGHT, WIDTH, calibration_toml, cameras_json
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.clip import ClipCamera
-from hfb.io.media.clip_lens import clip_lens
+from hfb.io.media.lens.clip_lens import clip_lens
 
 MATRIX = np.array([[800.0, 0, 319.5], [0, 810, 239.5], [0, 0, 1]])
 DISTORTION = np.array([[-0.1, 0.02, 0.001, -0.002, 0.0]])

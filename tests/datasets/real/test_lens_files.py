@@ -9,8 +9,8 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.clip import ClipCamera
-from hfb.io.media.clip_lens import clip_lens
-from hfb.io.media.lens import Lens
+from hfb.io.media.lens.clip_lens import clip_lens
+from hfb.io.media.lens.lens import Lens
 
 K = [[300.0, 0, 320], [0, 310.0, 240], [0, 0, 1]]
 FISHEYE = (-0.01, 0.03, -0.02, 0.004)

@@ -11,18 +11,18 @@ import torch
 from hfb.body.model import Body
 from hfb.datasets.case import Case, load_case
 from hfb.datasets.real import real_case
-from hfb.datasets.real.joints import pixels_of, without_leaps
+from hfb.datasets.real.case_windows import choose, real_windows
 from hfb.datasets.real.markers import body_columns
 from hfb.datasets.real.real_case import make_numbered_real_case, make_real_case
 from hfb.datasets.real.real_spec import RealSpec
-from hfb.datasets.real.windows import choose, real_windows
-from hfb.datasets.sharp import load_sharp
+from hfb.datasets.real.true_joints import pixels_of, without_leaps
+from hfb.datasets.synthetic.sharp import load_sharp
 from hfb.datasets.truth import load_joint_truth
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.initializer import Matte, Picture
 from hfb.io.clip import read_clip
-from hfb.io.media.pictures import read_matte, read_picture_srgb
+from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from tests.datasets.real.videos import BODY, FPS, HEIGHT, WIDTH, figure, joints_m, write_recording

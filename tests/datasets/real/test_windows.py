@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from hfb.datasets.real.footage import find_footage, open_footage
+from hfb.datasets.real.case_windows import RealWindow, choose, real_windows
 from hfb.datasets.real.real_spec import RealSpec
-from hfb.datasets.real.recording import Recording, find_plate, find_recording
-from hfb.datasets.real.windows import RealWindow, choose, real_windows
+from hfb.datasets.real.source_videos import find_footage, open_footage
+from hfb.datasets.real.video_assets import Recording, find_plate, find_recording
 from hfb.errors import InputError
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from tests.datasets.real.videos import BODY, FPS, calibration_toml, figure, joints_m, room, write_recording, write_trc
 from tests.datasets.real.videos import write_video as write
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 
 HEIGHT, WIDTH, FPS = 192, 160, 50
 FOCAL = 200.0

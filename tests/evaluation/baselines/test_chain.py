@@ -17,7 +17,7 @@ from hfb.evaluation.baselines.method_spec import method_spec
 from hfb.evaluation.metrics import soft_iou
 from hfb.evaluation.prediction import Prediction
 from hfb.geometry.camera import PinholeCamera
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.photometry import srgb_to_linear
 from hfb.rendering.observation import Observation
 from tests.evaluation.baselines.cases import bare_case

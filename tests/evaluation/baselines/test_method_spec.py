@@ -168,6 +168,7 @@ def test_no_method_keeps_what_it_does_not_use() -> None:
     assert method_spec("static").config.fit == FitConfig()
 
 
+@pytest.mark.integration
 def test_naming_methods_is_cheap() -> None:
     module = "hfb.evaluation.baselines.method_spec"
     code = f"import sys, {module}; print([m for m in ('torch', 'numpy', 'numba') if m in sys.modules])"

@@ -10,7 +10,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.datasets.case import Case
-from hfb.datasets.sharp import save_sharp
+from hfb.datasets.synthetic.sharp import save_sharp
 from hfb.datasets.truth import save_truth
 from hfb.errors import InputError
 from hfb.evaluation.baselines.build import make_method
@@ -20,7 +20,7 @@ from hfb.evaluation.metrics import mpjpe_mm
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
 from hfb.fitting.clip_person import as_person
-from hfb.io.media.pictures import write_matte
+from hfb.io.media.images.image_io import write_matte
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose

@@ -18,7 +18,7 @@ from hfb.motion.clock import subframe_times_s
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.rendering.texture import texel_faces
+from hfb.rendering.texels import texel_faces
 from tests.evaluation.baselines.cases import bare_case
 
 _SIZE, _DEPTH = 64, 3.5

@@ -10,8 +10,8 @@ import pytest
 from hfb.errors import InputError
 from hfb.interop.readers.pose_track import load_track, save_track
 from hfb.interop.readers.sniff import read_tracks
-from hfb.tasks.video import given_result, video_clip
-from hfb.tasks.video.given_result import ResultHandle
+from hfb.tasks.video import video_clip
+from hfb.tasks.video.external_poses import GivenBodyCall, ResultHandle, body_of_result, find_given_body
 
 
 def amass(path: Path, **rate: Any) -> Path:
@@ -44,9 +44,9 @@ def test_a_clip_asks_for_that_row(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     footage = SimpleNamespace(first=4, average=2, interval_s=2 / 60)  # 60 frames per second in pairs
     monkeypatch.setattr(video_clip, "load_footage", lambda handle: footage)
-    monkeypatch.setattr(given_result, "_body_of_result", lambda still, index, number, *rest: asked.append(number))
+    monkeypatch.setattr(body_of_result, "fn", lambda number, **_: asked.append(number))
     for rate_hz in (None, 120.0):
         handle: Any = ResultHandle(path=Path("x"), sha256="0", system="AMASS", frames=(0,), rate_hz=rate_hz)
-        unused: Any = None
-        given_result._find_given_body(unused, unused, 3, unused, handle, None, None, Path("x"))
+        unused = dict.fromkeys(("footage", "still", "matte", "first", "body"))
+        find_given_body.fn(GivenBodyCall.model_construct(**unused, number=3, result=handle, folder=Path("x")))
     assert asked == [11, 22]

@@ -11,7 +11,7 @@ import pytest
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.errors import InputError
-from hfb.interop.readers.picture_names import ClipPictures
+from hfb.interop.readers.image_names import ClipPictures
 from hfb.interop.readers.pose_track import PoseTrack
 from hfb.interop.readers.sniff import choose_person, read_tracks
 from tests.interop.readers import files

@@ -11,7 +11,7 @@ from hfb.body.assets import load_default_body
 from hfb.config import MeshFormat
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.interop.writers.mesh_files import write_meshes
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from tests.interop.writers.motions import motion_of
 
 BODY = load_default_body()

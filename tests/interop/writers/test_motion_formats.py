@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.motions.bvh import read_bvh
-from hfb.datasets.motions.smpl_motions import load_smpl_motion
+from hfb.datasets.motions.files.bvh import read_bvh
+from hfb.datasets.motions.files.smpl_motions import load_smpl_motion
 from hfb.datasets.real.markers import read_trc
 from hfb.errors import InputError
 from hfb.geometry.rotations import axis_angle_to_matrix
@@ -197,6 +197,6 @@ def test_the_same_motion_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_c3d_without_its_library_is_said_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hfb.interop.writers.names.find_spec", lambda name: None)
+    monkeypatch.setattr("hfb.interop.writers.export_names.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"hfb\[c3d\]"):
         c3d_bytes(motion_of(BODY, frames=1))

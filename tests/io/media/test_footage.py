@@ -10,8 +10,8 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.media.footage import Footage, open_footage
-from hfb.io.media.lens import Lens
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
+from hfb.io.media.lens.lens import Lens
 from hfb.photometry import as_srgb, linear_to_srgb, srgb_to_linear
 from tests.io.media.videos import numbers_in, picture, write_video
 

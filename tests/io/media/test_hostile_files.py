@@ -11,9 +11,9 @@ import torch
 from hfb.errors import InputError
 from hfb.io.array_files import names_in, parse_array, read_arrays, weights_file
 from hfb.io.clip import ClipCamera
-from hfb.io.media import video_file
-from hfb.io.media.clip_lens import clip_lens
 from hfb.io.media.footage import open_footage
+from hfb.io.media.lens.clip_lens import clip_lens
+from hfb.io.media.video import video_file
 from hfb.io.toml_file import read_toml
 from tests.io.media.videos import picture, write_video
 
@@ -96,7 +96,7 @@ def test_names_are_no_protocols(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_frames_are_counted_and_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_video(tmp_path / "a.mp4", [picture(number) for number in range(9)])
-    monkeypatch.setattr("hfb.io.media.video_index.FRAME_LIMIT", 8)
+    monkeypatch.setattr("hfb.io.media.video.video_index.FRAME_LIMIT", 8)
     with pytest.raises(InputError, match="over 8 frames"):
         open_footage(tmp_path / "a.mp4")
     monkeypatch.setattr(video_file, "PIXEL_LIMIT", 1000)

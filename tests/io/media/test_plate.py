@@ -8,7 +8,7 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.media.footage import Footage, open_footage
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.io.media.plate import check_plate, find_plate, seems_to_hold_person
 
 HEIGHT, WIDTH = 60, 90

@@ -9,9 +9,9 @@ from av.stream import Disposition
 
 from hfb.errors import InputError
 from hfb.io.media.footage import open_footage
-from hfb.io.media.pictures import read_picture_srgb, write_png
+from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from hfb.io.media.plate import find_plate
-from hfb.io.media.video import read_frames
+from hfb.io.media.video.video_reading import read_frames
 from tests.io.media.mp4 import with_matrix
 from tests.io.media.videos import picture, write_video
 

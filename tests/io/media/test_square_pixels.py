@@ -9,10 +9,10 @@ import pytest
 
 from hfb.errors import InputError
 from hfb.io.media.footage import open_footage
-from hfb.io.media.pictures import write_png
+from hfb.io.media.images.image_io import write_png
 from hfb.io.media.plate import find_plate
-from hfb.io.media.video import read_frames
-from hfb.io.media.video_pixels import square_size, stretched
+from hfb.io.media.video.video_pixels import square_size, stretched
+from hfb.io.media.video.video_reading import read_frames
 from tests.io.media.videos import write_video
 
 HEIGHT, WIDTH, RADIUS = 96, 120, 30
@@ -89,7 +89,7 @@ def test_a_background_out_of_the_same_video_fits(tmp_path: Path) -> None:
 
 def test_a_stretched_frame_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_video(tmp_path / "wide.mp4", [ball(3)] * 2, aspect=Fraction(3))
-    monkeypatch.setattr("hfb.io.media.video_file.PIXEL_LIMIT", 2 * HEIGHT * WIDTH)
+    monkeypatch.setattr("hfb.io.media.video.video_file.PIXEL_LIMIT", 2 * HEIGHT * WIDTH)
     with pytest.raises(InputError, match=f"{3 * WIDTH} x {HEIGHT} pixels are over the limit"):
         open_footage(path)
 

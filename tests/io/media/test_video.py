@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hfb.errors import InputError
-from hfb.io.media.video import average_frames, median_plate, read_frames
+from hfb.io.media.video.video_reading import average_frames, median_plate, read_frames
 
 
 def _write_video(path: Path, frames: list[np.ndarray], codec: str = "libx264", pixels: str = "yuv444p") -> None:

@@ -9,7 +9,7 @@ from av.video.reformatter import Colorspace
 
 from hfb.errors import InputError
 from hfb.io.media.footage import open_footage
-from hfb.io.media.video import read_frames
+from hfb.io.media.video.video_reading import read_frames
 from tests.io.media.mp4 import with_colours
 from tests.io.media.videos import picture, write_video
 

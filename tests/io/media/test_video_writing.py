@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 
 
 def read(path: Path) -> tuple[list[float], list[np.ndarray], av.container.InputContainer]:
@@ -59,13 +59,14 @@ FILM = """
 import sys
 from pathlib import Path
 import numpy as np
-from hfb.io.media.video_writing import VideoWriter
+from hfb.io.media.video.video_writing import VideoWriter
 with VideoWriter(Path(sys.argv[1]), 30) as writer:
     for picture in np.random.default_rng(0).random((6, 128, 178, 3)).astype(np.float32):
         writer.write(picture)
 """
 
 
+@pytest.mark.integration
 def test_bytes_do_not_depend_on_what_lay_in_memory(tmp_path: Path) -> None:
     for level in ("1", "255"):  # glibc fills memory with it before it hands it out
         filled = {"MALLOC_PERTURB_": level, "MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TOP_PAD_": str(1 << 26)}

@@ -1,0 +1,131 @@
+"""The commands about a finished result: `hfb export`, `hfb report`, `hfb record`. Light to import."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast, get_args
+
+from hfb.config import ExportConfig, Film, MeshFormat, MotionFormat
+from hfb.errors import InputError
+from hfb.flows.runtime.session import libraries, open_session, output_folder_of, tell
+
+_MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
+_FILMS: tuple[Film, ...] = get_args(Film)
+_ALL = (*get_args(MotionFormat), *_MESHES)
+_RATE = ExportConfig().amass_rate
+
+
+def add_export_flags(parser: argparse.ArgumentParser) -> None:
+    """Which result, and what for."""
+    shown = ",".join(ExportConfig().formats)
+    add = parser.add_argument
+    add("source", metavar="RESULT", help="a result's folder, a motion.npz, or the id of a recorded run")
+    add("--formats", metavar="NAME,...", help=f"of {', '.join(_ALL)}; obj and ply are a mesh per sub-frame [{shown}]")
+    add("--amass-rate", type=int, choices=(30, 60, 120), help=f"poses per second in amass.npz [{_RATE}]")
+    add("--films", metavar="NAME,...", help=f"of {', '.join(_FILMS)}: drawn again from the result and its pictures")
+    add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for films, if they were moved")
+    add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
+
+
+def export(given: argparse.Namespace) -> None:
+    """Run `hfb export`."""
+    films = parse_films(given.films)
+    formats, meshes = parse_formats(given.formats) if given.formats or not films else ((), ())
+    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
+        with libraries():
+            from hfb.flows.export import export_result
+        rate = given.amass_rate or _RATE
+        result = export_result(
+            given.source, given.out, formats, meshes, body=given.body, amass_rate=rate, films=films, inputs=given.inputs
+        )
+    tell(given, result, export_text(result))
+
+
+def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
+    """(motion files, meshes) that a list of names asks for.
+
+    Raises:
+        InputError: a name is none of them, or there is none.
+    """
+    if words is None:
+        return ExportConfig().formats, ()
+    names = _known(words, _ALL, "format")
+    motion = tuple(cast(MotionFormat, name) for name in names if name not in _MESHES)
+    return motion, tuple(name for name in names if name in _MESHES)
+
+
+def parse_films(words: str | None) -> tuple[Film, ...]:
+    """The films that a list of names asks for, each once. Raises InputError where a name is none."""
+    return () if words is None else tuple(cast(Film, name) for name in _known(words, _FILMS, "film"))
+
+
+def _known(words: str, names: Sequence[str], what: str) -> tuple[str, ...]:
+    """The names of a list that is divided by commas, each once.
+
+    Raises:
+        InputError: one of them is unknown, or there is none.
+    """
+    found = tuple(dict.fromkeys(word.strip() for word in words.split(",") if word.strip()))
+    unknown = [name for name in found if name not in names]
+    if unknown or not found:
+        raise InputError(f"{(unknown or [words])[0]!r} is no {what}: take some of {', '.join(names)}")
+    return found
+
+
+def export_text(result: Mapping[str, Any]) -> str:
+    """What was written, in a few lines."""
+    lines = ["", *(f"{name:<14}{size / 1e6:8.2f} MB" for name, size in result["files"].items())]
+    if result["meshes"]:
+        lines.append(f"{'meshes/':<14}{result['meshes']:8} files")
+    return "\n".join([*lines, "", f"result   {result['out']}"])
+
+
+def add_report_flags(parser: argparse.ArgumentParser) -> None:
+    """Which result."""
+    add = parser.add_argument
+    add("source", metavar="RESULT", help="a result's folder, or the id of a recorded run")
+    add("--inputs", type=Path, metavar="DIR", help="where the pictures lie, for the film, if they were moved")
+    add("--body", type=Path, metavar="FILE", help="the SMPL file that was fitted [the one the result names]")
+
+
+def report_result(given: argparse.Namespace) -> None:
+    """Run `hfb report`."""
+    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
+        with libraries():
+            from hfb.flows.report import make_report
+        result = make_report(given.source, given.out, given.body, given.inputs)
+    tell(given, result, report_text(result))
+
+
+def report_text(result: Mapping[str, Any]) -> str:
+    """Where the page is, and what it lacks."""
+    size = f"{result['bytes'] / 1e6:.1f} MB"
+    lacks = [f"without {name}" for name in ("film", "surface") if not result[name]]
+    return f"report   {result['report']}  ({', '.join([size, *lacks])})"
+
+
+def add_record_flags(parser: argparse.ArgumentParser) -> None:
+    """Which result."""
+    parser.add_argument("source", type=Path, metavar="RESULT", help="the folder of a finished result")
+
+
+def record_result(given: argparse.Namespace) -> None:
+    """Run `hfb record`."""
+    with open_session(given, given.source):
+        with libraries():
+            from hfb.flows.record import record_folder
+            from hfb.tasks.tracking import tracking
+
+            tracking.open_store()
+        result = record_folder(given.source)
+    tell(given, result, record_text(result))
+
+
+def record_text(result: Mapping[str, Any]) -> str:
+    """What became of each run."""
+    return "\n".join(
+        f"{'recorded' if one['new'] else 'recorded already'}  {one['out']}\nMLflow    {one['mlflow_link']}"
+        for one in result["runs"]
+    )

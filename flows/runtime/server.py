@@ -1,0 +1,269 @@
+"""What a run needs around it: a Prefect server and a log."""
+
+from __future__ import annotations
+
+import atexit
+import io
+import logging
+import logging.handlers
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from contextlib import redirect_stderr
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
+
+import platformdirs
+
+from hfb.errors import InfrastructureError, InputError
+from hfb.flows.runtime.prefect_database import PrefectDatabase
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.secrets import SecretFormatter, shown_address, without_secrets
+from hfb.tasks.telemetry.structured_log import JsonFormatter, WithIds
+from hfb.tasks.tracking.addresses import check_address, no_answer
+
+LOG_VARIABLE = "HFB_LOG"
+_EXAMPLE = "http://127.0.0.1:4200/api"
+_HEALTH_TIMEOUT_S = 3
+_READ_TIMEOUT_S = 60  # a new server is busy with its own start
+_SERVER_ERROR = 500
+_FULL = re.compile(r"disk is full|No space left|File too large")
+_LOG_BYTES = 2_000_000
+
+
+def log_path() -> Path:
+    """The log of all runs of this user."""
+    return Path(platformdirs.user_log_path("hfb")) / "hfb.log"
+
+
+def keep_log(verbose: bool = False) -> None:
+    """Everything into the log file, warnings also to the person; Prefect's own lines only when asked for.
+
+    With HFB_LOG=json the file has one JSON object per line; see tasks/telemetry/structured_log.py.
+
+    Has to come before Prefect is imported: it leaves handlers alone that it finds.
+    """
+    root = logging.getLogger()
+    if any(isinstance(handler, _Telling) for handler in root.handlers):
+        return
+    root.setLevel(logging.INFO)
+    logging.captureWarnings(True)
+    for chatty in ("httpx", "alembic"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
+    for handler in (_file_handler(), _Telling(verbose)):
+        if handler is not None:
+            handler.setFormatter(
+                JsonFormatter()
+                if os.environ.get(LOG_VARIABLE) == "json"
+                else SecretFormatter("%(asctime)s %(process)d %(levelname)s %(name)s: %(message)s")
+            )
+            handler.addFilter(WithIds())
+            root.addHandler(handler)
+
+
+def check_api_url() -> None:
+    """Raises InputError where PREFECT_API_URL is no address of a server."""
+    if url := os.environ.get("PREFECT_API_URL"):
+        check_address("PREFECT_API_URL", url, _EXAMPLE)
+
+
+def load_prefect() -> None:
+    """Import Prefect, which reads its settings.
+
+    Raises:
+        InputError: a setting, in the environment or in the user's profiles, cannot be used.
+    """
+    said = io.StringIO()  # Prefect prints pydantic's lines before it fails
+    try:
+        with redirect_stderr(said):
+            import prefect.main  # noqa: F401
+            from prefect.settings import get_current_settings
+
+            get_current_settings()
+        sys.stderr.write(said.getvalue())
+    except (ValueError, TypeError) as error:  # of pydantic and of TOML
+        reason = "; ".join(line.strip() for line in str(error).splitlines()[1:3]) or str(error)
+        raise InputError(
+            f"Prefect's settings cannot be used ({without_secrets(reason)}): mend the PREFECT_... variable or "
+            f"{os.environ['PREFECT_PROFILES_PATH']}"
+        ) from error
+
+
+class PrefectServer:
+    """The server of this process's flows: the one that the user set, or a temporary one that ends with it.
+
+    Prefect would start a temporary one by itself, on first use and while everything waits; it would load the
+    whole server into this process too, and leave it running after kill -9. Here it starts beside the imports.
+    """
+
+    def __init__(self) -> None:
+        """Raises InputError when the server that the user set does not answer."""
+        from prefect.context import refresh_global_settings_context
+        from prefect.settings import get_current_settings
+
+        settings = get_current_settings()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._database: PrefectDatabase | None = None
+        self._patience_s = settings.server.ephemeral.startup_timeout_seconds
+        self._api = settings.api.url or f"http://127.0.0.1:{_free_port()}/api"
+        if settings.api.url:
+            check_address("PREFECT_API_URL", self._api, _EXAMPLE)
+            reason = does_not_answer(self._api)
+            if reason:
+                raise InputError(
+                    f"the Prefect server at {shown_address(self._api)} {reason}: "
+                    "start it, or unset PREFECT_API_URL for a temporary one"
+                )
+        else:
+            self._home = Path(settings.home)
+            self._home.mkdir(parents=True, exist_ok=True)
+            self._database = PrefectDatabase(self._home, progress.say)
+            self._settings = settings.to_environment_variables(exclude_unset=True)
+            self._start(self._database)
+            os.environ["PREFECT_API_URL"] = self._api
+            refresh_global_settings_context()
+
+    def wait(self) -> None:
+        """Return when the server answers, on a new database if it cannot work with the one that there is."""
+        if self._database is None:
+            return
+        try:
+            reason = self._trouble()
+            if reason and self._is_about_database():
+                assert self._process is not None
+                _end(self._process)
+                self._database.set_aside("cannot be used")
+                self._start(self._database)
+                reason = self._trouble()
+            if reason:
+                full = ": the disk is full, free some space or set XDG_STATE_HOME" if _FULL.search(self._said()) else ""
+                raise InfrastructureError(f"the temporary Prefect server {reason}{full}; its own log is {self._log}")
+        finally:
+            self._database.let_go()
+
+    @property
+    def _log(self) -> Path:
+        return self._home / "server.log"
+
+    def _start(self, database: PrefectDatabase) -> None:
+        self._process = _start_server(self._api, database.url, self._settings, self._log)
+
+    def _trouble(self) -> str | None:
+        """Why the temporary server does not work; None as soon as it does."""
+        assert self._process is not None
+        began = time.monotonic()
+        while reason := does_not_answer(self._api):
+            if self._process.poll() is not None:
+                return "ended"
+            if time.monotonic() - began > self._patience_s:
+                return reason
+            time.sleep(0.05)
+        return _cannot_read_runs(self._api)
+
+    def _is_about_database(self) -> bool:
+        """Whether the server's log blames its database, and neither a full disk nor another process."""
+        said = self._said()
+        full_or_busy = _FULL.search(said) or "database is locked" in said
+        return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not full_or_busy
+
+    def _said(self) -> str:
+        return self._log.read_text(errors="replace")
+
+
+def _start_server(api: str, database: str, settings: dict[str, str], log_path: Path) -> subprocess.Popen[bytes]:
+    temporary = {
+        "PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1",
+        "PREFECT_SERVER_DATABASE_CONNECTION_URL": database, "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
+    }  # fmt: skip
+    with log_path.open("wb") as log:
+        process = subprocess.Popen(
+            [
+                sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app",
+                "--host", "127.0.0.1", "--port", str(urlsplit(api).port), "--log-level", "error", "--lifespan", "on",
+            ],
+            env={**os.environ, **settings, **temporary},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,  # Ctrl-C is for this process, which still has to tell the server
+        )  # fmt: skip
+    _end_with_this_process(process.pid)
+    atexit.register(_end, process)
+    return process
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(timeout=5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | None:
+    """Why a server is of no use, or None where it answers."""
+    return no_answer(f"{api.rstrip('/')}/health", patience_s)
+
+
+def _cannot_read_runs(api: str) -> str | None:
+    """Why a server cannot read its tables; it answers /health without looking at them."""
+    for kind in ("flow_runs", "task_runs"):
+        request = Request(f"{api}/{kind}/filter", data=b'{"limit": 1}', headers={"Content-Type": "application/json"})
+        try:
+            with urlopen(request, timeout=_READ_TIMEOUT_S):
+                pass
+        except HTTPError as error:
+            if error.code >= _SERVER_ERROR:
+                return f"answers {error.code}"
+        except OSError as error:
+            return f"does not answer ({error})"
+    return None
+
+
+def _end_with_this_process(server_pid: int) -> None:
+    """End the temporary server even after kill -9, when nothing of this process runs any more.
+
+    The watcher reads a pipe that only this process holds open; the read ends when the process does.
+    """
+    reading, _stays_open = os.pipe()
+    subprocess.Popen(
+        ["/bin/sh", "-c", f"read -r _; kill {server_pid} 2>/dev/null"],
+        stdin=reading,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,  # it outlives this process
+    )
+    os.close(reading)
+
+
+class _Telling(logging.Handler):
+    """Warnings to the person who waits, through the display, so that no bar swallows them."""
+
+    def __init__(self, verbose: bool) -> None:
+        super().__init__(logging.INFO if verbose else logging.WARNING)
+        self._verbose = verbose
+
+    def emit(self, record: logging.LogRecord) -> None:
+        # What fails inside a task surfaces as an exception; Prefect's account of it is for the log.
+        if self._verbose or not record.name.startswith(("prefect", "py.warnings", "alembic", "mlflow")):
+            progress.say(without_secrets(f"{record.levelname.lower()}: {record.getMessage()}"))
+
+
+def _file_handler() -> logging.Handler | None:
+    try:
+        log_path().parent.mkdir(parents=True, exist_ok=True)
+        return logging.handlers.RotatingFileHandler(log_path(), maxBytes=_LOG_BYTES, backupCount=2, encoding="utf-8")
+    except OSError:  # a read-only home must not stop a run
+        return None

@@ -1,0 +1,140 @@
+"""Short stretches of recorded motion, as long as a shutter is open, and single poses: what the priors learn from."""
+
+import fnmatch
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from hfb.datasets.motions.motion_clip import MotionClip, MotionSource
+from hfb.datasets.motions.resampling import has_jump, resample
+from hfb.errors import InputError
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.priors.motion_columns import CLOCK, columns_of
+from hfb.typing import Array, Float
+
+SHORTEST_S, LONGEST_S = 0.03, 0.5
+"""Exposure times that are drawn from: a thirtieth of a second to half of one."""
+
+_HELD_OUT_EVERY = 4
+OnProgress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which motions are for what, by their numbers in a source.
+
+    Attributes:
+        trained: learned from. held_out: for choosing. tested: for a last measurement, never for choosing.
+    """
+
+    trained: tuple[int, ...]
+    held_out: tuple[int, ...]
+    tested: tuple[int, ...]
+
+
+def split_motions(names: Sequence[str], test_patterns: Sequence[str], held_out_patterns: Sequence[str] = ()) -> Split:
+    """Motions whose name fits a pattern are tested, or held out.
+
+    Args:
+        test_patterns: shell patterns of names, such as ``cmu_09_*``.
+        held_out_patterns: of those that are left; every fourth of them, in their order, when none are given.
+
+    Raises:
+        InputError: a pattern fits no motion, or none is left to learn from.
+    """
+    for pattern in (*test_patterns, *held_out_patterns):
+        if not fnmatch.filter(names, pattern):
+            raise InputError(f"no motion has a name like {pattern!r}; one is called {names[0]!r}")
+
+    def fitting(patterns: Sequence[str]) -> list[int]:
+        return [n for n, name in enumerate(names) if any(fnmatch.fnmatchcase(name, one) for one in patterns)]
+
+    tested = fitting(test_patterns)
+    others = [n for n in range(len(names)) if n not in set(tested)]
+    if held_out_patterns:
+        held_out = [n for n in fitting(held_out_patterns) if n not in set(tested)]
+    else:
+        held_out = others[_HELD_OUT_EVERY - 1 :: _HELD_OUT_EVERY]
+    trained = [n for n in others if n not in set(held_out)]
+    if not trained:
+        raise InputError("all motions are set apart; leave some to learn from")
+    return Split(tuple(trained), tuple(held_out), tuple(tested))
+
+
+def draw_columns(
+    source: MotionSource,
+    numbers: Sequence[int],
+    per_second: float,
+    seed: int,
+    refused: dict[str, str],
+    on_progress: OnProgress | None = None,
+) -> tuple[Float[Array, "n 3 25 4"], Float[Array, "n"]]:
+    """C of exposures at random times of some motions, and how long each lasted [s].
+
+    What is drawn from a motion depends on its name and the seed, not on the other motions.
+
+    Args:
+        per_second: how many exposures per second of recording.
+        refused: gets the reason by name for each motion that cannot be read.
+    """
+    columns, exposures = [np.zeros((0, 3, 25, 4), np.float32)], [np.zeros(0)]
+    for done, clip in _clips(source, numbers, refused):
+        generator = np.random.default_rng([seed, zlib.crc32(clip.name.encode())])
+        poses, translations, exposure_s = draw_exposures(clip, np.array(CLOCK), per_second, generator)
+        rotations = axis_angle_to_matrix(torch.from_numpy(poses))
+        columns.append(columns_of(rotations, torch.from_numpy(translations)).float().numpy())
+        exposures.append(exposure_s)
+        if on_progress:
+            on_progress(done, len(numbers))
+    return np.concatenate(columns), np.concatenate(exposures)
+
+
+def draw_exposures(
+    clip: MotionClip, u: Float[Array, "S"], per_second: float, generator: np.random.Generator
+) -> tuple[Float[Array, "n S 24 3"], Float[Array, "n S 3"], Float[Array, "n"]]:
+    """Poses (axis-angle [rad]) and translations [m] at u of exposures, in the clip's world, and their lengths [s].
+
+    Exposures begin anywhere; their lengths are drawn evenly in their logarithm. Those in which the recording jumps
+    are left out.
+    """
+    lasts_s = (len(clip.poses) - 1) / clip.fps
+    longest = min(LONGEST_S, lasts_s)
+    count = max(round(lasts_s * per_second), 1) if longest > SHORTEST_S else 0
+    exposure_s = np.exp(generator.uniform(np.log(SHORTEST_S), np.log(longest), count)) if count else np.zeros(0)
+    starts_s = generator.uniform(0, 1, count) * (lasts_s - exposure_s)
+    calm = [not has_jump(clip, a, a + b) for a, b in zip(starts_s.tolist(), exposure_s.tolist(), strict=True)]
+    starts_s, exposure_s = starts_s[np.array(calm, bool)], exposure_s[np.array(calm, bool)]
+    times_s = np.minimum(starts_s[:, None] + exposure_s[:, None] * u, lasts_s)
+    if not times_s.size:
+        return np.zeros((0, len(u), 24, 3)), np.zeros((0, len(u), 3)), exposure_s
+    poses, translations = resample(clip, times_s.reshape(-1))
+    return poses.reshape(*times_s.shape, 24, 3), translations.reshape(*times_s.shape, 3), exposure_s
+
+
+def take_poses(
+    source: MotionSource,
+    numbers: Sequence[int],
+    per_second: float,
+    refused: dict[str, str],
+    on_progress: OnProgress | None = None,
+) -> Float[Array, "n 69"]:
+    """Axis-angles of joints 1 to 23 [rad] at regular times of some motions."""
+    poses = [np.zeros((0, 69))]
+    for done, clip in _clips(source, numbers, refused):
+        times_s = np.arange(0, (len(clip.poses) - 1) / clip.fps, 1 / per_second)
+        poses.append(resample(clip, times_s)[0][:, 1:].reshape(-1, 69))
+        if on_progress:
+            on_progress(done, len(numbers))
+    return np.concatenate(poses)
+
+
+def _clips(source: MotionSource, numbers: Sequence[int], refused: dict[str, str]) -> Iterator[tuple[int, MotionClip]]:
+    """(how many were looked at, motion) for each that can be read."""
+    for done, number in enumerate(numbers, 1):
+        try:
+            yield done, source.load(number)
+        except InputError as error:
+            refused[source.names()[number]] = str(error)

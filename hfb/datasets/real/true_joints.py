@@ -1,0 +1,126 @@
+"""The truth of a real case: joints that were measured, or those an estimator sees in every sharp frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from hfb.body.model import Body
+from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from hfb.datasets.real.markers import Markers, body_columns
+from hfb.datasets.real.truth_source import TruthKind
+from hfb.errors import InputError
+from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.initializer import Initializer
+from hfb.io.media.lens.camera_files import CalibratedCamera
+from hfb.typing import Array, Bool, Float
+
+_LEAP_M = 0.5
+_NEIGHBOURS = 2
+
+
+@dataclass(frozen=True)
+class SeenJoints:
+    """Joints at the instants of R sharp frames, in camera coordinates.
+
+    Attributes:
+        joints: [m], NaN where unknown. smpl_joints: which joint of SMPL each one is.
+        source: what measured them (`truth_source.TruthKind`), or the estimator that saw them.
+    """
+
+    joints: Float[Array, "R P 3"]
+    smpl_joints: tuple[int, ...]
+    source: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(JOINT_NAMES[joint] for joint in self.smpl_joints)
+
+
+def pixels_of(points_m: Float[Array, "R P 3"], camera: PinholeCamera) -> Float[Array, "R P 2"]:
+    """Where points in camera coordinates are in the picture; NaN where unknown or not in front of the lens."""
+    ahead = np.where(points_m[..., 2:] > 0.05, points_m, np.nan)
+    return camera.project(torch.from_numpy(ahead)).numpy()
+
+
+def measured_joints(
+    markers: Markers, camera: CalibratedCamera, first: int, count: int, kind: TruthKind = "measured"
+) -> SeenJoints:
+    """The measured points that show SMPL's joints, in consecutive rows.
+
+    They lie where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
+    """
+    columns, joints = body_columns(markers.names)
+    rows = markers.rows(first, count)[:, columns]
+    return SeenJoints(camera.to_camera(rows), tuple(joints), kind)
+
+
+def all_points(markers: Markers, camera: CalibratedCamera, first: int, count: int) -> Float[Array, "R M 3"]:
+    """Every measured point, also those that SMPL lacks, in camera coordinates: for where the person is."""
+    kept = [column for column, name in enumerate(markers.names) if name.lower() != "nose"]  # often far off
+    return camera.to_camera(markers.rows(first, count))[:, kept]
+
+
+def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> float:
+    """Share of the known joints that fall on the mask of their own frame."""
+    rows, _ = np.nonzero(np.isfinite(pixels).all(-1))
+    x, y = np.floor(pixels[np.isfinite(pixels).all(-1)]).astype(int).T
+    height, width = masks.shape[1:]
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    return float(masks[rows[inside], y[inside], x[inside]].sum() / max(len(rows), 1))
+
+
+class SharpEstimates:
+    """An estimator's answers to sharp frames, one after another."""
+
+    def __init__(
+        self, initializer: Initializer, body: Body, plate_linear: Float[Array, "H W 3"], camera: PinholeCamera
+    ) -> None:
+        self._initializer, self._body, self._plate, self._camera = initializer, body, plate_linear, camera
+        self._rows: list[Float[Array, "24 3"]] = []
+        self._sources: list[str] = []
+
+    def add(self, frame_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]) -> None:
+        """Estimate one frame; where the estimator finds nobody the row is unknown."""
+        try:
+            first = self._initializer(frame_linear, self._plate, matte, self._camera, self._body)
+        except InputError:
+            self._rows.append(np.full((JOINT_COUNT, 3), np.nan))
+            return
+        dtype = self._body.template.dtype
+        rotations = axis_angle_to_matrix(first.pose.to(dtype))[None]
+        shaped = self._body.shape(first.betas.to(dtype))
+        joints = shaped.joints_of(rotations, first.translation.to(dtype)[None])[0]
+        self._rows.append(joints.detach().double().numpy())
+        self._sources.append(first.source)
+
+    def joints(self) -> SeenJoints:
+        """All frames, without what leaps (see `without_leaps`).
+
+        Raises:
+            InputError: more than half of the frames have no estimate.
+        """
+        joints = without_leaps(np.stack(self._rows))
+        if np.isfinite(joints[:, 0]).all(-1).mean() < 0.5:
+            raise InputError("the estimator sees the person in fewer than half of the sharp frames; choose others.")
+        source = max(sorted(set(self._sources)), key=self._sources.count)
+        return SeenJoints(joints, tuple(range(JOINT_COUNT)), source)
+
+
+def without_leaps(joints: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
+    """The joints, NaN where one is over half a metre from the median of its neighbours in time.
+
+    Seen from the pelvis: how far away the whole person is may flicker, as it does in a single view. A frame in which
+    more than half of the joints leap is unknown as a whole.
+    """
+    centred = joints - joints[:, :1]
+    leaps: Bool[Array, "R 24"] = np.zeros(joints.shape[:2], bool)
+    for row in range(len(joints)):
+        near = centred[max(0, row - _NEIGHBOURS) : row + _NEIGHBOURS + 1]
+        near = near[np.isfinite(near).all((1, 2))]
+        if len(near) >= 3:
+            leaps[row] = np.linalg.norm(centred[row] - np.median(near, axis=0), axis=-1) > _LEAP_M
+    leaps |= leaps.mean(1, keepdims=True) > 0.5
+    return np.where(leaps[..., None], np.nan, joints)

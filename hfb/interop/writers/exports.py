@@ -1,0 +1,60 @@
+"""The motion files of a run, by the names that options and people use."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from hfb.body.model import BetasSpace, Body
+from hfb.config import AmassRate, MotionFormat
+from hfb.interop.writers.amass import write_amass
+from hfb.interop.writers.bvh import write_bvh
+from hfb.interop.writers.c3d_file import write_c3d
+from hfb.interop.writers.export_names import FILE_NAMES
+from hfb.interop.writers.joint_tables import write_csv, write_trc
+from hfb.interop.writers.skinned_glb import write_glb
+from hfb.motion.sampled import SampledMotion
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A person's motion and what belongs to it.
+
+    Attributes:
+        betas_space: whose shape coefficients the motion has.
+        body: the model it was fitted with; None where only formats without a surface are asked for.
+        texture_png: the person's texture as an sRGB picture.
+    """
+
+    motion: SampledMotion
+    betas_space: BetasSpace
+    body: Body | None = None
+    texture_png: bytes | None = None
+    amass_rate: AmassRate = 120
+
+
+def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> Path:
+    """Write one format's file, whole or not at all.
+
+    Raises:
+        InputError: the motion's instants are not in order, or a library is missing.
+        ValueError: the format has a surface and no body model is given.
+    """
+    path = folder / FILE_NAMES[form]
+    _WRITERS[form](path, exported)
+    return path
+
+
+def _write_glb(path: Path, exported: Exported) -> None:
+    if exported.body is None:
+        raise ValueError("motion.glb has a surface: it needs the body model")
+    write_glb(path, exported.motion, exported.body, exported.texture_png)
+
+
+_WRITERS: dict[MotionFormat, Callable[[Path, Exported], None]] = {
+    "amass": lambda path, given: write_amass(path, given.motion, given.betas_space, given.amass_rate),
+    "glb": _write_glb,
+    "bvh": lambda path, given: write_bvh(path, given.motion),
+    "csv": lambda path, given: write_csv(path, given.motion),
+    "trc": lambda path, given: write_trc(path, given.motion),
+    "c3d": lambda path, given: write_c3d(path, given.motion),
+}

@@ -1,0 +1,63 @@
+"""Which files footage is made of: a video, or pictures in the order in which they were taken."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hfb.errors import InputError
+from hfb.io.media.footage_names import is_plate, others_in, pictures_in
+from hfb.io.media.images.image_access import PIXEL_LIMIT, no_picture
+from hfb.io.media.images.image_decoding import decode_picture, doubt_depths, picture_size
+from hfb.photometry import Transfer
+
+
+def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
+    """A video by itself, the pictures of a folder in their natural order, or the given pictures.
+
+    Raises:
+        InputError: nothing there.
+    """
+    if not isinstance(source, Path):
+        if not source:
+            raise InputError("the list of pictures is empty; give at least one.")
+        return tuple(source)
+    if source.is_dir():
+        found = tuple(path for path in pictures_in(source) if not is_plate(path))
+        if not found:
+            for other in others_in(source):  # a folder of camera raw or HEIC files has its own sentence
+                raise no_picture(other)
+            raise InputError(f"{source}: holds no picture; give a folder of PNG, JPEG, TIFF, WebP or BMP frames.")
+        return found
+    if not source.exists():
+        raise InputError(f"{source}: no such file; check the path.")
+    return (source,)
+
+
+def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
+    """height, width, bits; the files' heads alone are read.
+
+    Raises:
+        InputError: one is no picture, of another size, or too large.
+    """
+    sizes = [picture_size(path) for path in files]
+    height, width, _ = sizes[0]
+    for path, other in zip(files, sizes, strict=True):
+        if other[:2] != (height, width):
+            raise InputError(
+                f"{path}: has {other[1]} x {other[0]} pixels and {files[0].name} {width} x {height}; "
+                "give frames of one size."
+            )
+    if height * width > PIXEL_LIMIT:
+        raise InputError(f"{files[0]}: {width} x {height} pixels are too many; make the frames smaller.")
+    return height, width, max(one[2] for one in sizes)
+
+
+def sample_remarks(files: Sequence[Path], transfer: Transfer) -> tuple[str, ...]:
+    """What a user should know of the pictures of a clip, by the first, the middle and the last of them.
+
+    Raises:
+        InputError: one is no picture, or all seem to be of fewer bits than their files are.
+    """
+    chosen = sorted({0, len(files) // 2, len(files) - 1})
+    seen = [decode_picture(files[number], transfer) for number in chosen]
+    doubts = doubt_depths([(files[number], one.seems_bits) for number, one in zip(chosen, seen, strict=True)], transfer)
+    return (*seen[0].remarks, *doubts)

@@ -1,0 +1,92 @@
+"""Still pictures in and out: float32 RGB in [0, 1], sRGB as stored, upright."""
+
+import warnings
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from hfb.errors import InputError
+from hfb.io.atomic import write_bytes_atomic
+from hfb.io.media.images.image_access import FORMATS, PIXEL_LIMIT
+from hfb.io.media.images.image_decoding import decode_picture, picture_size
+from hfb.photometry import Transfer
+from hfb.typing import Array, Float
+
+__all__ = [
+    "PIXEL_LIMIT",
+    "picture_size",
+    "read_matte",
+    "read_picture_srgb",
+    "recorded_exposure",
+    "stored_png",
+    "write_matte",
+    "write_png",
+]
+
+_EXIF_DIRECTORY, _EXPOSURE_TAG = 0x8769, 0x829A
+
+
+def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "H W 3"]:
+    """Read a picture of 8 to 16 bits per channel; see `hfb.io.media.images.image_decoding.decode_picture`.
+
+    Args:
+        transfer: the light that the user knows it to store; the values stay as they are unless it is ``srgb``.
+
+    Raises:
+        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+    """
+    return decode_picture(Path(path), transfer).pixels
+
+
+def stored_png(path: Path) -> bytes:
+    """A PNG file as it is, once it has been seen to hold a picture: it is handed on into pages and other files.
+
+    Raises:
+        InputError: as `read_picture_srgb`, or it is a picture of another kind.
+    """
+    decode_picture(path)
+    data = path.read_bytes()
+    if not data.startswith(b"\x89PNG"):
+        raise InputError(f"{path}: is no PNG picture, whatever it is called; make the result again.")
+    return data
+
+
+def recorded_exposure(path: Path) -> tuple[float, str] | None:
+    """(seconds, where it stands) of a photograph that tells its exposure time (EXIF); None without."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=FORMATS) as image:
+                seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
+        value = float(seconds) if seconds is not None else 0.0
+    except Exception:  # metadata that cannot be read tells nothing
+        return None
+    return (value, f"the EXIF entry ExposureTime of {path.name}") if 0 < value < 10 else None
+
+
+def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) -> None:
+    """Write RGB values in [0, 1] (clipped, rounded to nearest) as an 8 or 16 bit PNG, atomically."""
+    _write_levels(Path(path), picture_srgb[..., ::-1], bits)
+
+
+def write_matte(path: Path, matte: Float[Array, "H W"]) -> None:
+    """Write a matte in [0, 1] as a 16-bit gray PNG (steps of 1/65535), atomically."""
+    _write_levels(Path(path), matte, 16)
+
+
+def read_matte(path: Path) -> Float[Array, "H W"]:
+    """Read a matte: the mean of the channels of any picture that `read_picture_srgb` takes, its values as they are."""
+    return read_picture_srgb(path, "linear").mean(-1, dtype=np.float32)
+
+
+def _write_levels(path: Path, values: Float[Array, "..."], bits: int) -> None:
+    if bits not in (8, 16):
+        raise ValueError(f"a PNG holds 8 or 16 bits per channel, not {bits}")
+    full = (1 << bits) - 1
+    levels = np.round(np.clip(values, 0, 1).astype(np.float64) * full)
+    done, encoded = cv2.imencode(".png", np.ascontiguousarray(levels, np.uint8 if bits == 8 else np.uint16))
+    if not done:
+        raise OSError(f"{path}: the picture could not be encoded")
+    write_bytes_atomic(path, encoded.tobytes())

@@ -1,0 +1,234 @@
+"""Calibrated cameras: Pose2Sim's Calib*.toml and cameras.json.
+
+Both follow OpenCV: x = K (R X + t) after the lens distortion k1 k2 p1 p2 (k3), or a fisheye's k1 k2 k3 k4, the centre
+of the first pixel at (0, 0). Here it lies at (0.5, 0.5), so half a pixel is added to the principal point on the way out
+(`pinhole`).
+"""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.geometry.camera import PinholeCamera
+from hfb.io.media.lens.lens import undistortion_maps
+from hfb.io.media.lens.lens_models import checked_coefficients, is_fisheye
+from hfb.io.toml_file import read_toml
+from hfb.typing import Array, Float
+
+_FILE_LIMIT = 16 << 20
+
+
+@dataclass(frozen=True)
+class CalibratedCamera:
+    """One camera of a calibration, in OpenCV's own pixel convention.
+
+    Attributes:
+        K: camera matrix [px]. distortion: OpenCV's coefficients; all zero for a pinhole.
+        fisheye: whether they are of OpenCV's fisheye model, which is no pinhole with zeros either.
+        R_camera_world, t_m: world to camera, x = R X + t.
+        video: the file's name, where the calibration says it. first_frame: the recording's number of its frame 0.
+    """
+
+    name: str
+    width: int
+    height: int
+    K: Float[Array, "3 3"]
+    distortion: Float[Array, "n"]
+    R_camera_world: Float[Array, "3 3"]
+    t_m: Float[Array, "3"]
+    video: str | None = None
+    first_frame: int = 0
+    fisheye: bool = False
+
+    @property
+    def bends(self) -> bool:
+        """Whether the lens distorts at all."""
+        return self.fisheye or bool(self.distortion.any())
+
+    def to_camera(self, points_m: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """World points in camera coordinates [m]; NaN stays NaN."""
+        return points_m @ self.R_camera_world.T + self.t_m
+
+    def undistortion(self, left: int, top: int, width: int, height: int) -> Float[Array, "2 h w"]:
+        """For each pixel of a window of the pinhole's picture, where (x, y) in the stored picture its light lies."""
+        shifted = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+        return np.stack(undistortion_maps(self.K, self.distortion, self.fisheye, shifted, (width, height)))
+
+    def to_stored_pixels(self, points_m: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+        """Pixels (OpenCV's convention) of world points in the picture as stored, distortion included.
+
+        NaN for unknown points and for those that are not in front of the lens.
+        """
+        pixels = np.full((len(points_m), 2), np.nan)
+        seen = self.to_camera(points_m)[:, 2] > 0.05  # False for NaN too
+        if seen.any():
+            R, _ = cv2.Rodrigues(self.R_camera_world)
+            project = cv2.fisheye.projectPoints if self.fisheye else cv2.projectPoints
+            found, _ = project(points_m[seen][:, None], R, self.t_m, self.K, self.distortion)
+            pixels[seen] = found.reshape(-1, 2)
+        return pixels
+
+    def pinhole(self) -> PinholeCamera:
+        """The camera of the undistorted picture, in this project's pixel convention."""
+        K = self.K
+        fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5))
+        return PinholeCamera(fx, fy, cx, cy, self.height, self.width)
+
+
+def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
+    """Read a Calib*.toml of Pose2Sim or a cameras.json; cameras in the file's order.
+
+    Raises:
+        InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
+    """
+    if path.suffix.lower() == ".toml":
+        sections = {name: part for name, part in read_toml(path).items() if name != "metadata"}
+        read = _from_toml
+    else:
+        sections, read = _json_cameras(path), _from_json
+    if not sections:
+        raise InputError(f"{path}: names no camera; give a calibration of Pose2Sim or a cameras.json.")
+    return tuple(read(name, part, f"{path}: camera {name}") for name, part in sections.items())
+
+
+def camera_of(cameras: tuple[CalibratedCamera, ...], video: str) -> CalibratedCamera | None:
+    """The camera that took a video; see `number_of_camera`."""
+    number = number_of_camera([(camera.name, camera.video) for camera in cameras], video)
+    return None if number is None else cameras[number]
+
+
+def number_of_camera(cameras: Sequence[tuple[str, str | None]], video: str) -> int | None:
+    """The camera that took a video: the one that names it, else the one whose name its name starts with or holds.
+
+    Names are compared without signs: ``cam_01`` took ``cam01_f000-059.mp4``; None where no camera or several fit.
+
+    Args:
+        cameras: their names, and the videos that they name.
+    """
+    named = [number for number, (_, taken) in enumerate(cameras) if taken == video]
+    if named:
+        return named[0] if len(named) == 1 else None
+    names = [name for name, _ in cameras]
+    stem = _plain(Path(video).stem)
+    fits = [number for number, name in enumerate(names) if _plain(name) and stem.startswith(_plain(name))]
+    if not fits:
+        words = [word for word in re.split(r"[^a-z0-9]+", Path(video).stem.lower()) if word]
+        parts = [re.split(r"[^a-z0-9]+", name.lower()) for name in names]
+        fits = [number for number, part in enumerate(parts) if words and words[0] in part]
+    longest = max((len(_plain(names[number])) for number in fits), default=0)
+    fits = [number for number in fits if len(_plain(names[number])) == longest]
+    return fits[0] if len(fits) == 1 else None
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def _from_toml(name: str, part: Any, where: str) -> CalibratedCamera:
+    part = _table(part, where)
+    width, height = _size(_numbers(part, "size", (2,), where), where)
+    distortion, fisheye = _distortion(part, "distortions", where)
+    return CalibratedCamera(
+        str(part.get("name", name)), width, height, _matrix(part, "matrix", where), distortion,
+        _rotation(part, "rotation", where), _vector(part, "translation", where), fisheye=fisheye,
+    )  # fmt: skip
+
+
+def _from_json(name: str, part: Any, where: str) -> CalibratedCamera:
+    part = _table(part, where)
+    width, height = _size(np.array([_number(part, "width", where), _number(part, "height", where)]), where)
+    distortion, fisheye = _distortion(part, "dist_k1k2p1p2", where)
+    first, video = part.get("first_frame", 0), part.get("video")
+    if not isinstance(first, int) or isinstance(first, bool) or first < 0 or not isinstance(video, str | None):
+        raise InputError(f"{where}: first_frame must be a number of 0 or more and video a file's name.")
+    return CalibratedCamera(
+        name, width, height, _matrix(part, "K", where), distortion, _rotation(part, "R_world_to_cam", where),
+        _vector(part, "t_world_to_cam", where), video, first, fisheye,
+    )  # fmt: skip
+
+
+def _json_cameras(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _FILE_LIMIT:
+            raise InputError(f"{path}: is too large for a calibration.")
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: can't be read ({error.strerror}); check the path.") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: is not valid JSON; export it again.") from None
+    cameras = content.get("cameras") if isinstance(content, dict) else None
+    if not isinstance(cameras, dict):
+        raise InputError(f'{path}: has no "cameras"; it must be {{"cameras": {{NAME: {{"K": ...}}}}}}.')
+    return cameras
+
+
+def _table(part: Any, where: str) -> dict[str, Any]:
+    if not isinstance(part, dict):
+        raise InputError(f"{where} is no table of entries; give matrix, distortions, rotation, translation and size.")
+    return part
+
+
+def _numbers(part: dict[str, Any], key: str, shape: tuple[int, ...], where: str) -> Float[Array, "..."]:
+    try:
+        values = np.array(part[key], dtype=np.float64)
+    except (KeyError, ValueError, TypeError, OverflowError):
+        raise InputError(f"{where}: {key} is missing or not numbers.") from None
+    if values.shape != shape or not np.isfinite(values).all():
+        raise InputError(f"{where}: {key} must be {' x '.join(map(str, shape))} finite numbers.")
+    return values
+
+
+def _number(part: dict[str, Any], key: str, where: str) -> float:
+    return float(_numbers(part, key, (), where))
+
+
+def _size(size: Float[Array, "2"], where: str) -> tuple[int, int]:
+    width, height = (int(value) for value in size)
+    if (width, height) != tuple(size) or not 0 < min(width, height) <= max(width, height) < 1 << 16:
+        raise InputError(f"{where}: {size[0]:g} x {size[1]:g} is no picture's size.")
+    return width, height
+
+
+def _matrix(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
+    K = _numbers(part, key, (3, 3), where)
+    if K[0, 0] <= 0 or K[1, 1] <= 0 or K[0, 1] != 0 or K[1, 0] != 0 or K[2].tolist() != [0, 0, 1]:
+        raise InputError(f"{where}: {key} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0.")
+    return K
+
+
+def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
+    """A matrix, as Caliscope has it, or Rodrigues' vector, also as the column of older Pose2Sim."""
+    value = part.get(key)
+    if not isinstance(value, list) or not any(isinstance(row, list) and len(row) == 3 for row in value):
+        return np.asarray(cv2.Rodrigues(_vector(part, key, where))[0], np.float64)
+    R = _numbers(part, key, (3, 3), where)
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise InputError(f"{where}: {key} is no rotation; its rows must be orthonormal.")
+    return R
+
+
+def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
+    """Three numbers in a row, or in a column."""
+    value = part.get(key)
+    if isinstance(value, list) and len(value) == 3 and all(isinstance(row, list) and len(row) == 1 for row in value):
+        part = {key: [row[0] for row in value]}
+    return _numbers(part, key, (3,), where)
+
+
+def _distortion(part: dict[str, Any], key: str, where: str) -> tuple[Float[Array, "n"], bool]:
+    """(coefficients, whether they are a fisheye's)."""
+    values = part.get(key, [0.0] * 4)
+    if not isinstance(values, list):
+        raise InputError(f"{where}: {key} must be 4, 5, 8, 12 or 14 numbers, as OpenCV has them.")
+    if all(isinstance(one, list) and len(one) == 1 for one in values):  # a column
+        values = [one[0] for one in values]
+    numbers = _numbers({key: values}, key, (len(values),), where)
+    fisheye = is_fisheye(part, numbers, where)
+    return checked_coefficients(numbers, fisheye, f"{where}: {key}"), fisheye

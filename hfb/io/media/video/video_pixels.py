@@ -1,0 +1,93 @@
+"""A decoded frame as a picture: RGB, turned and mirrored as players do it, with square pixels as players show them."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+
+from hfb.errors import InputError
+from hfb.io.media.video.video_colours import NOT_STATED, Stated, source_colours
+from hfb.io.media.video.video_file import check_size
+from hfb.typing import Array, Float, Shaped
+
+_MOST_STRETCH = 4.0
+_AS_GOOD_AS_SQUARE = 0.01
+_LEVELS = np.arange(256, dtype=np.float32) / np.float32(255)
+
+
+def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NOT_STATED) -> Shaped[Array, "H W 3"]:
+    """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned and stretched as players show them.
+
+    Args:
+        path: the video's, for the message. aspect: see `pixel_aspect`.
+        stated: the colours that the container states; see `hfb.io.media.video.video_colours.stated_colours`.
+
+    Raises:
+        InputError: the frame is damaged, or too large once it is stretched.
+    """
+    matrix, color_range = source_colours(frame, stated)
+    try:
+        rgb = frame.reformat(
+            format="rgb48le" if is_deep(frame) else "rgb24", src_colorspace=matrix, src_color_range=color_range
+        )
+        pixels = rgb.to_ndarray()
+    except (av.FFmpegError, ValueError, MemoryError):
+        raise InputError(f"{path}: a frame is damaged; cut the video before it, or convert it to H.264.") from None
+    if aspect != 1:
+        height, width = square_size(frame.height, frame.width, aspect)
+        check_size(path, width, height)
+        pixels = stretched(pixels, height, width)
+    return np.ascontiguousarray(_as_shown(pixels, frame))
+
+
+def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
+    """Turned and mirrored by the display matrix: players apply it, the decoder does not.
+
+    The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
+    picture on its sides counts.
+    """
+    told: Any = frame.side_data.get("DISPLAYMATRIX")
+    if told is None:
+        return pixels
+    a, b, _, c, d, *_ = struct.unpack("=9i", bytes(told)[:36])
+    if a * d == b * c:
+        return pixels
+    if a * a + d * d < b * b + c * c:  # columns become rows
+        pixels, a, d = pixels.swapaxes(0, 1), c, b
+    return pixels[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1]
+
+
+def zero_to_one(levels: Shaped[Array, "H W 3"]) -> Float[Array, "H W 3"]:
+    """Levels of 8 or 16 bits as numbers in [0, 1]."""
+    return _LEVELS[levels] if levels.dtype == np.uint8 else levels.astype(np.float32) / np.float32(65535)
+
+
+def is_deep(frame: av.VideoFrame) -> bool:
+    """Whether 8 bits are too few for it."""
+    return any(component.bits > 8 for component in frame.format.components)
+
+
+def pixel_aspect(stream: av.VideoStream) -> float:
+    """Width / height of a stored pixel, before the container's rotation; HDV and anamorphic video have no squares.
+
+    1 where the file does not say, says what no camera does, or is within a hundredth of it: encoders round.
+    """
+    aspect = float(stream.sample_aspect_ratio or 1)
+    believed = 1 / _MOST_STRETCH <= aspect <= _MOST_STRETCH and abs(aspect - 1) > _AS_GOOD_AS_SQUARE
+    return aspect if believed else 1.0
+
+
+def square_size(height: int, width: int, aspect: float) -> tuple[int, int]:
+    """(height, width) [px] in square pixels: the longer side of a pixel is drawn out, so that none is lost."""
+    return (height, round(width * aspect)) if aspect >= 1 else (round(height / aspect), width)
+
+
+def stretched(picture: Shaped[Array, "h w 3"], height: int, width: int) -> Shaped[Array, "H W 3"]:
+    """A picture of uint8, uint16 or float32 in another size, sharp.
+
+    Lanczos keeps what it shows in place to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
+    """
+    return cv2.resize(picture, (width, height), interpolation=cv2.INTER_LANCZOS4)

@@ -1,0 +1,134 @@
+"""Compiled parts of bodies with pose blend shapes: every vertex is displaced by its pose and skinned in one go.
+
+Its directions, 3 x 207 numbers, are read from memory once there and once back: they are too many for the processor's
+cache, and are half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced vertices stay where they are for
+the way back, all instants of one side by side.
+"""
+# mypy: ignore-errors
+# (numba compiles these: its types are not mypy's)
+
+import numpy as np
+from numba import njit
+
+from hfb.kernels.body.body_skinning import ask, ask_point, gather, move_point, pull, spread, whole_block
+from hfb.kernels.body.body_vector import FEATURES, add_features, displacements
+from hfb.kernels.compile import LOOP, entry
+from hfb.kernels.simd import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
+
+AHEAD = 4  # vertices whose directions are asked for before they are needed
+_LINE = 32  # 16-bit numbers that memory hands over at once
+
+
+@njit(**LOOP)
+def _read_ahead(directions, v):
+    """Have a vertex's directions read; beyond the last one nothing happens."""
+    for k in range(0, 3 * FEATURES, _LINE):
+        prefetch(directions, 3 * v * FEATURES + k)
+
+
+@njit(**LOOP)
+def _list_features(rotations, first, n, feature):
+    """Fill `feature` (LANES, FEATURES): what n poses differ in from the rest pose; zeros in the lanes beyond."""
+    for s in range(n):
+        for j in range(1, rotations.shape[1]):
+            for r in range(3):
+                for c in range(3):
+                    feature[s, 9 * (j - 1) + 3 * r + c] = rotations[first + s, j, r, c] - (1.0 if r == c else 0.0)
+    for s in range(n, LANES):
+        for k in range(FEATURES):
+            feature[s, k] = 0.0
+
+
+@njit(**LOOP)
+def _blend_and_skin_block(table, feature, rest, directions, steps, starts, joints, weights, points, to, vertices):
+    """Fill `points` (V, 3 x LANES) and LANES bodies of `vertices`, from number `to` on."""
+    stride = 3 * rest.shape[0]
+    for v in range(rest.shape[0]):
+        _read_ahead(directions, v + AHEAD)
+        x, y, z = displacements(feature, directions, 3 * v * FEATURES)
+        x = multiply_add(x, steps[v, 0], lanes(rest[v, 0]))
+        y = multiply_add(y, steps[v, 1], lanes(rest[v, 1]))
+        z = multiply_add(z, steps[v, 2], lanes(rest[v, 2]))
+        at = 3 * LANES * v
+        store_lanes(points, at, x)
+        store_lanes(points, at + LANES, y)
+        store_lanes(points, at + 2 * LANES, z)
+        move_point(x, y, z, table, starts, joints, weights, v, to + 3 * v, stride, vertices)
+
+
+@entry
+def blend_and_skin(transforms, rotations, rest, directions, steps, starts, joints, weights, points, vertices):
+    """Fill `vertices` (S, V, 3) by skinning (SMPL's eq. 2) of the rest vertices (V, 3) plus pose blend shapes, and
+    `points` (S / LANES, V, 3 x LANES), these vertices before they were skinned.
+
+    directions: (V, 3, FEATURES) in `steps` (V, 3). starts: (V + 1), where each vertex's joints and weights begin.
+    """
+    table, feature = np.empty((transforms.shape[1], 12 * LANES), rest.dtype), np.zeros((LANES, FEATURES), rest.dtype)
+    for first in range(0, transforms.shape[0], LANES):
+        n, block = min(LANES, transforms.shape[0] - first), points[first // LANES]
+        spread(transforms, first, n, table)
+        _list_features(rotations, first, n, feature)
+        given = table, feature, rest, directions, steps, starts, joints, weights, block
+        if n == LANES:
+            _blend_and_skin_block(*given, first * rest.size, vertices)
+        else:
+            moved = np.empty((LANES, rest.shape[0], 3), rest.dtype)
+            _blend_and_skin_block(*given, 0, moved)
+            vertices[first:] = moved[:n]
+
+
+@njit(**LOOP)
+def _list_asking(given, first, asking):
+    """Fill `asking` with the vertices of which any of LANES gradients is not zero; returns how many."""
+    count, vertices = 0, given.shape[1]
+    for v in range(vertices):
+        _, _, _, some = ask(given, first + 3 * v, 3 * vertices)
+        asking[count] = v
+        count += some
+    return count
+
+
+@njit(**LOOP)
+def _gradient_block(
+    table, directions, steps, starts, joints, weights, points, given, first, asking, count,
+    pulls, of_rest, of_feature,
+):  # fmt: skip
+    stride = 3 * given.shape[1]
+    for number in range(count):
+        v = asking[number]
+        _read_ahead(directions, asking[min(number + AHEAD, count - 1)])
+        x, y, z, _ = ask(given, first + 3 * v, stride)
+        asked, at = (x, y, z), 3 * LANES * v
+        point = load_lanes(points, at), load_lanes(points, at + LANES), load_lanes(points, at + 2 * LANES)
+        pull(starts, joints, weights, v, asked, point, pulls)
+        x, y, z = ask_point(table, starts, joints, weights, v, asked, of_rest)
+        x, y, z = x * steps[v, 0], y * steps[v, 1], z * steps[v, 2]
+        add_features(of_feature, directions, 3 * v * FEATURES, x, y, z)
+
+
+@entry
+def blend_and_skin_gradient(
+    transforms, directions, steps, starts, joints, weights, points, given, of_transforms, of_rotations, of_rest
+):
+    """Fill `of_transforms` and, but for the root, `of_rotations`; add to `of_rest`. What the camera does not see asks
+    for nothing and is passed over, half of the work."""
+    kind = transforms.dtype
+    table, of_feature = np.empty((transforms.shape[1], 12 * LANES), kind), np.empty((LANES, FEATURES), kind)
+    asking = np.empty(given.shape[1] + 1, np.int64)
+    for first in range(0, transforms.shape[0], LANES):
+        n, block = min(LANES, transforms.shape[0] - first), points[first // LANES]
+        pulls = np.zeros(table.shape, kind)
+        of_feature[:] = 0.0
+        spread(transforms, first, n, table)
+        whole, at = whole_block(given, first)
+        count = _list_asking(whole, at, asking)
+        _gradient_block(
+            table, directions, steps, starts, joints, weights, block, whole, at, asking, count,
+            pulls, of_rest, of_feature,
+        )  # fmt: skip
+        gather(pulls, first, n, of_transforms)
+        for s in range(n):
+            for j in range(1, of_rotations.shape[1]):
+                for r in range(3):
+                    for c in range(3):
+                        of_rotations[first + s, j, r, c] = of_feature[s, 9 * (j - 1) + 3 * r + c]

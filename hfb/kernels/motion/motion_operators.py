@@ -1,0 +1,111 @@
+"""Quaternion polynomials, logarithms and the boundary restriction as torch operators, so that autograd, torch.compile
+and export see them."""
+
+from hfb.kernels.motion import motion_boundary as kernels_boundary
+from hfb.kernels.motion import motion_curve as kernels
+from hfb.kernels.motion import motion_rotation as kernels_rotation
+from hfb.kernels.torch_op import arrays, measure, operator
+from hfb.typing import Tensor
+
+
+@operator("hfb::move")
+def move(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
+    """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
+
+    Args:
+        rotation: coefficients (T, D1, 24, 4), (w, x, y, z). translation: (T, D1, 4) [m], the last column unused.
+        clock: (S), the instants u. origin: polynomials are in u - origin.
+    """
+    frames, instants = len(rotation), len(clock)
+    matrices = rotation.new_empty(frames, instants, rotation.shape[2], 3, 3)
+    path = rotation.new_empty(frames, instants, 3)
+    kernels.move(*arrays(rotation, translation, clock), origin, matrices.numpy(), path.numpy())
+    return matrices, path
+
+
+@move.register_fake
+def _(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
+    size = rotation.shape[0], clock.shape[0]
+    return rotation.new_empty(*size, rotation.shape[2], 3, 3), rotation.new_empty(*size, 3)
+
+
+@operator("hfb::move_gradient")
+def move_gradient(
+    rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
+) -> tuple[Tensor, Tensor]:
+    """Gradients of the coefficients."""
+    of_rotation, of_translation = rotation.new_zeros(rotation.shape), translation.new_zeros(translation.shape)
+    polynomials, instants, *given = arrays(rotation, clock, of_matrices, of_path)
+    kernels.move_gradient(polynomials, instants, origin, *given, of_rotation.numpy(), of_translation.numpy())
+    return of_rotation, of_translation
+
+
+@move_gradient.register_fake
+def _(
+    rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
+) -> tuple[Tensor, Tensor]:
+    return rotation.new_empty(rotation.shape), translation.new_empty(translation.shape)
+
+
+def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    *tensors, ctx.origin = inputs
+    ctx.save_for_backward(*tensors)
+
+
+def _backward(ctx, of_matrices, of_path):  # type: ignore[no-untyped-def]
+    return *move_gradient(*ctx.saved_tensors, of_matrices, of_path, ctx.origin), None, None
+
+
+move.register_autograd(_backward, _keep)
+
+
+@measure("hfb::boundary", moving=2)
+def boundary(rotations: Tensor, joints: Tensor, step: float) -> tuple[Tensor, Tensor, Tensor]:
+    """`hfb.objective.boundary.boundary_loss` of rotations (T, 6, 24, 3, 3) and joints (T, 6, 24, 3).
+
+    Every frame's values at the next frame's opening and at its own: a `step` before, then, and a step after."""
+    gradients = rotations.new_empty(rotations.shape), joints.new_empty(joints.shape)
+    given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotations, joints, *gradients)]
+    return rotations.new_tensor(kernels_boundary.boundary(*given[:2], step, *given[2:])), *gradients
+
+
+@operator("hfb::rotation_vectors")
+def rotation_vectors(matrices: Tensor, instants: int) -> Tensor:
+    """Axis times angle (T, instants, J - 1, 3), the angle in [0, pi], of the rotations (T, S, J, 3, 3) below the root
+    at each frame's first instants.
+
+    As `hfb.geometry.rotations.matrix_to_axis_angle`; the gradient is that along rotations, which alone has a meaning.
+    """
+    frames, _, joints = matrices.shape[:3]
+    vectors = matrices.new_empty(frames, instants, joints - 1, 3)
+    kernels_rotation.logarithm(*arrays(matrices, vectors))
+    return vectors
+
+
+@rotation_vectors.register_fake
+def _(matrices: Tensor, instants: int) -> Tensor:
+    return matrices.new_empty(matrices.shape[0], instants, matrices.shape[2] - 1, 3)
+
+
+@operator("hfb::rotation_vectors_gradient")
+def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
+    """Gradient of the matrices."""
+    gradient = matrices.new_zeros(matrices.shape)
+    kernels_rotation.logarithm_gradient(*arrays(matrices, vectors, given, gradient))
+    return gradient
+
+
+@rotation_vectors_gradient.register_fake
+def _(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
+    return matrices.new_empty(matrices.shape)
+
+
+def _keep_logarithm(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    ctx.save_for_backward(inputs[0], output)
+
+
+def _logarithm_backward(ctx, given):  # type: ignore[no-untyped-def]
+    return rotation_vectors_gradient(*ctx.saved_tensors, given), None
+
+
+rotation_vectors.register_autograd(_logarithm_backward, _keep_logarithm)

@@ -1,0 +1,60 @@
+"""A motion as it is for a person with other betas, as a torch operator.
+
+The readable formula that it is tested against is `hfb.motion.trajectory.Trajectory.enlarged`.
+"""
+
+from hfb.kernels.motion import rescale_kernels as kernels
+from hfb.kernels.torch_op import arrays, operator
+from hfb.typing import Tensor
+
+
+@operator("hfb::as_large")
+def as_large(
+    translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor
+) -> Tensor:
+    """Coefficients (T, D1, 4) of the path [m] of a person with `betas` who is as large in the picture as one with
+    `reference` whose path has the coefficients `translation`.
+
+    Args:
+        template: (24, 3), rest joints with betas of zero [m]. rows: (K, 72), their displacements per unit of each beta.
+        parents: (24) int32, -1 for the root, which comes first. These and the reference are constants.
+    """
+    moved = translation.new_empty(translation.shape)
+    kernels.as_large(*arrays(translation, betas, reference, template.flatten(), rows, parents, moved))
+    return moved
+
+
+@as_large.register_fake
+def _(translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor) -> Tensor:
+    return translation.new_empty(translation.shape)
+
+
+@operator("hfb::as_large_gradient")
+def as_large_gradient(
+    translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor,
+    given: Tensor,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """Gradients of the coefficients and of the betas."""
+    gradients = translation.new_empty(translation.shape), betas.new_empty(betas.shape)
+    people = arrays(translation, betas, reference, template.flatten(), rows, parents, given)
+    kernels.as_large_gradient(*people, *arrays(*gradients))
+    return gradients
+
+
+@as_large_gradient.register_fake
+def _(
+    translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor,
+    given: Tensor,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    return translation.new_empty(translation.shape), betas.new_empty(betas.shape)
+
+
+def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    ctx.save_for_backward(*inputs)
+
+
+def _backward(ctx, given):  # type: ignore[no-untyped-def]
+    return *as_large_gradient(*ctx.saved_tensors, given), None, None, None, None
+
+
+as_large.register_autograd(_backward, _keep)

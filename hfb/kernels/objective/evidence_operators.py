@@ -1,0 +1,33 @@
+"""How far a body is from what the joint network saw, as torch operators.
+
+The readable formulas that they are tested against are `hfb.evidence.joint_evidence`'s.
+"""
+
+from hfb.kernels.objective import evidence_kernels as kernels
+from hfb.kernels.torch_op import arrays, measure
+from hfb.typing import Tensor
+
+
+@measure("hfb::off_middle", moving=1)
+def off_middle(joints: Tensor, lenses: Tensor, middle: Tensor, scale: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
+    """See `kernels_evidence.off_middle`; share: (3), of the word of each coordinate."""
+    gradient = joints.new_empty(joints.shape)
+    return joints.new_tensor(kernels.off_middle(*arrays(joints, lenses, middle, scale, share, gradient))), gradient
+
+
+@measure("hfb::off_path", moving=1)
+def off_path(joints: Tensor, lenses: Tensor, path: Tensor, scale: Tensor, both_ways: bool) -> tuple[Tensor, Tensor]:
+    """See `kernels_evidence.off_path`."""
+    gradient = joints.new_empty(joints.shape)
+    *given, into = arrays(joints, lenses, path, scale, gradient)
+    return joints.new_tensor(kernels.off_path(*given, both_ways, into)), gradient
+
+
+@measure("hfb::off_height", moving=1)
+def off_height(
+    betas: Tensor, per_beta: Tensor, mean_m: float, log_height: float, scale: float
+) -> tuple[Tensor, Tensor]:
+    """See `kernels_evidence.off_height`."""
+    gradient = betas.new_empty(betas.shape)
+    *given, into = arrays(betas, per_beta, gradient)
+    return betas.new_tensor(kernels.off_height(*given, mean_m, log_height, scale, into)), gradient

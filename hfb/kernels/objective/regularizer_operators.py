@@ -1,0 +1,24 @@
+"""Regularisers as torch operators, so that autograd, torch.compile and export see them.
+
+The readable formulas that they are tested against are in `hfb.objective.regularizers`.
+"""
+
+from hfb.kernels.objective import regularizer_kernels as kernels
+from hfb.kernels.torch_op import arrays, measure
+from hfb.typing import Tensor
+
+
+@measure("hfb::motion_size", moving=2)
+def motion_size(rotation: Tensor, translation: Tensor, epsilon: float) -> tuple[Tensor, Tensor, Tensor]:
+    """L_C, eq. (8), of coefficients (T, D1, J, 4) and (T, D1, 4), the constants left out."""
+    gradients = rotation.new_empty(rotation.shape), translation.new_empty(translation.shape)
+    given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotation, translation, *gradients)]
+    value = kernels.motion_size(*given[:2], epsilon, *given[2:])
+    return rotation.new_tensor(value), *gradients
+
+
+@measure("hfb::start_distance", moving=1)
+def start_distance(rotations: Tensor, first: Tensor) -> tuple[Tensor, Tensor]:
+    """`hfb.objective.regularizers.start_loss` of the last of each frame's rotations (T, S, J, 3, 3)."""
+    gradient = rotations.new_empty(rotations.shape)
+    return rotations.new_tensor(kernels.start_distance(*arrays(rotations, first, gradient))), gradient

@@ -1,0 +1,194 @@
+"""The fast rasteriser in torch: operators that autograd, torch.compile and export see, and a short cut past them.
+
+`draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
+same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
+nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
+from hfb.typing import Array, Tensor
+
+_PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
+
+
+def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
+    """The first result of `draw`, differentiable in the vertices and the texture, where nothing traces."""
+    return _Pictures.apply(vertices, texture, setting)
+
+
+class _Pictures(torch.autograd.Function):
+    """`draw` with its way back, the bodies' traces kept as they are."""
+
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
+        return torch.from_numpy(_drawn(ctx, vertices, texture, setting)[0])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, of_pictures: Tensor) -> tuple[Tensor | None, ...]:
+        return *_pulled(ctx, of_pictures.contiguous().numpy()), None
+
+
+@runtime_checkable
+class Judge(Protocol):
+    """Says how ill a mean picture (H, W, 4) fits."""
+
+    def compare(self, mean: Array, box: Box) -> tuple[tuple[float, ...], Any]:
+        """(losses, what `pull` needs) of a picture that is zero outside of the box; it may be written over."""
+        ...
+
+    def pull(self, kept: Any, by_losses: Sequence[float]) -> Array:
+        """The picture's gradient from that of the losses; only what lies in the box counts."""
+        ...
+
+
+def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
+    """What a judge says of `pictures`, a mean; differentiable in the vertices and the texture.
+
+    One step for autograd, not two: between two of them Python and torch take as long as a judge.
+    """
+    return _Judged.apply(vertices, texture, setting, judge)
+
+
+class _Judged(torch.autograd.Function):
+    """A mean picture and what a judge says of it."""
+
+    @staticmethod
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
+        drawn, box = _drawn(ctx, vertices, texture, setting)
+        losses, ctx.kept = judge.compare(drawn[0], box)
+        ctx.judge = judge
+        return tuple(torch.from_numpy(np.asarray(loss, drawn.dtype)) for loss in losses)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *by_losses: Tensor) -> tuple[Tensor | None, ...]:
+        given = ctx.judge.pull(ctx.kept, [one.item() for one in by_losses])
+        return *_pulled(ctx, given[None]), None, None
+
+
+def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
+    """Pictures, and the box that holds all that is drawn; keeps what `_pulled` needs."""
+    drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+    ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
+    return drawn, box
+
+
+def _pulled(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
+    """Gradients of the vertices and of the texture, those that are wanted."""
+    vertices, texture = ctx.saved_tensors
+    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
+    of_vertices, of_texture = pull_bodies(
+        of_pictures, vertices.detach().numpy(), ctx.texels, ctx.blocks, ctx.setting, *wanted
+    )
+    return torch.from_numpy(of_vertices) if wanted[0] else None, torch.from_numpy(of_texture) if wanted[1] else None
+
+
+@torch.library.custom_op("hfb::draw", mutates_args=())
+def draw(
+    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, threads: int,
+) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+    """Pictures of S bodies, and what the way back needs.
+
+    Args:
+        vertices: (S, V, 3) [m]. texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
+        uv: (F, 3, 2), of the faces' corners. topology: tables faces, edge_vertices, edge_faces of the mesh, int16
+            (read as unsigned) where that holds them, else int32.
+        lens: fx, fy, cx, cy, nearest depth used, width, height. soft: DIB-R's 1 / delta [1/px^2], reach [px] and
+            number of faces; zeros for exact coverage.
+        mean: average the pictures. threads: to draw with.
+
+    Returns:
+        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
+        and for each block of bodies in turn the parts of its trace (see `kernels`).
+    """
+    setting = Setting.of(uv, topology, lens, soft, mean, threads)
+    drawn, texels, blocks, _ = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
+    kept = [texels]
+    for trace in blocks:
+        kept += [trace[0], trace[1].view(np.int32), *trace[2:]]  # types that torch knows
+    return torch.from_numpy(drawn), [torch.from_numpy(part) for part in kept]
+
+
+@draw.register_fake
+def _(
+    vertices: Tensor, texture: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, threads: int,
+) -> tuple[Tensor, list[Tensor]]:  # fmt: skip
+    context, coloured = torch.library.get_ctx(), texture.shape[0] > 0
+
+    def whole(*size: int | torch.SymInt) -> Tensor:
+        return vertices.new_empty(*size, dtype=torch.int32)
+
+    def real(*size: int | torch.SymInt) -> Tensor:
+        return vertices.new_empty(*size, dtype=torch.float64)
+
+    kept = [vertices.new_empty(texture.shape[0], texture.shape[1], 4)]
+    at_once = bodies_at_once(len(vertices), threads, soft[0] > 0)
+    for first in range(0, len(vertices), at_once):
+        edges, pixels, pieces = (context.new_dynamic_size() for _ in range(3))
+        bodies = min(at_once, len(vertices) - first)
+        kept += [real(bodies, vertices.shape[1], 4), whole(edges, 3), whole(pixels), real(pixels)]
+        kept += [whole(pieces), whole(pieces), real(pieces) if soft[0] > 0 else real(pieces, 2)]
+        kept += [whole(pixels if coloured else 0), vertices.new_empty(bodies + 1, 3, dtype=torch.int64)]
+    size = 1 if mean else len(vertices), int(lens[6]), int(lens[5]), 4 if coloured else 1
+    return vertices.new_empty(*size), kept
+
+
+@torch.library.custom_op("hfb::draw_gradient", mutates_args=())
+def draw_gradient(
+    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    texels, *parts = (part.detach().numpy() for part in kept)
+    blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
+    setting = Setting.of(uv, topology, lens, soft, mean, threads)
+    given = of_pictures.detach().contiguous().numpy()
+    gradients = pull_bodies(given, vertices.detach().numpy(), texels, blocks, setting, of_vertices, of_texture)
+    return torch.from_numpy(gradients[0]), torch.from_numpy(gradients[1])
+
+
+def _block(parts: Sequence[Any]) -> Block:
+    return parts[0], parts[1].view(np.uint32), *parts[2:]
+
+
+@draw_gradient.register_fake
+def _(
+    of_pictures: Tensor, vertices: Tensor, uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float],
+    soft: Sequence[float], mean: bool, kept: Sequence[Tensor], of_vertices: bool, of_texture: bool, threads: int,
+) -> tuple[Tensor, Tensor]:  # fmt: skip
+    gradient = torch.empty_like(vertices) if of_vertices else vertices.new_empty(len(vertices), 0, 3)
+    side = kept[0].shape[0] if of_texture else 0
+    return gradient, vertices.new_empty(side, side, 3)
+
+
+def _keep(ctx, inputs, output) -> None:  # type: ignore[no-untyped-def]
+    vertices, texture, uv, topology, *ctx.numbers, ctx.threads = inputs
+    ctx.coloured = len(texture) > 0
+    ctx.save_for_backward(vertices, uv, *topology, *output[1])
+    ctx.set_materialize_grads(False)
+
+
+def _backward(ctx, of_pictures, *_):  # type: ignore[no-untyped-def]
+    no_gradient = None, [None] * 3, None, None, None, None
+    if of_pictures is None:
+        return None, None, *no_gradient
+    vertices, uv, *tables = ctx.saved_tensors
+    wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and ctx.coloured
+    gradients = draw_gradient(
+        of_pictures, vertices, uv, tables[:3], *ctx.numbers, tables[3:], *wanted, ctx.threads
+    )  # fmt: skip
+    return *(gradient if want else None for gradient, want in zip(gradients, wanted, strict=True)), *no_gradient
+
+
+draw.register_autograd(_backward, setup_context=_keep)

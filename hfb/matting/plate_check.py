@@ -1,0 +1,87 @@
+"""Does a given plate lie on the frame, in the frame's exposure? Judged where nobody is, after both were mended.
+
+A plate farther beside the frame than alignment.py moves it makes a person's outline of every edge; another exposure
+than camera_noise.py evens out makes a person of the whole room. The matte shows it late: it is told in words before.
+"""
+
+import cv2
+import numpy as np
+
+from hfb.matting.alignment import MOST_PX, find_movement, moved_plate
+from hfb.matting.camera_noise import GAINS, exposure_gain
+from hfb.matting.matting_protocol import clean, shrink
+from hfb.photometry import linear_to_srgb
+from hfb.typing import Array, Bool, Float
+
+_ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
+_FOUND_PX = 3 * MOST_PX
+_FOUND_GAINS = (0.2, 5.0)
+"""Farther than the matting mends, so that the matte is right where it tells what is wrong."""
+_AWAY_PX = 17
+_LEAST_EMPTY = 0.1
+_EDGE_SHARE, _LEAST_EDGE, _FEWEST_EDGES = 0.15, 0.02, 50
+_MOST_OFF = 0.12
+"""Share of the plate's edges that the frame may lack: at most 0.05 where both belong together (real clips, composites
+over photographs with noise, gain, shadow, JPEG and small shifts), 0.24 and more where no movement is found."""
+_MOST_GAIN = 0.05
+"""Logarithm of the exposure that is left over; nothing where both belong together, 0.18 at a gain of 1.5."""
+
+
+def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> str | None:
+    """What is wrong between a frame and its plate, one sentence; None where they belong together.
+
+    Pictures of one size, in [0, 1].
+    """
+    frame, plate = (shrink(picture, _ALIGNED_AT_PX) for picture in (frame_linear, plate_linear))
+    movement = find_movement(frame, plate, _FOUND_PX)
+    beside_px = 0.0
+    if movement is not None:
+        beside_px = movement.farthest_px(*frame.shape[:2])
+        plate = moved_plate(plate, movement)
+    frame, plate = (np.clip(shrink(picture, _JUDGED_AT_PX), 0, 1) for picture in (frame, plate))
+    gain, off = exposure_gain(frame, plate, _FOUND_GAINS), 0.0
+    empty = _where_nobody_is(frame, np.clip(plate * gain, 0, 1))
+    if empty.mean() > _LEAST_EMPTY:
+        gain = exposure_gain(frame[empty][None], plate[empty][None], _FOUND_GAINS)
+        off = _edges_off(frame, np.clip(plate * gain, 0, 1), empty)
+    left_over = float(np.abs(np.log(gain / np.clip(gain, *GAINS))).max())
+    wrong, mend = [], []
+    if beside_px > MOST_PX or off > _MOST_OFF:
+        apart_px = beside_px * max(frame_linear.shape[:2]) / min(_ALIGNED_AT_PX, max(frame_linear.shape[:2]))
+        wrong.append("do not lie on each other" + (f" (about {apart_px:.0f} px apart)" if beside_px > MOST_PX else ""))
+        mend.append("register the plate to the frame")
+    if left_over > _MOST_GAIN:
+        wrong.append(f"differ in exposure (by a factor of about {float(np.exp(np.log(gain).mean())):.2g})")
+        mend.append("bring both to one exposure")
+    if not wrong:
+        return None
+    return (
+        f"the background plate and the frame {' and '.join(wrong)}, so that the matte will hold parts of the room: "
+        f"{' and '.join(mend)}, or give a plate of the same clip, camera position and exposure (--background)"
+    )
+
+
+def _where_nobody_is(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Bool[Array, "H W"]:
+    """Well outside of the first network's matte, and not at the border, where a moved plate is made up."""
+    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+
+    matte = clean(NetworkMatting().look(shrink(frame, _LOOKED_AT_PX), shrink(plate, _LOOKED_AT_PX)))
+    matte = cv2.resize(matte, frame.shape[1::-1])
+    empty = cv2.dilate(matte, np.ones((_AWAY_PX, _AWAY_PX), np.uint8)) < 0.02
+    rim = max(1, round(_FOUND_PX * max(empty.shape) / _ALIGNED_AT_PX))
+    empty[:rim] = empty[-rim:] = empty[:, :rim] = empty[:, -rim:] = False
+    return empty
+
+
+def _edges_off(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], empty: Bool[Array, "H W"]) -> float:
+    """Share of the plate's steepest edges that the frame does not have in the same place; 0 without edges."""
+    seen, there = (
+        cv2.GaussianBlur(linear_to_srgb(picture).mean(-1).astype(np.float32), (0, 0), 0.8) for picture in (frame, plate)
+    )
+    slope = np.hypot(cv2.Sobel(there, -1, 1, 0), cv2.Sobel(there, -1, 0, 1)) / 8
+    steep = empty & (slope >= max(_LEAST_EDGE, float(np.quantile(slope[empty], 1 - _EDGE_SHARE))))
+    if steep.sum() < _FEWEST_EDGES:
+        return 0.0
+    apart = seen - there
+    apart -= np.median(apart[empty])
+    return float((np.abs(apart) > 0.5 * slope + 0.02)[steep].mean())

@@ -1,0 +1,201 @@
+"""The project's own ``@task``: Prefect's, with a meaningful cache key, a place to run, and checked files.
+
+A task is a function of handles and options. `Task` keeps its result under task name + digests of the inputs + options
++ version of the code. Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it,
+``TASK_SOURCE`` does not see an edit in a called library. A task therefore takes handles and the option records that
+matter to it, never the whole configuration; the folder it writes to does not count.
+
+Input files are verified before and after the function runs: a clip that is replaced while it is read leaves no result
+under the old one's key. Results are JSON, since a handle is a few lines. A cache hit alone does not notice that the
+file behind a handle is gone or damaged, so every result's files are verified, and a stale result is recreated.
+
+A task that runs ``"here"`` may print and log progress. Elsewhere the function itself is sent, by its name.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Literal, ParamSpec, TypeVar, cast
+
+import prefect
+from prefect.cache_policies import NO_CACHE
+from prefect.context import TaskRunContext
+from prefect.results import get_result_store
+
+from hfb.tasks.core import repetition
+from hfb.tasks.core.environment import code_version
+from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, verify_unchanged
+from hfb.tasks.telemetry import progress
+from hfb.tasks.telemetry.structured_log import about, ids_of
+from hfb.tasks.workers.workers import run_local, run_remote
+
+_log = logging.getLogger(__name__)
+P = ParamSpec("P")
+R = TypeVar("R")
+
+Where = Literal["here", "worker", "cluster", "gpu"]
+"""Which process runs a task: this one, a worker of this machine, a cluster's worker where there is one, or one of a
+cluster's workers that has a GPU of its own for the time. Where there are no workers, this process runs it."""
+
+
+@dataclass(frozen=True)
+class BatchFunction:
+    """Several calls of a task as one computation, where that is faster than one after another.
+
+    Attributes:
+        size: how many calls like this one are computed together; 1 where each is as fast by itself.
+        run: returns the results of several calls, in their order.
+    """
+
+    size: Callable[[Any], int]
+    run: Callable[[Sequence[Any]], list[Any]]
+
+
+@dataclass(frozen=True)
+class CachedResult(Generic[R]):
+    """The result of one call.
+
+    Attributes:
+        result: what the task returned.
+        reused: whether an earlier run had made it.
+    """
+
+    result: R
+    reused: bool
+
+
+class Task(Generic[P, R]):
+    """A task of this project; calling it runs it through Prefect and returns its result.
+
+    Attributes:
+        fn: the bare function, which needs no server.
+        name: its name at Prefect's server and in cache keys.
+        batch: how several calls are computed together, if at all.
+    """
+
+    def __init__(
+        self,
+        fn: Callable[P, R],
+        label: str,
+        *,
+        where: Where | Callable[..., Where],
+        cached: bool,
+        batch: BatchFunction | None,
+    ) -> None:
+        functools.update_wrapper(self, fn)
+        self.fn, self.name, self.batch = fn, fn.__name__, batch
+        self._label, self._where = label, where
+        caching: dict[str, Any] = {"cache_key_fn": _cache_key} if cached else {"cache_policy": NO_CACHE}
+        run = functools.wraps(fn)(lambda *args, **kwargs: self.run(*args, **kwargs))
+        self._step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(run)
+
+    def __reduce__(self) -> str:
+        """A worker process imports the task by its name, and calls `fn`."""
+        return self.fn.__qualname__
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run the task, or return the kept result of an earlier run with the same inputs, options and code."""
+        with progress.step(self._label) as shown:
+            state = self._step(*args, **kwargs, return_state=True)
+            result = state.result()
+            shown.reused = state.name == "Cached"
+            try:
+                verify(result)
+            except StaleFile as stale:
+                _log.warning("%s: made again, since %s", self._label, stale)
+                shown.reused = False
+                result = self._step.with_options(refresh_cache=True)(*args, **kwargs)
+                verify(result)
+            return cast(R, result)
+
+    def run(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Run the function where it belongs, without Prefect.
+
+        Raises:
+            StaleFile: an input file is not what its handle says, before or after.
+        """
+        with verify_unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
+            where = self._where(*args, **kwargs) if callable(self._where) else self._where
+            if where == "here":
+                return self.fn(*args, **kwargs)
+            if where == "worker":
+                return run_local(self, *args, **kwargs)
+            return run_remote(self, cast(Call, args[0]), gpu=where == "gpu")  # what leaves this machine is one record
+
+    def run_batch(self, calls: Sequence[Any]) -> list[R]:
+        """Return the results of several calls, computed together on this machine; raises as `run` does."""
+        assert self.batch is not None
+        with verify_unchanged(calls):
+            return run_local(self.batch.run, calls)
+
+    def key(self, call: Any) -> str:
+        """Return the cache key of a call of a mapped task."""
+        return cache_key(self.name, self._arguments(call))
+
+    def kept(self, call: Any, ahead: R | None = None) -> CachedResult[R]:
+        """Return a call's earlier result, or a new one, which is kept as Prefect keeps a run's.
+
+        Args:
+            call: the one argument of a mapped task.
+            ahead: the call's result, where it has been made already.
+        """
+        key, records = self.key(call), get_result_store()
+
+        def made() -> R:
+            result = self.run(call) if ahead is None else ahead  # type: ignore[call-arg]
+            records.write(result, key=key)
+            return result
+
+        with about(ids_of(self._arguments(call))):
+            reused = records.exists(key)
+            result = cast(R, records.read(key).result) if reused else made()
+            try:
+                verify(result)
+            except StaleFile as stale:
+                _log.warning("%s: made again, since %s", self.name, stale)
+                result, reused = made(), False
+                verify(result)
+        return CachedResult(result, reused)
+
+    def _arguments(self, call: Any) -> dict[str, Any]:
+        (name,) = inspect.signature(self.fn).parameters
+        return {name: call}
+
+
+def task(
+    label: str,
+    *,
+    where: Where | Callable[..., Where] = "here",
+    cached: bool = True,
+    batch: BatchFunction | None = None,
+) -> Callable[[Callable[P, R]], Task[P, R]]:
+    """Make a module's function of handles and options a task.
+
+    Args:
+        label: what a person reads while it runs.
+        where: which process runs it, or a function of the task's arguments that tells.
+        cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
+        batch: how several calls are computed together; each result is the one that its call makes by itself.
+    """
+    return lambda fn: Task(fn, label, where=where, cached=cached, batch=batch)
+
+
+def cache_key(name: str, parameters: dict[str, Any]) -> str:
+    """Return the task's name and a hash of everything that can change its result; a repetition has keys of its own."""
+    inputs = {key: digest(value) for key, value in sorted(parameters.items()) if not isinstance(value, Path)}
+    return f"hfb-{name}-{digest([name, inputs, code_version(), repetition.salt()])[:40]}"
+
+
+def verify(result: object) -> None:
+    """Raises StaleFile where a file that a result names is gone or no longer what it was."""
+    for file in files_in(result):
+        file.verify()
+
+
+def _cache_key(context: TaskRunContext, parameters: dict[str, Any]) -> str:
+    return cache_key(context.task.name, parameters)
