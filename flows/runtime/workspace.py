@@ -19,6 +19,7 @@ from typing import Any
 from filelock import lock_descriptor
 
 from hfb.errors import Busy, InputError, TemporaryError
+from hfb.flows.runtime.own_files import among_own_files
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
@@ -169,10 +170,11 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        OutputConflict: a file would take the place of one that hfb did not put there.
+        OutputConflict, TemporaryError: a file would take the place of one that hfb did not put there.
     """
     if not _published(out).known:
-        yield out
+        with among_own_files(out, names) as folder:
+            yield folder
         return
     with workspace(out) as folder:
         staging = folder / _STAGING

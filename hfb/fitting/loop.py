@@ -16,6 +16,7 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.clip_person import ClipPerson, as_person
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.descent import Descent, Progress, descend
+from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.settle import settle
@@ -292,7 +293,8 @@ def _directed(
     )  # fmt: skip
     directed, told = replace(best, trajectory=trajectory), config.height_m is not None
     features = joint_features(motion, alternatives, directed, first_bodies, before, told)
-    shown = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
+    said = trusted(alternatives, features, [first.source for first in first_bodies])
+    shown = replace(result, motion=motion, trajectory=trajectory, alternatives=said)
     return _with_radius(shown, features, first_bodies)
 
 

@@ -16,6 +16,7 @@ CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
 _MOST_TROUBLES = 50
 _LONGEST_REASON = 600
+_MOST_WARNINGS = 10
 _CLASSES = {"done": "good", "set aside": "bad"}
 _FIGURES = (
     ("frames", "frames", "d"), ("sub-frames", "sub_frames", "d"), ("gaps", "gaps", ""), ("IoU", "matte_iou", ".3f"),
@@ -46,6 +47,16 @@ class BatchClip:
     report: Path | None = None
     people: tuple["BatchClip", ...] = ()
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the clip's own result warns of; of several people each has theirs."""
+        return tuple(one["message"] for one in self.figures.get("warnings") or ()) if self.status == "done" else ()
+
+    @property
+    def is_warned_of(self) -> bool:
+        """Whether the result, or that of somebody in the clip, has a warning."""
+        return bool(self.warnings) or any(one.warnings for one in self.people)
+
 
 @dataclass(frozen=True)
 class BatchCounts:
@@ -54,6 +65,7 @@ class BatchCounts:
     clips: int
     done: int
     set_aside: int
+    warned_of: int = 0
 
     @property
     def waiting(self) -> int:
@@ -117,14 +129,18 @@ def _trouble(place: int, clip: BatchClip) -> tuple[str, str | None, str]:
 
 def _row(clip: BatchClip, whole: str | None = None) -> dict[str, object]:
     """Of a clip; or of one of several people in it, whose ``whole`` clip has the row above."""
+    count = len(clip.warnings)
+    warned_of = f", {count} warning{'s' if count > 1 else ''}" if count else ""
     return {
         "name": clip.name if whole is None else f"{whole}: {clip.name}",
         "clip_name": clip.name,
         "href": None if clip.report is None else quote(os.fsencode(clip.report.as_posix())),
         "thumbnail": _thumbnail(clip),
         "reason": clip.reason[:_LONGEST_REASON],
-        "status": clip.status,
-        "state_class": _CLASSES.get(clip.status, "warn"),
+        "warnings": [message[:_LONGEST_REASON] for message in clip.warnings[:_MOST_WARNINGS]],
+        "more_warnings": len(clip.warnings[_MOST_WARNINGS:]),
+        "state": clip.status + warned_of,
+        "state_class": "warn" if count else _CLASSES.get(clip.status, "warn"),
         "figures": [_figure(clip.figures.get(key), form) for _, key, form in _FIGURES],
         "link": clip.link if clip.link and clip.link.startswith("http") else None,
     }

@@ -26,7 +26,9 @@ _ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", 
 
 def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> list[str]:
     """Return what to doubt."""
-    said = [str(facts["unknown"])] if isinstance(facts.get("unknown"), str) else []
+    said = []
+    if isinstance(facts.get("unknown"), str):
+        said = [str(facts["unknown"]), *_condition(facts, "directions")]
     height = _size_said(motion, body, _told_height(facts))
     return [*said, *_joints_said(motion, facts), *_frames_said(facts), height]
 
@@ -99,13 +101,19 @@ def _joints_said(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
     order = [joint for joint in np.argsort(-radius, kind="stable").tolist() if joint]
     least = ", ".join(_joint_text(joint, radius) for joint in order[:_LEAST_SURE])
     most = ", ".join(_joint_text(joint, radius) for joint in order[: -_MOST_SURE - 1 : -1])
-    confidence = facts.get("confidence")
-    condition = confidence.get("holds_for") if isinstance(confidence, Mapping) else None
     return [
         f"Least sure are {least}; most sure {most}: as likely as not each lies within that distance of its place about "
         "the pelvis. Most of it is depth.",
-        *([condition] if isinstance(condition, str) else []),
+        *_condition(facts),
     ]
+
+
+def _condition(facts: Mapping[str, Any], *within: str) -> list[str]:
+    """Under which condition the radii, or what is within them, hold, as the result says; nothing in older ones."""
+    found = facts.get("confidence")
+    for name in (*within, "holds_for"):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return [found] if isinstance(found, str) else []
 
 
 def _joint_text(joint: int, radius: Array) -> str:

@@ -134,6 +134,16 @@ def test_a_height_that_was_told_is_said() -> None:
     assert "--fit.height-m" not in told
 
 
+def test_the_condition_of_odds_is_said_beside_them() -> None:
+    motion = motion_of(BODY)
+    facts = {"unknown": "UNKNOWN", "confidence": {"holds_for": "RADII", "directions": {"holds_for": "ODDS"}}}
+    said = " ".join(unknown_sentences(motion, BODY, facts))
+    assert said.index("UNKNOWN") < said.index("ODDS")
+    assert "ODDS" not in " ".join(unknown_sentences(motion, BODY, facts | {"unknown": None}))  # nothing moved
+    for damaged in (None, "x", {"directions": 3}, {"directions": {"holds_for": [1]}}):
+        assert "UNKNOWN" in unknown_sentences(motion, BODY, facts | {"confidence": damaged})
+
+
 def test_what_told_the_direction_is_shown_where_it_counted() -> None:
     found = weighed(motion_of(BODY))  # three frames: what they say of time is in their loss
     scores = found.scores | {"path": np.full(3, 0.1234), "network_backwards": np.array([0.53, 0.6, 0.88])}
