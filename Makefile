@@ -52,7 +52,7 @@ docs: .venv/dev.stamp
 	@$(BIN)/python -m sphinx --builder html --conf-dir docs --fail-on-warning --keep-going --quiet . build/docs
 
 # Which tests share a process, and in which order they begin: tests/kinds.py.
-TEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4
+TEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --durations 20 --durations-min 5
 test: .venv/dev.stamp
 	@$(TEST)
 

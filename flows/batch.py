@@ -29,7 +29,7 @@ from hfb.tasks.inputs.clip_places import ClipPlace, find_clips
 from hfb.tasks.inputs.out_place import check_batch_out, check_not_clips
 from hfb.tasks.inputs.video_inputs import check_options, take_video_inputs
 from hfb.tasks.telemetry import progress
-from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.workers.engine import Engine, engine_of
 
@@ -83,7 +83,7 @@ def batch(
     with suppress(Exception):  # tidying up after killed looks must not stop this one
         tracking.open_store()
         end_abandoned_flow_runs()
-    with shown_somewhere(), workspace(out) as intermediate:
+    with show_progress(), workspace(out) as intermediate:
         summary = BatchSummary(f"Clips of {folder.resolve().name}", out, intermediate / _THUMBNAILS)
         round_ = _Rounds(
             folder, out, options, engine_of(workers, store), attempts=attempts, wait_s=wait_s, summary=summary

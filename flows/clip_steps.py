@@ -251,7 +251,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
     first_fits = _require_all(fit_clip_window, first_calls, "who it is")
     person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
-    settled = _settled_frames(windows)
+    settled = _assign_frames(windows)
     resumed: set[int] = set()
 
     def fitted(index: int, outcome: Outcome[WindowHandle]) -> None:
@@ -346,7 +346,7 @@ def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, per
     )
 
 
-def _settled_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
+def _assign_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
     """Per window the frames that no window before it has: every frame once."""
     seen: set[int] = set()
     settled = []

@@ -23,7 +23,7 @@ from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
-from hfb.tasks.results.resolve_result import fitted_body, named_body
+from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
@@ -103,7 +103,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
     motion, space = load_motion(path)
     texture, result = fetch_file(run, _TEXTURE, folder), fetch_file(run, _RESULT, folder)
     try:
-        body = fitted_body(motion, space, named_body(result) if result else None)
+        body = load_fitted_body(motion, space, find_named_body(result) if result else None)
     except InputError as error:  # a licensed file that is not here: the skeleton needs none
         progress.say(f"run {run.title} is shown as a skeleton: {error}")
         body = None

@@ -28,10 +28,10 @@ from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
-from hfb.tasks.batch.metrics import served
-from hfb.tasks.batch.notifications import addresses_of, notifying
+from hfb.tasks.batch.metrics import serve_metrics
+from hfb.tasks.batch.notifications import addresses_of, enable_notifications
 from hfb.tasks.inputs.video_inputs import take_video_inputs
-from hfb.tasks.telemetry.displays import shown_somewhere
+from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import check_store, tracking_uri
 from hfb.tasks.workers.engine import engine_of
@@ -158,7 +158,7 @@ def batch(
     config = options.config()
     with _on_a_worker(out, config, workers, store, folder=folder):
         content = config.model_dump(mode="json")
-        with notifying(addresses_of(())):  # the worker's own: an address in a form would be recorded
+        with enable_notifications(addresses_of(())):  # the worker's own: an address in a form would be recorded
             return every_clip.batch.fn(
                 folder, out, content, workers=workers, attempts=attempts, wait_s=wait_s, again=again, store=store
             )
@@ -267,5 +267,5 @@ def _on_a_worker(
     tracking.open_store()
     with suppress(Exception):  # tidying up after killed runs must not stop this one
         end_abandoned_flow_runs()
-    with served(), shown_somewhere(), explain_failures(folder):
+    with serve_metrics(), show_progress(), explain_failures(folder):
         yield

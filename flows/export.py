@@ -18,7 +18,7 @@ from hfb.io.media.images.image_io import stored_png
 from hfb.io.safe_folder import check_tree
 from hfb.motion.motion_file import load_motion
 from hfb.tasks.inputs.out_place import check_no_clip
-from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, fitted_body, named_body, resolve_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.telemetry import progress
 
 MESHES = "meshes"
@@ -59,7 +59,7 @@ def export_result(
     with resolve_result(source, (TEXTURE, RESULT)) as place:
         motion, space = load_motion(place.motion)
         surface = meshes or films or set(formats) & set(NEEDS_BODY)
-        model = fitted_body(motion, space, body or named_body(place.folder / RESULT)) if surface else None
+        model = load_fitted_body(motion, space, body or find_named_body(place.folder / RESULT)) if surface else None
         texture = stored_png(place.folder / TEXTURE) if (place.folder / TEXTURE).exists() else None
         exported = Exported(motion, cast(BetasSpace, space), model, texture, amass_rate)
         folder = out or place.new_folder("export", place.folder / _FOLDER)

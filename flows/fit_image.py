@@ -68,7 +68,7 @@ def fit_image(
     Raises:
         InputError: something given cannot be used; ``out`` is then as it was.
     """
-    return _fitted(
+    return _run_chain(
         take_inputs(frames, background, config, clip, truth=truth, first_bodies=first_bodies, out=out), out, config
     )
 
@@ -76,10 +76,10 @@ def fit_image(
 @flow(name="fit-image-again", persist_result=False, on_running=[mark_owner])
 def fit_image_again(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     """`fit_image` of what was taken before, such as the inputs of a recorded run."""
-    return _fitted(inputs, out, config)
+    return _run_chain(inputs, out, config)
 
 
-def _fitted(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
+def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config = with_height(config, inputs.clip)
     with workspace(out) as folder, records_in(folder):
         scene = prepare(

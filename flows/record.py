@@ -13,7 +13,7 @@ from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.footage_names import natural_order
 from hfb.tasks.results.stored_runs import find_run, result_facts
 from hfb.tasks.telemetry import progress
-from hfb.tasks.tracking.run_record import RunHandle, checked_files, read_kept, write_run
+from hfb.tasks.tracking.run_record import RunHandle, check_recorded_files, read_kept, write_run
 from hfb.tasks.tracking.tracking import StoreLost
 
 
@@ -28,9 +28,9 @@ def record_folder(folder: Path) -> dict[str, Any]:
     """
     facts = result_facts(folder)
     if "people" not in facts:
-        return {"runs": [_recorded(folder, facts)]}
+        return {"runs": [_record(folder, facts)]}
     people = [one for one in natural_order(folder.glob("person-*")) if (one / RESULT).is_file()]
-    runs = [_recorded(one, result_facts(one)) for one in people]
+    runs = [_record(one, result_facts(one)) for one in people]
     if not runs:
         raise InputError(f"{folder} has no result of anybody: give the folder of a finished result")
     ids = {Path(one["out"]).name: one["mlflow_run_id"] for one in runs}
@@ -44,7 +44,7 @@ def record_folder(folder: Path) -> dict[str, Any]:
     return {"runs": runs}
 
 
-def _recorded(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
+def _record(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
     out = str(folder.resolve())
     if not (folder / RECORD).exists():
         if facts.get("mlflow_run_id") is None:
@@ -53,7 +53,7 @@ def _recorded(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
         return {"out": out, "mlflow_run_id": run.run_id, "mlflow_link": run.link, "new": False}
     with workspace(folder):
         record = read_kept(folder)
-        paths = checked_files(record, folder)
+        paths = check_recorded_files(record, folder)
         with progress.step("record in MLflow"):
             try:
                 run_handle = write_run(record, paths)

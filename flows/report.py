@@ -17,7 +17,7 @@ from hfb.motion.motion_file import load_motion
 from hfb.report.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
-from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, fitted_body, named_body, resolve_result
+from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
 from hfb.tasks.results.result_report import ReportParts, shows_another_motion, write_page, write_page_film
 from hfb.tasks.results.stored_runs import StoredRun, find_run
 from hfb.tasks.telemetry import progress
@@ -52,7 +52,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         check_writable(folder)
         facts = _facts(place.folder / RESULT)
         motion, space = load_motion(place.motion)
-        model = _model(motion, space, body or named_body(place.folder / RESULT))
+        model = _model(motion, space, body or find_named_body(place.folder / RESULT))
         film = _film(place, run, model, inputs=inputs, made=Path(made))
         parts = _parts(place, film, Path(made))
         tags = run.tags if run else {}
@@ -84,7 +84,7 @@ def _facts(path: Path) -> dict[str, Any]:
 def _model(motion: Any, space: str, path: Path | None) -> Body | None:
     """The body that was fitted; None, and a word, where it is not at hand: a skeleton is shown then."""
     try:
-        return fitted_body(motion, space, path)
+        return load_fitted_body(motion, space, path)
     except InputError as error:
         progress.say(f"hfb: only the skeleton is shown: {error}")
         return None
@@ -114,7 +114,7 @@ def _film(
         return drawn
     if run is not None and body is not None and (place.folder / TEXTURE).is_file():
         try:
-            return _drawn_again(place, run, body, inputs=inputs, made=made)
+            return _redraw(place, run, body, inputs=inputs, made=made)
         except InputError as error:
             progress.say(f"hfb: no film is drawn: {error}")
     return own if own.is_file() and _fits_a_page(own) else None
@@ -126,7 +126,7 @@ def _fits_a_page(film: Path) -> bool:
         return film.stat().st_size <= _LARGEST_FILM_BYTES and file.read(12)[4:8] == b"ftyp"
 
 
-def _drawn_again(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | None, made: Path) -> Path:
+def _redraw(place: FoundResult, run: StoredRun, body: Body, *, inputs: Path | None, made: Path) -> Path:
     from hfb.tasks.results.reload_inputs import reload_shot
 
     motion, _ = load_motion(place.motion)

@@ -22,8 +22,8 @@ from hfb.motion.motion_file import load_motion
 from hfb.networks.mediapipe_files import LandmarkChoice
 from hfb.tasks.core.environment import code_version, environment
 from hfb.tasks.core.handles import FileHandle, sha256_of
-from hfb.tasks.core.repetition import Repetition, repeating
-from hfb.tasks.core.result_folder import unfinished_files
+from hfb.tasks.core.repetition import Repetition, repeat_run
+from hfb.tasks.core.result_folder import list_unfinished_files
 from hfb.tasks.inputs.inputs import Inputs, networks_at_hand
 from hfb.tasks.inputs.out_place import check_clip_out, check_pictures_out
 from hfb.tasks.inputs.video_inputs import VideoInputs
@@ -92,21 +92,21 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
         places = locate_inputs(given, inputs_folder)
     target = _fresh(out, run.run_id)
     again = _chain(recipe, recipe_config(recipe, places, run.title), places, run=run.title, out=target, workers=workers)
-    return Plan(run, again, target, recipe.results, _changed(run))
+    return Plan(run, again, target, recipe.results, _list_changes(run))
 
 
-def run_again(plan: Plan) -> dict[str, Any]:
+def repeat(plan: Plan) -> dict[str, Any]:
     """Run it again, and compare.
 
     Returns:
         the content of rerun.json.
     """
     began = time.perf_counter()
-    with repeating(Repetition(plan.run.run_id, plan.out)):
+    with repeat_run(Repetition(plan.run.run_id, plan.out)):
         result = plan.again()
     seconds = time.perf_counter() - began
     with progress.step("comparison"):
-        verdict = _compared(plan) | {"seconds": round(seconds, 3), "mlflow_run_id": result.get("mlflow_run_id")}
+        verdict = _compare(plan) | {"seconds": round(seconds, 3), "mlflow_run_id": result.get("mlflow_run_id")}
     write_bytes_atomic(plan.out / VERDICT, json.dumps(verdict, indent=2, allow_nan=False).encode() + b"\n")
     _record(verdict)
     return verdict
@@ -161,10 +161,10 @@ def _is_fresh(folder: Path) -> bool:
     """Nothing there, or what an interrupted run leaves."""
     if not folder.exists() or not folder.is_dir():
         return not folder.exists()
-    return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *unfinished_files(folder)}
+    return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *list_unfinished_files(folder)}
 
 
-def _changed(run: StoredRun) -> tuple[str, ...]:
+def _list_changes(run: StoredRun) -> tuple[str, ...]:
     now = environment() | {"code": code_version()}
     then = {name: value for name, value in run.tags.items() if name == "code" or name.startswith(_ENVIRONMENT)}
     names = sorted(name for name in now.keys() | then.keys() if now.get(name) != then.get(name))
@@ -174,7 +174,7 @@ def _changed(run: StoredRun) -> tuple[str, ...]:
     )
 
 
-def _compared(plan: Plan) -> dict[str, Any]:
+def _compare(plan: Plan) -> dict[str, Any]:
     """The result against the recorded one; how far it is from a motion that the store lost cannot be told."""
     made = {name: sha256_of(plan.out / name) if (plan.out / name).is_file() else None for name in plan.results}
     differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
@@ -206,7 +206,7 @@ def _record(verdict: dict[str, Any]) -> None:
         return
     try:
         with tracking.store_losses():
-            run = tracking.recorded(verdict["mlflow_run_id"])
+            run = tracking.open_run(verdict["mlflow_run_id"])
             numbers = {name: verdict[name] for name in ("bit_equal", "mean_mm", "max_mm")}
             tracking.log_histories(run, {f"rerun/{name}": [value] for name, value in numbers.items()})
             tracking.log_dict(run, verdict, VERDICT)

@@ -75,7 +75,7 @@ class Chunk(Generic[C, R]):
         Raises:
             Exception: the first of those that calls ended with; the other results are made all the same.
         """
-        ahead = _batched(task, self.calls)
+        ahead = _run_batched(task, self.calls)
         failed: Exception | None = None
         for number, (call, result) in enumerate(zip(self.calls, self.results, strict=True)):
             try:
@@ -164,7 +164,7 @@ def _batch_size(task: Task[..., R], calls: Sequence[Call]) -> int:
     return task.batch.size(calls[0]) if task.batch and calls and not remote() else 1
 
 
-def _batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
+def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
     """Compute together the calls that no earlier run has made; return number of the call -> result, {} without several.
 
     A call that fails takes none with it: each is then made by itself, and its error is its own.

@@ -29,7 +29,7 @@ from prefect.results import get_result_store
 
 from hfb.tasks.core import repetition
 from hfb.tasks.core.environment import code_version
-from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, unchanged
+from hfb.tasks.core.handles import Call, StaleFile, digest, files_in, verify_unchanged
 from hfb.tasks.telemetry import progress
 from hfb.tasks.telemetry.structured_log import about, ids_of
 from hfb.tasks.workers.workers import run_local, run_remote
@@ -119,7 +119,7 @@ class Task(Generic[P, R]):
         Raises:
             StaleFile: an input file is not what its handle says, before or after.
         """
-        with unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
+        with verify_unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
             where = self._where(*args, **kwargs) if callable(self._where) else self._where
             if where == "here":
                 return self.fn(*args, **kwargs)
@@ -130,7 +130,7 @@ class Task(Generic[P, R]):
     def run_batch(self, calls: Sequence[Any]) -> list[R]:
         """Return the results of several calls, computed together on this machine; raises as `run` does."""
         assert self.batch is not None
-        with unchanged(calls):
+        with verify_unchanged(calls):
             return run_local(self.batch.run, calls)
 
     def key(self, call: Any) -> str:

@@ -147,7 +147,7 @@ def record_training(
     """
     key = digest([params, lessons.sha256, code_version()])
     tags = {"code": code_version(), "seed": str(params["seed"]), "kind": lessons.kind}
-    with tracking.recorded_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
+    with tracking.record_run(f"train-prior-{lessons.kind}", key, params, tags) as run:
         if not run.complete:
             losses = {f"loss/{name}": values for name, values in json.loads(trained.history.path.read_text()).items()}
             tracking.log_histories(run, losses | _metrics(json.loads(measures.path.read_text())))

@@ -7,7 +7,9 @@ And what tests of tasks, flows and commands share: a store of their own on the s
 import importlib.util
 import os
 import pkgutil
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,7 @@ from jaxtyping import install_import_hook
 import hfb
 import tests.typechecking  # noqa: F401  (the hook finds the checker as an attribute of `tests`)
 from tests import kinds
-from tests.orchestration import Problem, orchestrated, tiny_problem
+from tests.orchestration import RUN_FOLDER, Problem, orchestrated, tiny_problem
 
 # Hundreds of processes start below: each would compile all of the sources, and, in a home of its own, all kernels.
 sys.dont_write_bytecode = False
@@ -50,6 +52,9 @@ settings.load_profile("hfb")
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if RUN_FOLDER not in os.environ:  # this is the first process of the run, whose workers inherit it
+        os.environ[RUN_FOLDER] = tempfile.mkdtemp(prefix="hfb-test-run-")
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(RUN_FOLDER), ignore_errors=True))
     for kind, needs in kinds.KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {needs}")
 

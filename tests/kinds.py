@@ -26,6 +26,7 @@ _FOLDERS = {
 }  # fmt: skip
 _FIXTURES = {"here": "team", "store": "integration"}
 _PROCESSES = {"os.exec", "os.fork", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"}
+_FONTS = "fc-list"  # which Matplotlib asks once per machine
 _FIRST = "test_compilation.py"  # compiles all kernels, where nobody has yet, for the tests after it
 _started: list[str] = []
 
@@ -78,7 +79,7 @@ def scheduling(config: pytest.Config, log: Any) -> Any:
 
 
 def _note(event: str, given: tuple[Any, ...]) -> None:
-    if event in _PROCESSES:
+    if event in _PROCESSES and given[0] != _FONTS:
         _started.append(f"{event} {given[:2]}")
 
 

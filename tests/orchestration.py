@@ -25,6 +25,7 @@ TINY_OPTIONS = (
     "--export.report", "false", "--export.films", "none",
 )  # fmt: skip
 _SIDE_PX = 96
+RUN_FOLDER = "TEST_RUN_FOLDER"  # the variable that names the folder which a run's processes share
 _CACHE = platformdirs.user_cache_path("hfb") / "tests"
 
 
@@ -33,6 +34,19 @@ def _session_folder() -> Path:
     folder = tempfile.mkdtemp(prefix="hfb-tests-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
+
+
+def made_for_run(name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that all processes of this test run read, made by the first that needs it."""
+    run = Path(os.environ.get(RUN_FOLDER) or _session_folder())
+    folder, done = run / name, run / f"{name}.done"
+    with FileLock(run / f"{name}.lock"):
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            done.touch()
+    return folder
 
 
 @functools.cache
@@ -50,7 +64,7 @@ def prefect_api() -> str:
 
     refresh_global_settings_context()
     setup_logging()  # now: the first flow of a process would take caplog's handler away
-    (_session_folder() / "prefect").mkdir()
+    (_session_folder() / "prefect").mkdir(exist_ok=True)
     shutil.copy(prefect_tables(), _session_folder() / "prefect")
     PrefectServer().wait()
     return os.environ["PREFECT_API_URL"]
@@ -82,8 +96,11 @@ def made_once(name: str, make: Callable[[Path], None]) -> Path:
     Args:
         name: with the versions that it depends on.
     """
-    path = _CACHE / name
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        _CACHE.mkdir(parents=True, exist_ok=True)
+        path = _CACHE / name
+    except OSError:  # no folder of the user's can be written
+        path = _session_folder() / name
     with FileLock(f"{path}.lock"):
         if not path.exists():
             part = path.with_name(f"part-{name}")
@@ -137,8 +154,7 @@ def example() -> Path:
     """The embedded example at its full size, made once."""
     from hfb.datasets.example import write_example
 
-    write_example(_session_folder() / "example", 0)
-    return _session_folder() / "example"
+    return made_for_run("example", lambda folder: write_example(folder, 0))
 
 
 def true_first_body(path: Path) -> Path:

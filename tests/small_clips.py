@@ -2,6 +2,7 @@
 
 import argparse
 import functools
+import json
 import os
 import shutil
 import signal
@@ -18,7 +19,7 @@ from hfb.config import RunConfig
 from hfb.datasets.synthetic.clip_making import MadeClip, make_clip
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.tasks.workers.engine import Engine
-from tests.orchestration import _session_folder, mlflow_rows, orchestrated
+from tests.orchestration import made_for_run, mlflow_rows, orchestrated
 
 FRAMES = 12
 SMALL_OPTIONS = (
@@ -46,7 +47,15 @@ def small_config(*more: str) -> RunConfig:
 def small_clip(frames: int = FRAMES, leaves: tuple[int, int] | None = None, video: bool = False) -> MadeClip:
     """A clip of 96 x 128 pixels with its truth, made once; its folder is what `hfb video` takes."""
     name = f"clip-{frames}-{leaves}-{video}".replace(" ", "")
-    return make_clip(_session_folder() / name, frames, 96, 128, seed=3, leaves=leaves, video=video)
+
+    def make(folder: Path) -> None:
+        made = make_clip(folder, frames, 96, 128, seed=3, leaves=leaves, video=video)
+        paths = {name: str(path) for name, path in vars(made).items()}
+        folder.with_name(f"{name}.json").write_text(json.dumps(paths))
+
+    folder = made_for_run(name, make)
+    paths = json.loads(folder.with_name(f"{name}.json").read_text())
+    return MadeClip(**{name: Path(path) for name, path in paths.items()})
 
 
 def run_clip(
@@ -68,16 +77,15 @@ def run_clip(
 @functools.cache
 def finished() -> tuple[Path, Path, dict[str, Any]]:
     """The small clip, done once: its folder, the MLflow database and result.json."""
-    folder = _session_folder() / "finished"
-    folder.mkdir()
-    patch = pytest.MonkeyPatch()
-    try:
-        with orchestrated(folder, patch) as store:
+
+    def make(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch, orchestrated(folder, patch):
             made = small_clip()
             result = run_clip(made.truth.parent, folder / "out", truth=made.truth)
-    finally:
-        patch.undo()
-    return folder / "out", store, result
+            (folder / "told.json").write_text(json.dumps(result))
+
+    folder = made_for_run("finished", make)
+    return folder / "out", folder / "mlflow.db", json.loads((folder / "told.json").read_text())
 
 
 def begun(out: Path) -> Path:

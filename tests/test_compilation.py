@@ -136,6 +136,15 @@ def test_one_of_two_processes_compiles(package: Path) -> None:
     assert printed == ["5.0 0 1", "5.0 1 0"]
 
 
+def test_a_forked_process_compiles(package: Path) -> None:
+    """As workers do, which are forks of a process that has imported the kernels."""
+    forked = "import os, sys\nsys.path.insert(0, sys.argv[1])\nimport kernels_small\n"
+    forked += "if pid := os.fork(): sys.exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))\n"
+    own = str(package.parent / "own")
+    assert called(package, forked, NUMBA_CACHE_DIR=own)[0] == "5.0 0 1"
+    assert called(package, forked, NUMBA_CACHE_DIR=own)[0] == "5.0 1 0"
+
+
 def test_a_damaged_cache_is_made_again(package: Path) -> None:
     own = package.parent / "own"
     called(package, NUMBA_CACHE_DIR=str(own))

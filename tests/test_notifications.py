@@ -17,7 +17,7 @@ from hfb.flows.batch import batch
 from hfb.flows.cli.cli import main
 from hfb.flows.deployed import batch as deployed_batch
 from hfb.tasks.batch import notifications
-from hfb.tasks.batch.notifications import ClipTrouble, addresses_of, notify, notifying
+from hfb.tasks.batch.notifications import ClipTrouble, addresses_of, enable_notifications, notify
 from tests.orchestration import mlflow_rows
 from tests.small_clips import small_config
 
@@ -80,7 +80,7 @@ def test_a_batch_tells_a_webhook_once_and_keeps_its_address(
 ) -> None:
     caplog.set_level(logging.DEBUG)
     config = small_config().model_dump(mode="json")
-    with notifying(addresses_of([receiver.address])):
+    with enable_notifications(addresses_of([receiver.address])):
         batch(clips, tmp_path / "out", config, workers=1, wait_s=0.1)
         batch(clips, tmp_path / "out", config, workers=1, wait_s=0.1)  # it was told
     ((path, told),) = receiver.posts
@@ -101,14 +101,14 @@ def test_a_batch_tells_a_webhook_once_and_keeps_its_address(
 def test_flow_parameters_hold_no_address(receiver: Receiver, clips: Path, store: Path, tmp_path: Path) -> None:
     from prefect import get_client
 
-    with notifying(addresses_of([receiver.address])):
+    with enable_notifications(addresses_of([receiver.address])):
         batch(clips, tmp_path / "out", small_config().model_dump(mode="json"), workers=1)
     with get_client(sync_client=True) as client:
         assert "SECRET" not in "".join(run.model_dump_json() for run in client.read_flow_runs())
 
 
 def test_slack_gets_a_text_that_calls_nobody(receiver: Receiver) -> None:
-    with notifying(addresses_of([f"slack:{receiver.address}"])):
+    with enable_notifications(addresses_of([f"slack:{receiver.address}"])):
         notify("a & b", [ClipTrouble("<!channel>", "failed", "<https://x|click>")], COUNTS)
     ((_, told),) = receiver.posts
     assert told.keys() == {"text"}
@@ -126,7 +126,7 @@ def test_a_prefect_block_is_used_by_its_name(
         name="team", url=receiver.address, json_data={"said": "{{body}}"}, secrets={}
     ).save("hfb-team", overwrite=True)  # fmt: skip
     Secret(value="x").save("hfb-none", overwrite=True)
-    with notifying(
+    with enable_notifications(
         addresses_of(["block:custom-webhook/hfb-team", "block:custom-webhook/none", "block:secret/hfb-none"])
     ):
         notify("clips", [TROUBLE], COUNTS)
@@ -163,7 +163,9 @@ def test_mail_goes_by_apprise(monkeypatch: pytest.MonkeyPatch) -> None:
 
     threading.Thread(target=serve, daemon=True).start()
     port = listening.getsockname()[1]
-    with notifying(addresses_of([f"mailto://127.0.0.1:{port}?from=hfb@example.org&to=team@example.org&mode=insecure"])):
+    with enable_notifications(
+        addresses_of([f"mailto://127.0.0.1:{port}?from=hfb@example.org&to=team@example.org&mode=insecure"])
+    ):
         notify("clips", [TROUBLE], COUNTS)
     listening.close()
     assert any("team@example.org" in line for line in heard)
@@ -186,7 +188,7 @@ def test_a_receiver_that_fails_ends_nothing(
     if trouble == "nobody":
         address = f"http://user:SECRET@nobody.invalid/{SECRET}"
     began = time.monotonic()
-    with notifying(addresses_of([address])):
+    with enable_notifications(addresses_of([address])):
         told = batch(clips, tmp_path / "out", small_config().model_dump(mode="json"), workers=1)
     assert told["set_aside"] == 1
     assert time.monotonic() - began < 60
@@ -218,7 +220,7 @@ def test_what_is_no_address_is_said_before_work_begins(
 
 
 def test_a_batch_that_ends_early_is_told(receiver: Receiver, clips: Path, store: Path, tmp_path: Path) -> None:
-    with notifying(addresses_of([receiver.address])):
+    with enable_notifications(addresses_of([receiver.address])):
         notifications.notify_end("clips", "the server went away")
     ((_, told),) = receiver.posts
     assert told["event"] == "batch ended"

@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
     if at_interrupt is signal.default_int_handler:  # and not ignored, as in the background of a shell
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        given = _parsed(words)
+        given = _parse(words)
         check_home()
         code = given.run(given) or _DONE
         sys.stdout.flush()
@@ -78,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
             _last_resorts.pop().cancel()
 
 
-def _parsed(words: list[str]) -> argparse.Namespace:
+def _parse(words: list[str]) -> argparse.Namespace:
     given, unknown = command_line().parse_known_args(words)
     if unknown:
         flags = re.findall(r"--[a-z][\w.-]*", given.command.format_help())
@@ -252,7 +252,7 @@ def _synth(given: argparse.Namespace) -> None:
 
 def _benchmark(given: argparse.Namespace) -> None:
     out = given.out or Path("runs") / given.set
-    result = _benchmarked(given, given.frames, out)
+    result = _run_benchmark(given, given.frames, out)
     tell(given, result, judging.benchmark_text(result))
 
 
@@ -264,11 +264,11 @@ def _reproduce(given: argparse.Namespace) -> None:
     given.count = given.count or experiment.count
     given.methods = given.methods or ",".join(experiment.methods)
     out = given.out or Path("runs") / given.experiment
-    result = _benchmarked(given, experiment.frames, out, experiment)
+    result = _run_benchmark(given, experiment.frames, out, experiment)
     tell(given, result, f"{(out / 'beside_paper.md').read_text()}\npage     {result['page']}")
 
 
-def _benchmarked(
+def _run_benchmark(
     given: argparse.Namespace, frames: int, out: Path, experiment: Experiment | None = None
 ) -> dict[str, Any]:
     judging.method_specs(given.methods, given.chains)  # what is wrong is said before anything is loaded

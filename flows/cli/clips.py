@@ -12,7 +12,7 @@ from hfb.errors import InputError
 from hfb.flows.cli.judging import add_worker_flags, positive
 from hfb.flows.cli.options import run_config
 from hfb.flows.runtime.session import Chain, open_session, tell, through_prefect, when_ready
-from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, notifying
+from hfb.tasks.batch.notifications import FORMS, VARIABLE, addresses_of, enable_notifications
 from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
 
@@ -105,7 +105,7 @@ def batch(given: argparse.Namespace) -> int:
             )
         )  # fmt: skip
 
-    with notifying(addresses):
+    with enable_notifications(addresses):
         result = through_prefect(given, out, load)
     tell(given, result, batch_text(result))
     return int(result["done"] < result["clips"])

@@ -105,7 +105,7 @@ def run_config(given: argparse.Namespace) -> RunConfig:
     """
     path: Path | None = given.config
     from_file = _checked(read_toml(path), str(path)) if path else {}
-    from_flags = _nested({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
+    from_flags = _nest({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
     if "weights" in given:
         from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": given.weights}})
     from_flags = _checked(from_flags, "options")
@@ -163,18 +163,18 @@ def _shown(default: Any) -> str:
     return str(default)
 
 
-def _nested(flags: Mapping[str, str]) -> dict[str, Any]:
+def _nest(flags: Mapping[str, str]) -> dict[str, Any]:
     content: dict[str, Any] = {}
     for key, text in flags.items():
         *path, name = key.removeprefix(_PREFIX).split(".")
         inner = content
         for part in path:
             inner = inner.setdefault(part, {})
-        inner[name] = _parsed(key.removeprefix(_PREFIX), text)
+        inner[name] = _parse(key.removeprefix(_PREFIX), text)
     return content
 
 
-def _parsed(key: str, text: str) -> Any:
+def _parse(key: str, text: str) -> Any:
     """Numbers and names are pydantic's to read; a list of records, such as fit.stages, comes as JSON."""
     if not text.startswith(("[", "{")):
         return text

@@ -45,10 +45,10 @@ def rerun(given: argparse.Namespace) -> int:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
 
     def load() -> Chain:
-        from hfb.flows.rerun import plan_rerun, run_again
+        from hfb.flows.rerun import plan_rerun, repeat
 
         plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers)
-        return when_ready(lambda: run_again(plan))
+        return when_ready(lambda: repeat(plan))
 
     verdict = through_prefect(given, given.out or Path("runs"), load)
     tell(given, verdict, rerun_text(verdict))

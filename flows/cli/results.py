@@ -9,7 +9,7 @@ from typing import Any, cast, get_args
 
 from hfb.config import ExportConfig, Film, MeshFormat, MotionFormat
 from hfb.errors import InputError
-from hfb.flows.runtime.session import goes_to, libraries, open_session, tell
+from hfb.flows.runtime.session import libraries, open_session, output_folder_of, tell
 
 _MESHES: tuple[MeshFormat, ...] = get_args(MeshFormat)
 _FILMS: tuple[Film, ...] = get_args(Film)
@@ -31,9 +31,9 @@ def add_export_flags(parser: argparse.ArgumentParser) -> None:
 
 def export(given: argparse.Namespace) -> None:
     """Run `hfb export`."""
-    films = asked_films(given.films)
-    formats, meshes = asked_formats(given.formats) if given.formats or not films else ((), ())
-    with open_session(given, given.out or goes_to(given.source), recorded=False):
+    films = parse_films(given.films)
+    formats, meshes = parse_formats(given.formats) if given.formats or not films else ((), ())
+    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
         with libraries():
             from hfb.flows.export import export_result
         rate = given.amass_rate or _RATE
@@ -43,7 +43,7 @@ def export(given: argparse.Namespace) -> None:
     tell(given, result, export_text(result))
 
 
-def asked_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
+def parse_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[MeshFormat, ...]]:
     """(motion files, meshes) that a list of names asks for.
 
     Raises:
@@ -56,7 +56,7 @@ def asked_formats(words: str | None) -> tuple[tuple[MotionFormat, ...], tuple[Me
     return motion, tuple(name for name in names if name in _MESHES)
 
 
-def asked_films(words: str | None) -> tuple[Film, ...]:
+def parse_films(words: str | None) -> tuple[Film, ...]:
     """The films that a list of names asks for, each once. Raises InputError where a name is none."""
     return () if words is None else tuple(cast(Film, name) for name in _known(words, _FILMS, "film"))
 
@@ -92,7 +92,7 @@ def add_report_flags(parser: argparse.ArgumentParser) -> None:
 
 def report_result(given: argparse.Namespace) -> None:
     """Run `hfb report`."""
-    with open_session(given, given.out or goes_to(given.source), recorded=False):
+    with open_session(given, given.out or output_folder_of(given.source), recorded=False):
         with libraries():
             from hfb.flows.report import make_report
         result = make_report(given.source, given.out, given.body, given.inputs)

@@ -51,8 +51,8 @@ class PrefectDatabase:
         """
         self._home, self._say = home, say
         self.path = home / f"prefect-{version('prefect')}.db"
-        self._making: IO[str] | None = _locked(home / "tables.lock", fcntl.LOCK_EX)
-        self._in_use = _locked(home / "in-use.lock", fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._making: IO[str] | None = _lock(home / "tables.lock", fcntl.LOCK_EX)
+        self._in_use = _lock(home / "in-use.lock", fcntl.LOCK_EX | fcntl.LOCK_NB)
         alone = self._in_use is not None
         if reason := trouble_with(self.path, thorough=alone):
             self.set_aside(reason)
@@ -61,7 +61,7 @@ class PrefectDatabase:
                 remove_old_files(home, self.path)
                 prune(self.path)
         if self._in_use is None:
-            self._in_use = _locked(home / "in-use.lock", fcntl.LOCK_SH)
+            self._in_use = _lock(home / "in-use.lock", fcntl.LOCK_SH)
         else:
             fcntl.flock(self._in_use, fcntl.LOCK_SH)
         if _revisions(self.path) == {_known_revisions()[1]}:
@@ -105,7 +105,7 @@ def trouble_with(path: Path, thorough: bool) -> str | None:
     if not path.is_file():
         return "is no file"
     try:
-        with closing(_opened(path)) as database:
+        with closing(_open(path)) as database:
             tables = {name for (name,) in database.execute("select name from sqlite_master where type = 'table'")}
             if tables and "alembic_version" not in tables:
                 return "is no database of Prefect"
@@ -134,7 +134,7 @@ def prune(path: Path, largest_bytes: int = _LARGEST_BYTES) -> None:
     """
     if not path.is_file():
         return
-    with closing(_opened(path)) as database:
+    with closing(_open(path)) as database:
         database.execute("pragma foreign_keys = on")
         for days in (_KEPT_DAYS, *_SHORTER_DAYS):
             _remove_before(database, datetime.now(UTC) - timedelta(days=days))
@@ -161,7 +161,7 @@ def _remove_before(database: sqlite3.Connection, when: datetime) -> None:
         _log.info("Prefect's history: %d flow runs from before %s removed", count, when.date())
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _open(path: Path) -> sqlite3.Connection:
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode=rw", uri=True, timeout=5)
 
 
@@ -170,7 +170,7 @@ def _revisions(path: Path) -> set[str]:
     if not path.is_file():
         return set()
     try:
-        with closing(_opened(path)) as database:
+        with closing(_open(path)) as database:
             return {name for (name,) in database.execute("select version_num from alembic_version")}
     except sqlite3.Error:
         return set()
@@ -190,7 +190,7 @@ def _known_revisions() -> tuple[set[str], str]:
     return known, head
 
 
-def _locked(path: Path, kind: int) -> IO[str] | None:
+def _lock(path: Path, kind: int) -> IO[str] | None:
     """An open file with a lock that ends with this process; None where another process holds it."""
     file = path.open("a")
     try:

@@ -52,7 +52,7 @@ def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) ->
     from hfb.flows.runtime.prefect_home import make_home
     from hfb.flows.runtime.server import check_api_url, keep_log
     from hfb.flows.runtime.workspace import check_writable
-    from hfb.tasks.batch.metrics import served
+    from hfb.tasks.batch.metrics import serve_metrics
     from hfb.tasks.telemetry import displays, progress
     from hfb.tasks.tracking.store_place import check_store, tracking_uri
 
@@ -62,13 +62,13 @@ def open_session(given: argparse.Namespace, out: Path, recorded: bool = True) ->
     if recorded:
         check_store(tracking_uri())
     remark = make_home()
-    with served(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
+    with serve_metrics(), progress.showing(displays.display_for(quiet=given.quiet)), results_alone_on_stdout():
         if remark:
             progress.say(f"hfb: {remark}")
         yield
 
 
-def goes_to(source: str) -> Path:
+def output_folder_of(source: str) -> Path:
     """The folder into which something made of an earlier result goes: the result's own; of a recorded run's id, one
     in ``runs``."""
     path = Path(source)

@@ -23,7 +23,7 @@ from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
 from hfb.io.safe_folder import check_ordinary, check_tree, is_regular, open_folder, open_lock, special_kind
 from hfb.tasks.core.handles import sha256_of
-from hfb.tasks.core.result_folder import UNFINISHED, result_content
+from hfb.tasks.core.result_folder import UNFINISHED, read_result_content
 from hfb.tasks.telemetry.secrets import hidden_in
 
 INTERMEDIATE = "intermediate"
@@ -192,7 +192,7 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> None:
     """Record first and move then: a file of hfb's that no record names would stay beside other results."""
-    result = result_content(out)
+    result = read_result_content(out)
     if "files" in result:  # else they are known by their names
         result["files"] = sorted({*result["files"], *made})
     new = {name: sha256_of(path) for name, path in made.items()}
@@ -237,7 +237,7 @@ def _published(out: Path) -> _Published:
     Where an older version did not name its files, what has a name that only some results have is taken for its.
     """
     try:
-        content = result_content(out)
+        content = read_result_content(out)
         if not isinstance(content["out"], str):
             return _Published()
         if "files" not in content:

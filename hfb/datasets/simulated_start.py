@@ -17,6 +17,7 @@ from hfb.datasets.blur_bins import BLUR_BINS
 from hfb.datasets.network_errors import draw_pose_errors
 from hfb.datasets.truth import Truth
 from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.procrustes import nearest_rotation
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
@@ -140,9 +141,8 @@ def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"
     frame_index = truth.motion.frame_index
     source = (still - still[:, :, :1]).astype(np.float64)[:, frame_index]
     target = truth.motion.joints - truth.motion.joints[:, :1]
-    left, _, right = np.linalg.svd(np.einsum("rjx,arjy->axy", target, source))
-    left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
-    turned = np.einsum("axy,arjy->arjx", left @ right, source)
+    rotations = nearest_rotation(np.einsum("rjx,arjy->axy", target, source))
+    turned = np.einsum("axy,arjy->arjx", rotations, source)
     return 1000 * np.linalg.norm(turned - target, axis=-1).mean((1, 2))
 
 

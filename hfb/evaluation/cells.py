@@ -2,16 +2,16 @@
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series, concat
 
 from hfb.errors import InputError
 from hfb.evaluation.intervals import mean_ci95, ratio_ci95
 from hfb.evaluation.reliability import COLUMNS as RELIABILITY_COLUMNS
 from hfb.evaluation.reliability import reliability_cell
-from hfb.typing import Array, Bool, Float, Int
+from hfb.typing import Array, Float
 
 Cell = dict[str, Any]
 """Plain numbers, None where nothing is known: ready for JSON."""
@@ -49,75 +49,45 @@ _STARTS = {
 """Column of the start, taken as a method -> column of any method's rows."""
 
 
-@dataclass(frozen=True)
-class MethodCases:
-    """One method's rows as columns, sorted by the case's number.
-
-    Attributes:
-        values: per column, NaN where unknown.
-        failed: the method gave no answer.
-        joint_errors_mm: per joint, NaN where unknown.
-    """
-
-    numbers: Int[Array, "C"]
-    values: Mapping[str, Float[Array, "C"]]
-    failed: Bool[Array, "C"]
-    joint_errors_mm: Float[Array, "C 24"]
-
-    def chosen(self, mask: Bool[Array, "C"]) -> "MethodCases":
-        """The cases where the mask is True."""
-        values = {name: column[mask] for name, column in self.values.items()}
-        return MethodCases(self.numbers[mask], values, self.failed[mask], self.joint_errors_mm[mask])
-
-    def within(self, bins: Sequence[tuple[float, float]], index: int) -> "MethodCases":
-        """The cases whose blur rate lies in a bin: its lower edge included, its upper one only in the last bin."""
-        (low, high), rates = bins[index], self.values["blur_rate"]
-        below = rates <= high if index == len(bins) - 1 else rates < high
-        return self.chosen((rates >= low) & below)
-
-
-def by_method(rows: Any, order: Collection[str] = ()) -> dict[str, MethodCases]:
+def by_method(rows: Any, order: Collection[str] = ()) -> dict[str, DataFrame]:
     """Sort rows of results by method: those of `order` first, as named there, the others by name.
 
     Args:
         rows: mappings from column to value, or a pandas table of them.
+        order: methods, also such as have no rows.
+
+    Returns:
+        per method a table with a row per case, in the order of ``case``: numbers (NaN where unknown or infinite),
+        ``failed`` (the method gave no answer) and ``joint_errors_mm`` (NaN for an array that is not known).
 
     Raises:
         InputError: a case stands there twice for one method, or a row names no case or method.
     """
-    records: Iterable[Mapping[str, Any]] = rows.to_dict("records") if hasattr(rows, "to_dict") else rows
-    found: dict[str, dict[int, Mapping[str, Any]]] = {name: {} for name in order}
-    for row in records:
-        if row.get("case") is None or row.get("method") is None:
-            raise InputError("a row of the results names no case or no method; run the benchmark into an empty folder")
-        cases = found.setdefault(str(row["method"]), {})
-        if cases.setdefault(int(row["case"]), row) is not row:
-            raise InputError(f"case {row['case']} stands twice in the results of {row['method']}; remove one of them")
-    names = [*order, *sorted(set(found) - set(order))]
-    return {name: _columns([found[name][number] for number in sorted(found[name])]) for name in names}
+    table = DataFrame(rows).reindex(columns=["case", "method", "failed", "joint_errors_mm", *_COLUMNS])
+    if table[["case", "method"]].isna().to_numpy().any():
+        raise InputError("a row of the results names no case or no method; run the benchmark into an empty folder")
+    table = table.astype({"case": int, "method": str})
+    for twice in table[table.duplicated(["case", "method"])].itertuples():
+        raise InputError(f"case {twice.case} stands twice in the results of {twice.method}; remove one of them")
+    table["failed"] = np.array([isinstance(reason, str) for reason in table["failed"]], bool)
+    table[[*_COLUMNS]] = table[[*_COLUMNS]].astype(float).replace([math.inf, -math.inf], math.nan)
+    table = table.sort_values("case", ignore_index=True)
+    names = dict.fromkeys([*order, *sorted(set(table["method"]))])
+    return {name: table[table["method"] == name] for name in names}
 
 
-def _columns(rows: Sequence[Mapping[str, Any]]) -> MethodCases:
-    return MethodCases(
-        np.array([row["case"] for row in rows], np.int64),
-        {name: np.array([_number(row.get(name)) for row in rows], np.float64) for name in _COLUMNS},
-        np.array([isinstance(row.get("failed"), str) for row in rows], bool),
-        np.array([_joints(row.get("joint_errors_mm")) for row in rows], np.float64).reshape(-1, 24),
-    )
+def within(cases: DataFrame, bins: Sequence[tuple[float, float]], index: int) -> DataFrame:
+    """Return the cases whose blur rate lies in a bin: its lower edge included, its upper one only in the last bin."""
+    return cases[cases["blur_rate"].between(*bins[index], inclusive="both" if index == len(bins) - 1 else "left")]
 
 
-def _number(value: Any) -> float:
-    """What a table may hold for "unknown" (None, NaN, infinity) as NaN."""
-    number = math.nan if value is None else float(value)
-    return number if math.isfinite(number) else math.nan
+def known_joints(cases: DataFrame) -> Float[Array, "C 24"]:
+    """Return the errors per joint [mm] of the cases that know all of them."""
+    tables = [np.asarray(errors, float) for errors in cases["joint_errors_mm"] if np.ndim(errors) == 1]
+    return np.array([one for one in tables if len(one) == 24 and np.isfinite(one).all()]).reshape(-1, 24)
 
 
-def _joints(errors: Any) -> list[float]:
-    known = [] if errors is None or np.ndim(errors) == 0 else [_number(error) for error in errors]
-    return known if len(known) == 24 else [math.nan] * 24
-
-
-def make_cell(cases: MethodCases) -> Cell:
+def make_cell(cases: DataFrame) -> Cell:
     """One cell of a results table.
 
     ``n`` counts the answered cases; ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
@@ -125,18 +95,18 @@ def make_cell(cases: MethodCases) -> Cell:
     Shares of cases are strict: an equal error is neither
     better nor worse.
     """
-    answered = cases.chosen(~cases.failed)
+    answered = cases[~cases["failed"]]
     initial, fitted, known = _pair(answered, "initial_mpjpe_mm", "mpjpe_mm")
     initial_pa, fitted_pa, known_pa = _pair(answered, "initial_pa_mpjpe_mm", "pa_mpjpe_mm")
     initial_iou, iou, _ = _pair(answered, "initial_iou", "iou")
     ratio, ratio_bounds = _ratio(fitted, initial) if known else (None, None)
     pa_ratio, pa_ratio_bounds = _ratio(fitted_pa, initial_pa) if known_pa else (None, None)
     return {
-        "n": len(answered.numbers),
+        "n": len(answered),
         "n_pose": len(fitted),
         "n_pa": len(fitted_pa),
         "n_iou": len(iou),
-        "failed": int(cases.failed.sum()),
+        "failed": int(cases["failed"].sum()),
         "initial_mpjpe_mm": _mean(initial),
         "mpjpe_mm": _mean(fitted),
         "mpjpe_ci95": _interval(mean_ci95(fitted)),
@@ -151,29 +121,24 @@ def make_cell(cases: MethodCases) -> Cell:
         "iou_ci95": _interval(mean_ci95(iou)),
         "better_than_start": _mean((fitted < initial).astype(float)) if known else None,
         "worse_than_start": _mean((fitted > initial).astype(float)) if known else None,
-        **{entry: _mean(_known(answered.values[column])) for entry, column in _MEANS.items()},
-        **reliability_cell(answered.values),
+        **{entry: _mean(_known(answered[column])) for entry, column in _MEANS.items()},
+        **reliability_cell(answered),
     }
 
 
-def start_cases(methods: Iterable[MethodCases]) -> MethodCases:
+def start_cases(methods: Iterable[DataFrame]) -> DataFrame:
     """What every method started from, as if it were a method, over all cases that any method answered."""
-    known: dict[int, dict[str, float]] = {}
-    for cases in methods:
-        for index in np.flatnonzero(~cases.failed):
-            row = known.setdefault(int(cases.numbers[index]), {})
-            for name, column in _STARTS.items():
-                value = float(cases.values[column][index])
-                if math.isfinite(value):
-                    row.setdefault(name, value)
-    return _columns([{"case": number, **known[number]} for number in sorted(known)])
+    every = concat([DataFrame(columns=["case", "failed", *_STARTS.values()]), *methods])
+    answered = every[~every["failed"].astype(bool)]
+    starts = answered.groupby("case")[[*_STARTS.values()]].first()  # of each column the first that is known
+    return starts.astype(float).set_axis([*_STARTS], axis=1).reset_index()
 
 
-def start_cell(starts: MethodCases) -> Cell:
+def start_cell(starts: DataFrame) -> Cell:
     """The start's row of a table."""
-    mpjpe, pa_mpjpe, iou = (_known(starts.values[name]) for name in ("mpjpe_mm", "pa_mpjpe_mm", "iou"))
+    mpjpe, pa_mpjpe, iou = (_known(starts[name]) for name in ("mpjpe_mm", "pa_mpjpe_mm", "iou"))
     return {
-        "n": len(starts.numbers),
+        "n": len(starts),
         "n_pose": len(mpjpe),
         "n_iou": len(iou),
         "mpjpe_mm": _mean(mpjpe),
@@ -189,16 +154,14 @@ def is_start(cell: Mapping[str, Any]) -> bool:
     return cell["ratio"] == 1 and cell["better_than_start"] == cell["worse_than_start"] == 0
 
 
-def compare(one: MethodCases, other: MethodCases) -> Cell:
+def compare(one: DataFrame, other: DataFrame) -> Cell:
     """Two methods on the cases that both answered: what a claim "one is better" rests on.
 
     ``difference_mm`` is mean(one - other), negative where `one` is better; ``ratio`` mean one / mean other; ``better``
     the share of cases in which `one` has the lower MPJPE.
     """
-    _, first, second = np.intersect1d(one.numbers, other.numbers, return_indices=True)
-    ours, theirs = one.values["mpjpe_mm"][first], other.values["mpjpe_mm"][second]
-    both = np.isfinite(ours) & np.isfinite(theirs) & ~one.failed[first] & ~other.failed[second]
-    ours, theirs = ours[both], theirs[both]
+    first, second = (cases.loc[~cases["failed"], ["case", "mpjpe_mm"]].dropna() for cases in (one, other))
+    ours, theirs = first.merge(second, on="case", sort=True)[["mpjpe_mm_x", "mpjpe_mm_y"]].to_numpy().T
     ratio, bounds = _ratio(ours, theirs)
     return {
         "n": len(ours),
@@ -210,13 +173,13 @@ def compare(one: MethodCases, other: MethodCases) -> Cell:
     }
 
 
-def _pair(cases: MethodCases, before: str, after: str) -> tuple[Float[Array, "B"], Float[Array, "A"], bool]:
+def _pair(cases: DataFrame, before: str, after: str) -> tuple[Float[Array, "B"], Float[Array, "A"], bool]:
     """Two columns over the cases that know both, and True; where no case does, each over what it knows, and False."""
-    first, second = cases.values[before], cases.values[after]
+    first, second = cases[before].to_numpy(), cases[after].to_numpy()
     both = np.isfinite(first) & np.isfinite(second)
     if both.any():
         return first[both], second[both], True
-    return _known(first), _known(second), False
+    return _known(cases[before]), _known(cases[after]), False
 
 
 def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | None, list[float] | None]:
@@ -226,8 +189,9 @@ def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | 
     return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below))
 
 
-def _known(values: Float[Array, "C"]) -> Float[Array, "K"]:
-    return values[np.isfinite(values)]
+def _known(values: Series) -> Float[Array, "K"]:
+    numbers = values.to_numpy()
+    return numbers[np.isfinite(numbers)]
 
 
 def _mean(values: Float[Array, "C"]) -> float | None:

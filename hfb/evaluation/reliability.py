@@ -1,9 +1,9 @@
 """Is a method as sure as it should be? What it said about its own errors, against what happened."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
 from hfb.evaluation.metrics import errors_mm
 from hfb.fitting.alternatives import Alternatives
@@ -41,36 +41,37 @@ def direction_row(alternatives: Alternatives) -> dict[str, float | None]:
     return {"direction_said": float(said.mean()) if np.isfinite(said).all() else None}
 
 
-def reliability_cell(values: Mapping[str, Float[Array, "C"]]) -> dict[str, Any]:
+def reliability_cell(cases: DataFrame) -> dict[str, Any]:
     """Entries of a results cell: what happened at every level, and how far that is from what was said.
 
     ``radius_error`` is the mean over the levels of |said - happened|, ``direction_error`` the expected calibration
     error of the directions: the mean over the groups of |mean said - share right|, weighted by their cases.
     """
-    known = np.isfinite(values["radius_mm"])
-    shares = [float(values[name][known].mean()) if known.any() else None for name in WITHIN]
+    sure = cases[cases["radius_mm"].notna()]
+    shares = [float(sure[name].to_numpy().mean()) if len(sure) else None for name in WITHIN]
     off = [abs(share - level) for share, level in zip(shares, LEVELS, strict=True) if share is not None]
-    groups = direction_groups(values)
-    cases = sum(group["n"] for group in groups)
+    groups = direction_groups(cases)
+    count = sum(group["n"] for group in groups)
     return {
         **dict(zip(WITHIN, shares, strict=True)),
-        "radius_mm": float(values["radius_mm"][known].mean()) if known.any() else None,
+        "radius_mm": float(sure["radius_mm"].to_numpy().mean()) if len(sure) else None,
         "radius_error": float(np.mean(off)) if off else None,
-        "direction_said": float(sum(group["n"] * group["said"] for group in groups) / cases) if cases else None,
+        "direction_said": float(sum(group["n"] * group["said"] for group in groups) / count) if count else None,
         "direction_error": (
-            float(sum(group["n"] * abs(group["said"] - group["right"]) for group in groups) / cases) if cases else None
+            float(sum(group["n"] * abs(group["said"] - group["right"]) for group in groups) / count) if count else None
         ),
     }
 
 
-def direction_groups(values: Mapping[str, Float[Array, "C"]]) -> list[dict[str, Any]]:
+def direction_groups(cases: DataFrame) -> list[dict[str, Any]]:
     """Cases grouped by P(direction right) as said: their number, the mean said, the share that was right."""
-    said, right = values["direction_said"], 1 - values["wrong_direction"]
-    known = np.isfinite(said) & np.isfinite(right)
-    place = np.digitize(said, DIRECTION_EDGES[1:-1])
-    members = [known & (place == index) for index in range(len(DIRECTION_EDGES) - 1)]
+    known = cases[["direction_said", "wrong_direction"]].dropna()
+    groups = known.groupby(np.digitize(known["direction_said"], DIRECTION_EDGES[1:-1]))
     return [
-        {"n": int(one.sum()), "said": float(said[one].mean()), "right": float(right[one].mean())}
-        for one in members
-        if one.any()
+        {
+            "n": len(one),
+            "said": float(one["direction_said"].to_numpy().mean()),
+            "right": float((1 - one["wrong_direction"].to_numpy()).mean()),
+        }
+        for _, one in groups
     ]

@@ -3,7 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hfb.evaluation.cells import Cell, MethodCases, by_method, compare, make_cell, start_cases, start_cell
+from pandas import DataFrame
+
+from hfb.evaluation.cells import Cell, by_method, compare, make_cell, start_cases, start_cell, within
 from hfb.evaluation.table_page import table_markdown
 
 __all__ = ["Bins", "summarize", "table_markdown"]
@@ -36,12 +38,12 @@ def summarize(
     Raises:
         InputError: a case stands twice in the rows of one method.
     """
-    found = by_method(rows, tuple(dict.fromkeys(methods)))
+    found = by_method(rows, methods)
     pairs = [("best", other) for other in found if other != "best"] if pairs is None else pairs
-    binned = {name: [cases.within(bins, index) for index in range(len(bins))] for name, cases in found.items()}
+    binned = {name: [within(cases, bins, index) for index in range(len(bins))] for name, cases in found.items()}
     starts = start_cases(found.values())
-    numbers = {int(number) for cases in found.values() for number in cases.numbers}
-    inside = {int(number) for parts in binned.values() for part in parts for number in part.numbers}
+    numbers = {number for cases in found.values() for number in cases["case"]}
+    inside = {number for parts in binned.values() for part in parts for number in part["case"]}
     return {
         "set": set_name,
         "count": count,
@@ -51,7 +53,7 @@ def summarize(
         "outside_bins": len(numbers - inside),
         "start": {
             "all": start_cell(starts),
-            "bins": _per_bin(bins, [start_cell(starts.within(bins, index)) for index in range(len(bins))]),
+            "bins": _per_bin(bins, [start_cell(within(starts, bins, index)) for index in range(len(bins))]),
         },
         "methods": {
             name: {
@@ -70,8 +72,8 @@ def _per_bin(bins: Bins, cells: Sequence[Cell]) -> list[Cell]:
 
 
 def _comparisons(
-    found: Mapping[str, MethodCases],
-    binned: Mapping[str, Sequence[MethodCases]],
+    found: Mapping[str, DataFrame],
+    binned: Mapping[str, Sequence[DataFrame]],
     pairs: Sequence[tuple[str, str]],
     bins: Bins,
 ) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Best rotations and similarities between joint clouds (Kabsch 1976, Umeyama 1991)."""
 
 import numpy as np
+import torch
 
-from hfb.typing import Array, Bool, Float
+from hfb.typing import Array, Bool, Float, Tensor
 
 
 def best_rotation(source: Float[Array, "*s P 3"], target: Float[Array, "*s P 3"]) -> Float[Array, "*s 3 3"]:
@@ -11,11 +12,27 @@ def best_rotation(source: Float[Array, "*s P 3"], target: Float[Array, "*s P 3"]
     Both clouds are rotated about their origin: centre them first. With all points on a line or in one spot any of
     the equally good rotations is returned.
     """
-    covariance = np.swapaxes(target, -1, -2) @ source
-    left, _, right = np.linalg.svd(covariance)
+    return nearest_rotation(np.swapaxes(target, -1, -2) @ source)
+
+
+def nearest_rotation(product: Float[Array, "*s 3 3"]) -> Float[Array, "*s 3 3"]:
+    """Return the proper rotation R that maximises trace(R^T product), the core of Kabsch's algorithm.
+
+    Args:
+        product: sum of target source^T over the points, centred.
+    """
+    left, _, right = np.linalg.svd(product)
     # Where the best orthogonal matrix is a mirror, flip the direction that costs least: the smallest singular value's.
     left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
     return left @ right
+
+
+def nearest_rotations(product: Float[Tensor, "S 3 3"]) -> Float[Tensor, "S 3 3"]:
+    """Return `nearest_rotation` of each, in torch, whose LAPACK differs from numpy's in last bits."""
+    left, _, right = torch.linalg.svd(product.double())
+    mirror = torch.ones(len(product), 3, dtype=torch.float64)
+    mirror[:, 2] = torch.linalg.det(left @ right)
+    return (left @ torch.diag_embed(mirror) @ right).to(product)
 
 
 def rotate_sequence(source: Float[Array, "R J 3"], target: Float[Array, "R J 3"]) -> Float[Array, "R J 3"]:

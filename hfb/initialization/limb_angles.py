@@ -7,6 +7,7 @@ rotation between two sets of vectors that fits best). A bent elbow or knee tells
 import torch
 
 from hfb.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from hfb.geometry.procrustes import nearest_rotations
 from hfb.typing import Bool, Float, Tensor
 
 _CHILDREN = tuple(tuple(child for child, parent in enumerate(PARENTS) if parent == joint) for joint in range(24))
@@ -61,10 +62,7 @@ def kabsch(
     # A little of the identity decides what the vectors leave open: the twist about a single bone is none.
     scale = product.flatten(1).norm(dim=1).clamp_min(1e-9)
     swing = _shortest(rest, seen, weight)
-    u, _, v = torch.linalg.svd((product + 1e-4 * scale[:, None, None] * swing).double())
-    sign = torch.ones(len(rest), 3, dtype=torch.float64)
-    sign[:, 2] = torch.linalg.det(u @ v)
-    return (u @ torch.diag_embed(sign) @ v).to(rest)
+    return nearest_rotations(product + 1e-4 * scale[:, None, None] * swing)
 
 
 def _shortest(

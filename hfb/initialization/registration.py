@@ -12,6 +12,7 @@ import torch
 from hfb.body.model import Body, ShapedBody
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.geometry.camera import PinholeCamera
+from hfb.geometry.procrustes import nearest_rotations
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.landmarks import LANDMARK, Landmarks
 from hfb.motion.static_pose import FirstBody
@@ -177,9 +178,7 @@ def _first_root(shaped: ShapedBody, attachments: Attachments, world: Float[Tenso
     rest, seen = rest - rest.mean(0), seen - seen.mean(0)
     # A trunk is nearly flat: its normal, added as a point, decides the front.
     rest, seen = (torch.cat([p, _trunk_normal(p)[None]]) for p in (rest, seen))
-    u, _, v = torch.linalg.svd((seen.T @ rest).double())
-    sign = torch.diag(torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ v))], dtype=torch.float64))
-    return (u @ sign @ v).to(world.dtype)
+    return nearest_rotations((seen.T @ rest)[None])[0]
 
 
 def _trunk_normal(points: Float[Tensor, "4 3"]) -> Float[Tensor, "3"]:

@@ -119,12 +119,14 @@ class _SourcesCache(FunctionCache):
         except RuntimeError:  # no folder can be written
             _use_temporary_folder()
             super().__init__(function)
-        self._lock = FileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock", thread_local=False)
+        self._lock = None
 
     def load_overload(self, sig, target_context):
         found = self._loaded(sig, target_context)
         if found is not None:
             return found
+        # made now: a forked process may not use its parent's
+        self._lock = FileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock", thread_local=False)
         try:
             self._lock.acquire(timeout=_LOCKED_S)
         except (OSError, NotImplementedError, Timeout) as error:
@@ -132,8 +134,13 @@ class _SourcesCache(FunctionCache):
             return None
         found = self._loaded(sig, target_context)
         if found is not None:  # another process has compiled it meanwhile
-            self._lock.release(force=True)
+            self._unlock()
         return found
+
+    def _unlock(self):
+        if self._lock is not None:
+            self._lock.release(force=True)
+            self._lock = None
 
     def _loaded(self, sig, target_context):
         try:
@@ -151,7 +158,7 @@ class _SourcesCache(FunctionCache):
             _say_once(f"kernels are compiled again next time, since they cannot be kept ({error})")
             self.disable()
         finally:
-            self._lock.release(force=True)
+            self._unlock()
 
 
 def _cached(compiled, function):

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR
-from hfb.evaluation.cells import MethodCases, by_method, is_start, start_cases
+from hfb.evaluation.cells import by_method, is_start, known_joints, start_cases, within
 from hfb.evaluation.intervals import mean_ci95
 from hfb.evaluation.table_page import blur_label
 from hfb.io.atomic import write_bytes_atomic
@@ -52,12 +53,12 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
     return written
 
 
-def error_by_blur(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) -> bytes | None:
+def error_by_blur(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
     """MPJPE against blur rate: a line per method with its 95 % band, a faint point per case, the start in gray."""
     return _against_blur(methods, summary, "mpjpe_mm", "MPJPE [mm]")
 
 
-def iou_by_blur(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) -> bytes | None:
+def iou_by_blur(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
     """IoU of silhouettes against blur rate, drawn as the errors are."""
     return _against_blur(methods, summary, "iou", "silhouette IoU")
 
@@ -105,7 +106,7 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
 
 
 def error_by_joint(
-    methods: Mapping[str, MethodCases], summary: Mapping[str, Any], merge_sides: bool = True
+    methods: Mapping[str, DataFrame], summary: Mapping[str, Any], merge_sides: bool = True
 ) -> bytes | None:
     """Mean error of every joint, a bar per method with its 95 % interval.
 
@@ -141,18 +142,18 @@ def error_by_joint(
 
 
 def _against_blur(
-    methods: Mapping[str, MethodCases], summary: Mapping[str, Any], column: str, label: str
+    methods: Mapping[str, DataFrame], summary: Mapping[str, Any], column: str, label: str
 ) -> bytes | None:
     drawn = {name: methods[name] for name in _contenders(summary, column)}
     starts = start_cases(methods.values())
-    if not any(np.isfinite(cases.values[column]).any() for cases in (starts, *drawn.values())):
+    if not any(cases[column].notna().any() for cases in (starts, *drawn.values())):
         return None
     figure, axes = sheet()
     bins = [(float(low), float(high)) for low, high in (cell["blur"] for cell in summary["start"]["bins"])]
     gray = {"color": GRAY, "marker": None, "linestyle": "--"}
     for name, cases in {"start": starts, **drawn}.items():
         style = gray if name == "start" else styles(summary)[name]
-        rates, heights = cases.values["blur_rate"], cases.values[column]
+        rates, heights = cases["blur_rate"].to_numpy(), cases[column].to_numpy()
         axes.scatter(rates, heights, s=7, color=style["color"], alpha=0.5 / (1 + len(drawn)), linewidths=0)
         middles, means, bands = _per_bin(cases, column, bins)
         axes.fill_between(middles, *bands.T, color=style["color"], alpha=0.5 / (2 + len(drawn)), linewidth=0)
@@ -160,7 +161,7 @@ def _against_blur(
     if column == "iou":
         axes.set_ylim(0, 1)
     else:
-        _frame_most(axes, [cases.values[column] for cases in (starts, *drawn.values())])
+        _frame_most(axes, [cases[column].dropna().to_numpy() for cases in (starts, *drawn.values())])
     axes.set_xlabel(f"blur rate ({_of_set(summary)})")
     axes.set_ylabel(label)
     axes.set_xlim(left=0)
@@ -168,24 +169,23 @@ def _against_blur(
 
 
 def _per_bin(
-    cases: MethodCases, column: str, bins: Sequence[tuple[float, float]]
+    cases: DataFrame, column: str, bins: Sequence[tuple[float, float]]
 ) -> tuple[Float[Array, "P"], Float[Array, "P"], Float[Array, "P 2"]]:
     """Mean blur rate, mean of a column and its 95 % interval, of every interval with a case."""
     points = []
     for index in range(len(bins)):
-        part = cases.within(bins, index)
-        part = part.chosen(np.isfinite(part.values[column]))
-        if len(part.numbers):
-            mean = part.values[column].mean()
-            low, high = mean_ci95(part.values[column]) or (mean, mean)
-            points.append((part.values["blur_rate"].mean(), mean, low, high))
+        part = within(cases, bins, index).dropna(subset=column)
+        if len(part):
+            values = part[column].to_numpy()
+            low, high = mean_ci95(values) or (values.mean(), values.mean())
+            points.append((part["blur_rate"].to_numpy().mean(), values.mean(), low, high))
     table = np.array(points, np.float64).reshape(-1, 4)
     return table[:, 0], table[:, 1], table[:, 2:]
 
 
 def _frame_most(axes: Any, columns: Sequence[Float[Array, "_"]]) -> None:
     """Let the axis start at zero and hold nearly all points; say how many lie above it."""
-    values = np.concatenate([column[np.isfinite(column)] for column in columns])
+    values = np.concatenate(columns)
     lines = max((float(np.max(line.get_ydata())) for line in axes.lines if len(line.get_ydata())), default=0.0)
     top = 1.05 * max(float(np.quantile(values, _POINTS_SHOWN)), lines)
     axes.set_ylim(0, top)
@@ -214,7 +214,7 @@ def _joint_groups(merge_sides: bool) -> dict[str, list[int]]:
     return {JOINT_NAMES[joint].replace("_", " "): [joint] for joint in ordered}
 
 
-def _per_group(cases: MethodCases, groups: Sequence[Sequence[int]]) -> Float[Array, "C G"]:
+def _per_group(cases: DataFrame, groups: Sequence[Sequence[int]]) -> Float[Array, "C G"]:
     """Mean error of each group of joints in every case that knows its joints."""
-    known = cases.joint_errors_mm[np.isfinite(cases.joint_errors_mm).all(1)]
+    known = known_joints(cases)
     return np.stack([known[:, list(group)].mean(1) for group in groups], axis=1)

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from pandas import DataFrame
 
-from hfb.evaluation.cells import MethodCases
 from hfb.evaluation.intervals import mean_ci95
 from hfb.evaluation.reliability import LEVELS, WITHIN, direction_groups
 from hfb.report.plot_style import GRAY, png, sheet, styles
@@ -13,14 +13,14 @@ from hfb.report.plot_style import GRAY, png, sheet, styles
 _SMALLEST_MARK, _MARK_PER_CASE = 12.0, 5.0
 
 
-def reliability(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) -> bytes | None:
+def reliability(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
     """Two panels, said across and happened upwards, the diagonal being honest; None where no method says anything.
 
     Left: the share of joints within the radius for each probability, with its 95 % interval over the cases. Right:
     directions, a mark per group of what was said, its area growing with the cases in it.
     """
-    sure = {name: cases for name, cases in methods.items() if np.isfinite(cases.values["radius_mm"]).any()}
-    directed = {name: cases for name, cases in methods.items() if direction_groups(cases.values)}
+    sure = {name: cases for name, cases in methods.items() if cases["radius_mm"].notna().any()}
+    directed = {name: cases for name, cases in methods.items() if direction_groups(cases)}
     if not sure and not directed:
         return None
     figure, (joints, directions) = sheet(panels=2)
@@ -31,7 +31,7 @@ def reliability(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) 
         axes.set_aspect("equal")
     for name, cases in {**sure, **directed}.items():
         style = styles(summary)[name]
-        count = int(np.isfinite(cases.values["radius_mm"]).sum())
+        count = cases["radius_mm"].count()
         joints.plot(
             [], [], linewidth=2, markersize=6, label=f"{name} (n {count})", **style
         )  # in the legend, whichever panel it is in
@@ -46,16 +46,16 @@ def reliability(methods: Mapping[str, MethodCases], summary: Mapping[str, Any]) 
     return png(figure, joints, directions)
 
 
-def _draw_joints(axes: Any, cases: MethodCases, style: Mapping[str, Any]) -> None:
-    shares = [cases.values[name][np.isfinite(cases.values[name])] for name in WITHIN]
+def _draw_joints(axes: Any, cases: DataFrame, style: Mapping[str, Any]) -> None:
+    shares = [cases[name].dropna().to_numpy() for name in WITHIN]
     means = np.array([share.mean() for share in shares])
     bounds = np.array([mean_ci95(s) or (m, m) for s, m in zip(shares, means, strict=True)])
     axes.fill_between(LEVELS, *bounds.T, color=style["color"], alpha=0.2, linewidth=0)
     axes.plot(LEVELS, means, linewidth=2, markersize=6, **style)
 
 
-def _draw_directions(axes: Any, cases: MethodCases, style: Mapping[str, Any]) -> None:
-    for group in direction_groups(cases.values):
+def _draw_directions(axes: Any, cases: DataFrame, style: Mapping[str, Any]) -> None:
+    for group in direction_groups(cases):
         size = _SMALLEST_MARK + _MARK_PER_CASE * group["n"]
         axes.scatter(group["said"], group["right"], s=size, color=style["color"], marker=style["marker"], alpha=0.8)
         axes.annotate(

@@ -82,7 +82,7 @@ class Metrics:
 
 
 @contextmanager
-def served() -> Iterator[None]:
+def serve_metrics() -> Iterator[None]:
     """Serve figures while the block runs, if HFB_METRICS says where.
 
     Raises:
@@ -101,7 +101,7 @@ def served() -> Iterator[None]:
     registry.register(_Machine())
     started = _started(host or _THIS_MACHINE, int(port) if port.isdecimal() else -1, registry)
     try:
-        with progress.listened(Metrics(registry)):
+        with progress.add_listener(Metrics(registry)):
             yield
     finally:
         if started is not None:

@@ -66,7 +66,7 @@ def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
 
 
 @contextmanager
-def notifying(addresses: Sequence[str]) -> Iterator[None]:
+def enable_notifications(addresses: Sequence[str]) -> Iterator[None]:
     """Send what is told inside to these addresses. They are no argument of a flow: Prefect records those."""
     token = _addresses.set(tuple(addresses))
     try:

@@ -132,7 +132,7 @@ def record_benchmark(
     summary = results.content()
     key = digest([params, methods, code_version()])
     tags = {"code": code_version(), "seed": str(summary["seed"])}
-    with tracking.recorded_run(name, key, params, tags) as parent:
+    with tracking.record_run(name, key, params, tags) as parent:
         if not parent.complete:
             counts = {"count": [summary["count"]], "skipped": [summary["skipped"]]}
             tracking.log_histories(parent, counts)
@@ -141,7 +141,7 @@ def record_benchmark(
             cells = summary["methods"].get(method)
             if cells is None:
                 continue
-            with tracking.recorded_run(
+            with tracking.record_run(
                 f"{name}/{method}", digest([key, method]), {"method": options, **params}, tags, parent=parent
             ) as child:
                 if not child.complete:

@@ -173,7 +173,7 @@ def _stamp(path: Path) -> Stamp:
 
 
 @contextmanager
-def unchanged(*values: object) -> Iterator[None]:
+def verify_unchanged(*values: object) -> Iterator[None]:
     """What is read inside is what the handles name, from the beginning to the end.
 
     Raises:

@@ -30,7 +30,7 @@ _current: ContextVar[Repetition | None] = ContextVar("repetition", default=None)
 
 
 @contextmanager
-def repeating(repetition: Repetition) -> Iterator[None]:
+def repeat_run(repetition: Repetition) -> Iterator[None]:
     """What is computed and recorded inside repeats a run; Prefect hands this on to the threads of its tasks."""
     token = _current.set(repetition)
     try:

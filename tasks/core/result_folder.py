@@ -19,7 +19,7 @@ UNFINISHED = "unfinished"
 _HEAD_BYTES = 64
 
 
-def result_content(root: Path, *parts: str) -> dict[str, Any]:
+def read_result_content(root: Path, *parts: str) -> dict[str, Any]:
     """The content of result.json in a folder, or in one below it.
 
     Raises:
@@ -48,10 +48,10 @@ def is_finished(folder: Path) -> bool:
     return is_regular(folder / RESULT) and not is_unfinished(folder)
 
 
-def unfinished_files(folder: Path) -> set[str]:
+def list_unfinished_files(folder: Path) -> set[str]:
     """What a command left that was stopped while it put the files in place; nothing where none was."""
     try:
-        return {RESULT, *map(str, result_content(folder)["files"])} if is_unfinished(folder) else set()
+        return {RESULT, *map(str, read_result_content(folder)["files"])} if is_unfinished(folder) else set()
     except (InputError, TypeError, KeyError):
         return set()
 

@@ -20,7 +20,7 @@ from hfb.io.media.images.image_decoding import Picture, decode_picture
 from hfb.io.media.images.image_io import read_matte
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
-from hfb.tasks.core.handles import ClipHandle, FileHandle, unchanged
+from hfb.tasks.core.handles import ClipHandle, FileHandle, verify_unchanged
 from hfb.typing import Array
 
 Light = Literal["srgb", "linear"]
@@ -94,7 +94,7 @@ def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Pic
         StaleFile: the file is not what its handle says, before or after.
         InputError: it cannot be decoded.
     """
-    with unchanged(file):
+    with verify_unchanged(file):
         found = decode_picture(file.path, transfer)
     image = in_light(found.pixels, transfer, light)
     _kept.put(_key(file, transfer, light), image)
@@ -175,7 +175,7 @@ def _shared_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
 
 def _shared_matte(matte: FileHandle) -> Tensor:
     def decode() -> Tensor:
-        with unchanged(matte):
+        with verify_unchanged(matte):
             return torch.from_numpy(read_matte(matte.path))
 
     return _kept.get((matte.sha256, "matte"), decode)

@@ -11,7 +11,7 @@ from hfb.io.media.images.image_decoding import doubt_depths
 from hfb.photometry import Transfer, as_srgb, srgb_to_linear
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.core.scene import Light, decode_once
-from hfb.tasks.inputs.inputs import told_exposure_s
+from hfb.tasks.inputs.inputs import find_exposure_s
 from hfb.tasks.task import task
 from hfb.typing import Array, Float
 
@@ -62,7 +62,7 @@ def prepare(
             told = find_plate_mismatch(image_linear(), plate_linear())
     remarks = images.remarks()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
-    exposure_s = told_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
+    exposure_s = find_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
     if len(frames) > 1 and exposure_s > interval_s * 1.001:
         raise InputError(
             f"an exposure of {exposure_s:g} s does not fit into the {interval_s:g} s between frames: "

@@ -14,7 +14,7 @@ from hfb.io.media.footage_names import PICTURE_SUFFIXES, is_hidden, is_plate, na
 from hfb.io.names import is_text, shown_name
 from hfb.io.safe_folder import NotOrdinary, check_readable, entries_below, is_regular
 from hfb.tasks.core.handles import FileHandle, StaleFile
-from hfb.tasks.core.result_folder import result_content
+from hfb.tasks.core.result_folder import read_result_content
 from hfb.tasks.inputs.out_place import CLIP_FILE, FRAMES_FOLDER, VIDEOS
 
 RESERVED = re.compile(r"batch\.json.*|summary(-\d+)?\.html.*|intermediate")
@@ -199,7 +199,7 @@ def _told_apart(same: Sequence[ClipPlace], result: Path) -> Iterator[ClipPlace]:
 def _made_of(result: Path, source: Path) -> bool:
     """Whether a folder holds a video's result. Of a folder of pictures it is not told: that would take hashing all."""
     try:
-        sha256 = result_content(result.parent, result.name)["inputs"]["video"]
+        sha256 = read_result_content(result.parent, result.name)["inputs"]["video"]
         FileHandle(path=source, sha256=sha256).check()
     except (OSError, ValueError, TypeError, KeyError, RecursionError, StaleFile):
         return False

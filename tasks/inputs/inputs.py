@@ -109,7 +109,7 @@ def assumptions(inputs: Inputs, config: RunConfig) -> list[str]:
         remarks.append(
             "no calibration given: assuming a focal length of the picture's diagonal (--clip or --camera.focal-px)"
         )
-    if told_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
+    if find_exposure_s(inputs.frames[0].path, clip.exposure, config.exposure, interval_s=1.0) is None:
         asked = ", and the first picture does not tell it" if clip.exposure.auto else ""
         remarks.append(f"no exposure given{asked}: assuming the shutter is always open (--clip or --exposure.seconds)")
     used = clip.model_copy(update={"person": clip.person.model_copy(update={"height_m": None})})
@@ -128,7 +128,7 @@ def with_height(config: RunConfig, clip: Clip) -> RunConfig:
     return config.model_copy(update={"fit": fit})
 
 
-def told_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
+def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfig, interval_s: float) -> float | None:
     """How long the shutter was open [s]: an option wins over clip.toml; None where neither says.
 
     Args:

@@ -39,7 +39,7 @@ def check_no_clip(out: Path) -> None:
     """Raises InputError where ``out`` is the folder of a clip or of its frames: results would be read as frames."""
     home = out.resolve().parent if out.resolve().name == FRAMES_FOLDER else out
     if (home / CLIP_FILE).exists() or (out / CLIP_FILE).exists():
-        raise _refused(out, f"the folder of a clip ({CLIP_FILE} lies there)", out)
+        raise _refusal(out, f"the folder of a clip ({CLIP_FILE} lies there)", out)
 
 
 def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
@@ -60,10 +60,10 @@ def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
     if files[0].suffix.lower() in PICTURE_SUFFIXES:
         places += [home, home / FRAMES_FOLDER, *([home.parent] if home.resolve().name == FRAMES_FOLDER else [])]
     if any(same_place(out, place) for place in places):
-        raise _refused(out, "where the frames of this clip are looked for", source)
+        raise _refusal(out, "where the frames of this clip are looked for", source)
     is_named_like_one = out.suffix.lower() in PICTURE_SUFFIXES | VIDEOS
     if is_named_like_one and any(same_place(out.parent, place) for place in (*places, home)):
-        raise _refused(out, "named like a frame or a video, among those of this clip", source)
+        raise _refusal(out, "named like a frame or a video, among those of this clip", source)
 
 
 def check_pictures_out(frames: Sequence[Path], out: Path) -> None:
@@ -73,7 +73,7 @@ def check_pictures_out(frames: Sequence[Path], out: Path) -> None:
         return
     others = [path for path in pictures_in(out) if not is_plate(path) and not _OF_A_RESULT.fullmatch(path.stem)]
     if len(others) > 1 or out.resolve().name == FRAMES_FOLDER:
-        raise _refused(out, "a folder of frames", frames[0])
+        raise _refusal(out, "a folder of frames", frames[0])
 
 
 def check_batch_out(folder: Path, out: Path) -> None:
@@ -81,13 +81,13 @@ def check_batch_out(folder: Path, out: Path) -> None:
     check_not_clips(folder, out)
     for clip in folder.iterdir() if folder.is_dir() else ():
         if clip.is_dir() and (clip / CLIP_FILE).exists() and lies_in(out, clip):
-            raise _refused(out, f"in the folder of the clip {clip.name}", folder)
+            raise _refusal(out, f"in the folder of the clip {clip.name}", folder)
 
 
 def check_not_clips(folder: Path, out: Path) -> None:
     """Raises InputError where results would lie in the folder of clips itself."""
     if same_place(folder, out):
-        raise _refused(out, "the folder of clips itself", folder)
+        raise _refusal(out, "the folder of clips itself", folder)
 
 
 def check_sources_out(sources: Iterable[Path | None], out: Path) -> None:
@@ -96,7 +96,7 @@ def check_sources_out(sources: Iterable[Path | None], out: Path) -> None:
         if source is None or not source.is_dir():
             continue
         if lies_in(out, source):
-            raise _refused(out, f"in {source}, which is searched for inputs", source)
+            raise _refusal(out, f"in {source}, which is searched for inputs", source)
         here, whole = out.resolve(), source.resolve()
         if whole.is_relative_to(here) and whole != here and _WRITTEN.fullmatch(whole.relative_to(here).parts[0]):
             raise InputError(f"{source} is where results in {out} go: give another --out, such as --out {out}-again")
@@ -109,7 +109,7 @@ def default_out(source: Path) -> Path:
     return out.with_name(f"{out.name}-result") if same_place(place, out) else out
 
 
-def _refused(out: Path, what: str, source: Path) -> InputError:
+def _refusal(out: Path, what: str, source: Path) -> InputError:
     return InputError(
         f"--out {out} is {what}, so results would be taken for inputs: give a folder of its own, such as "
         f"--out {Path('runs') / source.resolve().stem}-result"

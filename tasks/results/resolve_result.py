@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from hfb.errors import InputError
 from hfb.io.safe_folder import check_readable
-from hfb.tasks.core.result_folder import check_result, result_content
+from hfb.tasks.core.result_folder import check_result, read_result_content
 
 if TYPE_CHECKING:
     from hfb.body.model import Body
@@ -90,16 +90,16 @@ def resolve_result(source: str, names: Sequence[str], inner: Sequence[str] = ())
 _SAME_BODY_M = 1e-3
 
 
-def named_body(result: Path) -> Path | None:
+def find_named_body(result: Path) -> Path | None:
     """The body model that result.json names; None where it names none or cannot be read."""
     try:
-        named = result_content(result.parent)["config"]["body"]["model"]
+        named = read_result_content(result.parent)["config"]["body"]["model"]
     except (InputError, KeyError, TypeError):
         return None
     return Path(named) if isinstance(named, str) else None
 
 
-def fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Body:
+def load_fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Body:
     """The body model that a motion was fitted with.
 
     Args:

@@ -219,6 +219,6 @@ def add_report(run_id: str | None, report: FileHandle) -> None:
         return
     try:
         with tracking.store_losses():
-            tracking.log_files(tracking.recorded(run_id), [report.path])
+            tracking.log_files(tracking.open_run(run_id), [report.path])
     except tracking.StoreLost as lost:
         progress.say(f"report.html is not in MLflow, in the result's folder it is: {lost}")

@@ -49,18 +49,18 @@ class RunComparison:
 def compare_records(runs: Sequence[StoredRun]) -> RunComparison:
     """What the store says of some runs."""
     params = [{current_option_name(name): value for name, value in run.params.items()} for run in runs]
-    config = _differing(params)
+    config = _find_differences(params)
     named = sorted({name for run in runs for name in run.metrics}, key=_order)
     return RunComparison(
         runs=tuple(runs),
         config=config,
         same_options=len({name for one in params for name in one}) - len(config),
-        environment=_differing([_environment(run) for run in runs]),
+        environment=_find_differences([_environment(run) for run in runs]),
         metrics=tuple(Numbers(name, tuple(_finite(run.metrics.get(name)) for run in runs)) for name in named),
     )
 
 
-def _differing(records: Sequence[Mapping[str, str]]) -> tuple[Words, ...]:
+def _find_differences(records: Sequence[Mapping[str, str]]) -> tuple[Words, ...]:
     names = sorted({name for record in records for name in record})
     every = (Words(name, tuple(record.get(name) for record in records)) for name in names)
     return tuple(words for words in every if len(set(words.values)) > 1)

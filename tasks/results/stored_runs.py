@@ -59,7 +59,7 @@ def find_run(words: str) -> StoredRun:
         InputError: there is none, or more than one, or the store cannot be read.
     """
     with readable_store(), tracking.store_losses():
-        return _stored(_found(_id_in(Path(words)) if Path(words).is_dir() else words))
+        return _to_stored_run(_find(_id_in(Path(words)) if Path(words).is_dir() else words))
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def fetch_file(run: StoredRun, name: str, folder: Path) -> Path | None:
         return Path(client.download_artifacts(run.run_id, name, str(folder)))
 
 
-def _found(words: str) -> Any:
+def _find(words: str) -> Any:
     text = words.strip().lower()
     if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_PREFIX},{_ID_LENGTH}}}", text):
         raise InputError(f"{words!r} is neither the id of a run nor a result's folder{_NAMED_DIFFERENTLY}")
@@ -154,7 +154,7 @@ def result_facts(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def _stored(run: Any) -> StoredRun:
+def _to_stored_run(run: Any) -> StoredRun:
     info, data = run.info, run.data
     began = datetime.fromtimestamp(info.start_time / 1000, UTC)
     return StoredRun(

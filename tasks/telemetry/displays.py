@@ -169,7 +169,7 @@ def display_of_flow_run() -> Display:
 
 
 @contextmanager
-def shown_somewhere() -> Iterator[None]:
+def show_progress() -> Iterator[None]:
     """In a flow run: one that a server started tells of its steps in its log, a command has chosen its display."""
     if shown_to_somebody():
         yield

@@ -79,7 +79,7 @@ def showing(display: Display) -> Iterator[None]:
 
 
 @contextmanager
-def listened(listener: Listener) -> Iterator[None]:
+def add_listener(listener: Listener) -> Iterator[None]:
     """Somebody hears of the steps inside."""
     _listeners.append(listener)
     try:

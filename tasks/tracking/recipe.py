@@ -77,7 +77,7 @@ def recipe(
     options_then = config.model_dump(mode="json")
     return Recipe(
         command=command,
-        config=_moved(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
+        config=_replace_paths(options_then, _absolute(options_then, {str(file.path) for file in files.values()})),
         inputs=inputs.model_dump(mode="json"),
         options=dict(options or {}),
         files=files,
@@ -115,7 +115,7 @@ def recipe_config(recipe: Recipe, places: Mapping[str, Path], run: str) -> RunCo
         InputError: this version of hfb does not know one of them.
     """
     try:
-        return to_record(RunConfig, _moved(recipe.config, _now(recipe, places)), f"the options of run {run}")
+        return to_record(RunConfig, _replace_paths(recipe.config, _now(recipe, places)), f"the options of run {run}")
     except InputError as error:
         raise InputError(f"{error}; it was made by hfb {recipe.code}: check that version out to repeat it") from None
 
@@ -132,7 +132,7 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
     Raises:
         InputError: this version of hfb takes other inputs.
     """
-    return to_record(kind, _moved(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
+    return to_record(kind, _replace_paths(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
 
 
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
@@ -149,10 +149,10 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
     return {content: whole} if whole in paths else {}
 
 
-def _moved(content: Any, moved: Mapping[str, str]) -> Any:
+def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
     """Plain content with every path that a file was moved from replaced, in handles and options alike."""
     if isinstance(content, dict):
-        return {name: _moved(value, moved) for name, value in content.items()}
+        return {name: _replace_paths(value, moved) for name, value in content.items()}
     if isinstance(content, list):
-        return [_moved(one, moved) for one in content]
+        return [_replace_paths(one, moved) for one in content]
     return moved.get(content, content) if isinstance(content, str) else content

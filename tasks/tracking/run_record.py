@@ -42,7 +42,7 @@ class RunRecord(Record):
     """A run as it is recorded.
 
     Attributes:
-        key: decides which run it is; see `hfb.tasks.tracking.tracking.recorded_run`.
+        key: decides which run it is; see `hfb.tasks.tracking.tracking.record_run`.
         points: values by metric and step.
         files: published files by name.
         contents: artifacts of plain values by name.
@@ -68,7 +68,7 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
     Raises:
         tracking.StoreLost: the store cannot be reached or written.
     """
-    with tracking.recorded_run(record.name, record.key, record.params, record.tags) as run:
+    with tracking.record_run(record.name, record.key, record.params, record.tags) as run:
         if not run.complete:
             tracking.log_points(run, record.points)
             for name, file in record.files.items():
@@ -80,7 +80,7 @@ def write_run(record: RunRecord, paths: Mapping[str, Path]) -> RunHandle:
 
 def keep_for_later(record: RunRecord, folder: Path) -> FileHandle:
     """Write a record that the store did not take into a file, from which `hfb record` makes the same run."""
-    key, tags = tracking.as_recorded_here(record.key, record.tags)
+    key, tags = tracking.add_record_context(record.key, record.tags)
     path = folder / RECORD
     kept = record.model_copy(update={"key": key, "tags": tags})
     write_bytes_atomic(path, json.dumps(hidden_in(kept.model_dump())).encode() + b"\n")
@@ -112,7 +112,7 @@ def read_kept(result: Path) -> RunRecord:
     return record
 
 
-def checked_files(record: RunRecord, result: Path) -> dict[str, Path]:
+def check_recorded_files(record: RunRecord, result: Path) -> dict[str, Path]:
     """The files of a record in a result's folder, each as it was when the result was made.
 
     Raises:

@@ -146,7 +146,7 @@ def _check_tables(uri: str) -> None:
     engine = create_engine(uri, poolclass=NullPool, connect_args={limit: _CONNECT_S} if limit else {})
     migrations = ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations"))
     head = migrations.get_current_head()
-    found = _settled(lambda: _revision(engine), head)
+    found = _wait_until_settled(lambda: _revision(engine), head)
     if found in (None, head):
         return
     known = {script.revision for script in migrations.walk_revisions()}
@@ -159,7 +159,7 @@ def _check_tables(uri: str) -> None:
     )
 
 
-def _settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
+def _wait_until_settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
     """What is read, once it no longer changes: another process may be making the tables."""
     found, since = read(), time.monotonic()
     while found not in (None, wanted) and time.monotonic() - since < _MIGRATES_S:

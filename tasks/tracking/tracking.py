@@ -56,7 +56,7 @@ class Run:
 
 
 @contextmanager
-def recorded_run(
+def record_run(
     name: str, key: str, params: Mapping[str, Any], tags: Mapping[str, str], *, parent: Run | None = None
 ) -> Iterator[Run]:
     """Find or create the run of a problem; FINISHED, FAILED or KILLED when the block ends.
@@ -77,7 +77,7 @@ def recorded_run(
         tags = {**tags, "mlflow.parentRunId": parent.run_id}
     with store_losses():
         client = client_of(tracking_uri())
-        run = _found_or_created(client, name, key, params=params, tags=tags)
+        run = _find_or_create(client, name, key, params=params, tags=tags)
         status = "KILLED"  # by Ctrl-C, SIGTERM or Prefect's own signal, none of which is an Exception
         try:
             yield run
@@ -95,7 +95,7 @@ def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str,
 
     Args:
         name: of the run.
-        key: as of `recorded_run`.
+        key: as of `record_run`.
         params: what went in.
         tags: besides versions and machine.
 
@@ -103,7 +103,7 @@ def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str,
         StoreLost: the store cannot be reached or written.
     """
     with store_losses():
-        return _found_or_created(client_of(tracking_uri()), name, key, params=params, tags=tags)
+        return _find_or_create(client_of(tracking_uri()), name, key, params=params, tags=tags)
 
 
 def end_run(run: Run, status: str) -> None:
@@ -113,7 +113,7 @@ def end_run(run: Run, status: str) -> None:
             client_of(run.uri).set_terminated(run.run_id, status)
 
 
-def recorded(run_id: str) -> Run:
+def open_run(run_id: str) -> Run:
     """A run that is there, to add to it. Raises StoreLost."""
     with store_losses():
         info = client().get_run(run_id).info
@@ -174,7 +174,7 @@ def end_abandoned_runs() -> int:
             return ended
 
 
-def logged_steps(run: Run, metric: str) -> set[int]:
+def read_logged_steps(run: Run, metric: str) -> set[int]:
     """The steps at which a run has a point of a metric already. Raises StoreLost."""
     with store_losses():
         return {point.step for point in client_of(run.uri).get_metric_history(run.run_id, metric)}
@@ -243,7 +243,7 @@ def _experiment(client: MlflowClient) -> str:
         return str(found.experiment_id)
 
 
-def _found_or_created(
+def _find_or_create(
     client: MlflowClient, name: str, key: str, *, params: Mapping[str, Any], tags: Mapping[str, str]
 ) -> Run:
     patience(str(client.tracking_uri)).another_try()
@@ -266,7 +266,7 @@ def _found_or_created(
     return Run(str(client.tracking_uri), experiment_id, info.run_id, info.start_time, complete)
 
 
-def as_recorded_here(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str, str]]:
+def add_record_context(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str, str]]:
     """The key and the tags by which a run that is recorded later is the same as if it were recorded now."""
     key, tags = _of_repetition(key, tags)
     return key, {**environment(), **tags}

@@ -98,7 +98,7 @@ class ClipRecord:
         if run is None or run.complete:
             return
         for metric in points.keys() - self._there.keys():
-            self._there[metric] = tracking.logged_steps(run, metric)
+            self._there[metric] = tracking.read_logged_steps(run, metric)
         new = {
             metric: {step: value for step, value in values.items() if step not in self._there[metric]}
             for metric, values in points.items()
@@ -118,7 +118,7 @@ class ClipRecord:
         self._log(self._points)
         self._log(_final(result))
         with tracking.store_losses():
-            tracking.log_files(run, _looked_at(files))
+            tracking.log_files(run, _artifact_paths(files))
             for name, content in self._contents(files, result).items():
                 tracking.log_dict(run, content, name)
         tracking.end_run(run, "FINISHED")
@@ -145,5 +145,5 @@ def _final(result: Mapping[str, Any]) -> dict[str, dict[int, float]]:
     return final | {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
 
 
-def _looked_at(files: Mapping[str, FileHandle]) -> Sequence[Path]:
+def _artifact_paths(files: Mapping[str, FileHandle]) -> Sequence[Path]:
     return [file.path for _, file in sorted(files.items())]

@@ -15,7 +15,7 @@ import numpy as np
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import FileHandle, unchanged
+from hfb.tasks.core.handles import FileHandle, verify_unchanged
 from hfb.tasks.core.video_handles import FootageHandle, PeopleHandle, PersonSeen, PlateHandle, TrackHandle
 from hfb.tasks.image.prepare import calibration
 from hfb.tasks.inputs.video_inputs import VideoInputs
@@ -186,7 +186,7 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
     if len(given) > 1:
         last = footage.count if stop is None else stop
         given = given[footage.first + start * footage.average : footage.first + last * footage.average]
-    with unchanged(tuple(FileHandle(**one) for one in given)):
+    with verify_unchanged(tuple(FileHandle(**one) for one in given)):
         yield footage
 
 

@@ -36,7 +36,7 @@ class SharedStore:
         Raises:
             InputError: the URL names no place that can be used, or holds a password.
         """
-        self._fs, self._root = _opened(url)
+        self._fs, self._root = _open(url)
         self._known: set[str] = set()
 
     def put(self, value: object) -> None:
@@ -84,7 +84,7 @@ class SharedStore:
         return f"{self._root}/{file.sha256[:2]}/{file.sha256}"
 
 
-def _opened(url: str) -> tuple[FileSystem, str]:
+def _open(url: str) -> tuple[FileSystem, str]:
     from pyarrow.fs import FileSystem
 
     if without_secrets(url) != url:

@@ -48,9 +48,9 @@ class _Pool:
         self._lock = threading.Lock()
         self._closed = False
         self.busy_s = 0.0
-        self._executor = self._started()
+        self._executor = self._start()
 
-    def _started(self) -> ProcessPoolExecutor:
+    def _start(self) -> ProcessPoolExecutor:
         context = _fork_server()
         # one per set of processes: a process that is killed while it writes leaves its queue locked
         self._records = _Records(context)
@@ -61,7 +61,7 @@ class _Pool:
         for _ in range(_ATTEMPTS):
             executor = self._executor
             try:
-                result, seconds = executor.submit(_timed, ids_now(), function, *args, **kwargs).result()
+                result, seconds = executor.submit(_run_timed, ids_now(), function, *args, **kwargs).result()
                 with self._lock:
                     self.busy_s += seconds
                 _log.info("%s: %.2f s", function.__name__.strip("_"), seconds)
@@ -83,7 +83,7 @@ class _Pool:
             if self._executor is broken:  # every thread that waited finds out; one of them mends
                 broken.shutdown(wait=False)
                 self._records.close()
-                self._executor = self._started()
+                self._executor = self._start()
 
     def close(self) -> None:
         # What still computes has no one to give it to: an interrupted flow must not wait for it.
@@ -262,7 +262,7 @@ def run_remote(function: Callable[..., R], call: Call, gpu: bool = False) -> R:
     return _cluster.run(function, call, gpu) if _cluster else run_local(function, call)
 
 
-def _timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
+def _run_timed(ids: dict[str, Any], function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> tuple[R, float]:
     began = time.monotonic()
     with about(ids):
         return bare(function)(*args, **kwargs), time.monotonic() - began

@@ -3,14 +3,17 @@
 import importlib.util
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import yaml
 from PIL import Image
+from pydantic import BaseModel
 
 import hfb
+from hfb.config import preset
 from hfb.flows.cli.cli import command_line
 from tests.documents import ROOT, anchors, code_blocks, documents, hfb_commands, links, prose
 
@@ -57,6 +60,25 @@ def test_commands_parse(path: Path) -> None:
     for words in hfb_commands(path):
         _, unknown = command_line().parse_known_args(words)
         assert unknown == [], words
+
+
+def test_options_in_documents_exist() -> None:
+    """Keys such as `fit.degree` or `--video.average`; CHANGELOG and experiments name those of their day."""
+    known = set(_option_keys(preset("best")))
+    sections = "|".join(sorted({key.split(".")[0] for key in known if "." in key}))
+    pattern = re.compile(rf"`(?:--)?((?:{sections})(?:\.[a-z][a-z_-]*)+)(?<!\.npy)(?<!\.yml)[ `]")
+    pages = [path for path in documents() if path.name != "CHANGELOG.md" and path.parent != _EXPERIMENTS]
+    named = {(_name(path), key.replace("-", "_")) for path in pages for key in pattern.findall(path.read_text())}
+    assert named
+    assert [one for one in sorted(named) if one[1] not in known] == []
+
+
+def _option_keys(record: BaseModel, prefix: str = "") -> Iterator[str]:
+    for name in type(record).model_fields:
+        value = getattr(record, name)
+        yield f"{prefix}{name}"
+        if isinstance(value, BaseModel):
+            yield from _option_keys(value, f"{prefix}{name}.")
 
 
 def test_figures_of_the_readme_are_those_of_the_results() -> None:

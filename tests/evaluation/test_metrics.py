@@ -245,6 +245,27 @@ def test_ssim_of_equal_pictures_is_one_and_of_noise_near_zero():
     assert metrics.ssim(picture, 1 - picture) < -0.9  # the opposite structure
 
 
+def test_ssim_is_that_of_scikit_image():
+    """The implementation that researchers know, to the last bit; hfb does not depend on its 40 MB."""
+    structural_similarity = pytest.importorskip("skimage.metrics").structural_similarity
+    rng = np.random.default_rng(12)
+    for height, width in [(11, 11), (40, 33), (120, 90)]:
+        truth = rng.random((height, width, 3))
+        mask = rng.random((height, width))
+        for predicted in (truth * 0.8, rng.random(truth.shape), np.zeros_like(truth), truth.astype(np.float32)):
+            whole, per_pixel = structural_similarity(
+                predicted.astype(np.float64), truth, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+                data_range=1.0, channel_axis=-1, full=True,
+            )  # fmt: skip
+            assert metrics.ssim(predicted, truth) == whole
+            assert metrics.ssim(predicted, truth, mask) == np.average(per_pixel.mean(-1), weights=mask)
+
+
+def test_a_picture_without_room_for_the_window_is_refused():
+    with pytest.raises(ValueError, match="smaller than SSIM's window"):
+        metrics.ssim(np.zeros((10, 40, 3)), np.zeros((10, 40, 3)))
+
+
 def test_ssim_of_flat_pictures_by_hand():
     # Without structure only the luminance term is left: (2 a b + C1) / (a^2 + b^2 + C1), C1 = .01^2.
     one, other = np.full((16, 16, 3), 0.5), np.full((16, 16, 3), 0.3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pandas import DataFrame
 
 from hfb.evaluation.reliability import WITHIN, direction_groups, direction_row, joint_row, reliability_cell
 from hfb.evaluation.tables import summarize, table_markdown
@@ -31,12 +32,9 @@ def test_the_row_of_directions() -> None:
     assert direction_row(swinging((0.4, 0.3, 0.2, 0.1), frames=2)) == {"direction_said": pytest.approx(0.7)}
 
 
-def _values(said: list[float], wrong: list[float], within: float = 0.5) -> dict[str, np.ndarray]:
+def _values(said: list[float], wrong: list[float], within: float = 0.5) -> DataFrame:
     shares = {name: np.full(len(said), within) for name in WITHIN}
-    return {
-        **shares, "radius_mm": np.full(len(said), 20.0), "direction_said": np.array(said),
-        "wrong_direction": np.array(wrong),
-    }  # fmt: skip
+    return DataFrame({**shares, "radius_mm": 20.0, "direction_said": said, "wrong_direction": wrong})
 
 
 def test_groups_and_calibration_errors_by_hand() -> None:
@@ -51,7 +49,7 @@ def test_groups_and_calibration_errors_by_hand() -> None:
 
 
 def test_a_method_that_says_nothing_has_empty_entries() -> None:
-    nothing = {name: np.full(2, np.nan) for name in (*WITHIN, "radius_mm", "direction_said", "wrong_direction")}
+    nothing = DataFrame(np.nan, [0, 1], [*WITHIN, "radius_mm", "direction_said", "wrong_direction"])
     assert set(reliability_cell(nothing).values()) == {None}
 
 

@@ -138,6 +138,13 @@ def test_a_case_that_stands_twice_is_refused():
         _summary([_fitted(4, 100, 50), _fitted(4, 100, 60)])
 
 
+@pytest.mark.parametrize("column", ["case", "method"])
+def test_a_row_of_nothing_is_refused(column):
+    for row in ({**_fitted(1, 100, 50), column: None}, {"iou": 0.5}):
+        with pytest.raises(InputError, match="names no case or no method"):
+            _summary([_fitted(2, 100, 50), row])
+
+
 def test_pairs_are_compared_on_the_cases_both_answered():
     ours = [_fitted(1, 100, 40), _fitted(2, 100, 70), _fitted(3, 100, 10)]
     theirs = [_fitted(1, 100, 60, method="paper"), _fitted(2, 100, 60, 0.3, "paper"), _row(3, "paper", failed="no")]

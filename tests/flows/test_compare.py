@@ -112,7 +112,7 @@ def test_a_run_with_itself(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path
 
 def test_runs_without_pictures_or_motions(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -> None:
     """A benchmark's run, a number that is none, and a picture that is damaged: the numbers are shown all the same."""
-    with tracking.recorded_run("plain", "k", {"seed": 5}, {}) as plain:
+    with tracking.record_run("plain", "k", {"seed": 5}, {}) as plain:
         tracking.log_histories(plain, {"all/ratio": [0.5], "loss/total": [float("nan")]})
         (tmp_path / "strip.png").write_bytes(b"no picture")
         tracking.log_files(plain, [tmp_path / "strip.png"])

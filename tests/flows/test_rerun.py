@@ -15,7 +15,7 @@ import hfb.tasks.image.fit_motion
 from hfb.config import RENAMED_FIT_OPTIONS, ExportConfig, FitConfig, InitConfig, PriorConfig, RunConfig, Stage
 from hfb.errors import InputError
 from hfb.flows.fit_image import fit_image
-from hfb.flows.rerun import plan_rerun, run_again, with_networks
+from hfb.flows.rerun import plan_rerun, repeat, with_networks
 from hfb.flows.video import run_video
 from hfb.io.media.images.image_io import read_picture_srgb, write_png
 from hfb.motion.static_pose import load_first_body, save_first_body
@@ -63,7 +63,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def again(run_id: str, **places: Path | None) -> dict[str, Any]:
-    return run_again(plan_rerun(run_id, places.get("inputs"), places.get("out")))
+    return repeat(plan_rerun(run_id, places.get("inputs"), places.get("out")))
 
 
 def test_the_same_bits_without_the_cache(made: dict[str, Any], store: Path, tmp_path: Path) -> None:
@@ -207,7 +207,7 @@ def test_runs_that_cannot_be_repeated(made: dict[str, Any], store: Path, tmp_pat
             plan_rerun(words)
     with pytest.raises(InputError, match="holds something already: choose a new folder"):
         plan_rerun(run_id, out=tmp_path / "out")
-    with tracking.recorded_run("older", "k", {"seed": 0}, {}) as older:
+    with tracking.record_run("older", "k", {"seed": 0}, {}) as older:
         pass
     with pytest.raises(InputError, match="only runs of `hfb fit`"):
         plan_rerun(older.run_id)

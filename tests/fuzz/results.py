@@ -28,7 +28,7 @@ from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
 from hfb.tasks.batch.batch_summary import BatchSummary
 from hfb.tasks.core.handles import FileHandle
-from hfb.tasks.results.resolve_result import named_body
+from hfb.tasks.results.resolve_result import find_named_body
 from hfb.tasks.results.result_report import ReportParts, page_text
 
 FACTS: dict[str, Any] = {
@@ -154,7 +154,7 @@ RESULT_READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "alternatives": (
         lambda path: direction_record(load_alternatives(path)[0]), lambda path: _page(alternatives=path),
     ),
-    "facts": (named_body, lambda path: _page(facts=path), _batch),
+    "facts": (find_named_body, lambda path: _page(facts=path), _batch),
     "curves": (lambda path: curves_section(read_curves(path), FACTS),),
     "strip": (lambda path: _page(strip=path), _batch),
 }  # fmt: skip

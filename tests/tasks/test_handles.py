@@ -15,7 +15,7 @@ from hfb.tasks.core.handles import (
     StaleFile,
     digest,
     files_in,
-    unchanged,
+    verify_unchanged,
     with_files,
 )
 from hfb.tasks.inputs.inputs import Inputs, input_file, input_hashes
@@ -103,20 +103,20 @@ def test_inputs_by_role(file: Path, tmp_path: Path) -> None:
 
 def test_what_is_replaced_while_it_is_read_is_seen(file: Path, tmp_path: Path) -> None:
     handle = FileHandle.of(file)
-    with unchanged(handle, [handle], 3):
+    with verify_unchanged(handle, [handle], 3):
         pass
-    with pytest.raises(StaleFile, match="no longer what it was"), unchanged(handle):
+    with pytest.raises(StaleFile, match="no longer what it was"), verify_unchanged(handle):
         file.write_bytes(b"Content")
-    with pytest.raises(StaleFile, match="no longer what it was"), unchanged(handle):
+    with pytest.raises(StaleFile, match="no longer what it was"), verify_unchanged(handle):
         pytest.fail("what is read is not what was given")
     file.write_bytes(b"content")
-    with unchanged(handle):  # the same content again is the same input
+    with verify_unchanged(handle):  # the same content again is the same input
         (tmp_path / "backup").hardlink_to(file)
     other = tmp_path / "other"
     other.write_bytes(b"content")
-    with pytest.raises(StaleFile, match="replaced while it was read"), unchanged(handle):
+    with pytest.raises(StaleFile, match="replaced while it was read"), verify_unchanged(handle):
         other.replace(file)
-    with pytest.raises(StaleFile, match="is gone"), unchanged(handle):
+    with pytest.raises(StaleFile, match="is gone"), verify_unchanged(handle):
         file.unlink()
 
 

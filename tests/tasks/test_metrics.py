@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 
 from hfb.errors import InputError
-from hfb.tasks.batch.metrics import VARIABLE, served
+from hfb.tasks.batch.metrics import VARIABLE, serve_metrics
 from hfb.tasks.telemetry import progress
 from hfb.tasks.workers.workers import run_local, workers
 from tests.small_clips import run_clip, small_clip
@@ -38,7 +38,7 @@ def port(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 def test_a_clip(port: int, store: Path, tmp_path: Path) -> None:
-    with served():
+    with serve_metrics():
         run_clip(small_clip().truth.parent, tmp_path / "out", truth=small_clip().truth)
         figures = scraped(port)
         with workers(2, apart=True):
@@ -63,13 +63,14 @@ def test_the_dashboard_asks_for_what_is_served(port: int) -> None:
         for target in panel["targets"]
         for name in re.findall(r"(?:hfb|process)_\w+", target["expr"])
     }
-    with served(), progress.step("mattes"), urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as page:
+    with serve_metrics(), progress.step("mattes"), urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as page:
         served_names = set(re.findall(r"# TYPE (\w+)", page.read().decode()))
     plain = {name.removesuffix("_sum").removesuffix("_count") for name in asked}
     assert plain <= served_names
     assert len(plain) == 9
 
 
+@pytest.mark.integration
 def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the driver's program tells of them; there is no GPU where these tests run."""
     program = tmp_path / "nvidia-smi"
@@ -80,7 +81,7 @@ def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     ):  # fmt: skip
         program.write_text(f"#!/bin/sh\n{told}\n")
         program.chmod(0o755)
-        with served():
+        with serve_metrics():
             figures = scraped(port)
         busy = {name: value for name, value in figures.items() if name.startswith("hfb_gpu_busy")}
         assert busy == {f'hfb_gpu_busy{{gpu="{number}"}}': share for number, (share, _) in found.items()}
@@ -89,7 +90,7 @@ def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_failures_by_reason(port: int) -> None:
-    with served(), progress.step("mattes"):
+    with serve_metrics(), progress.step("mattes"):
         progress.advance(1, 3)
         progress.fail("InputError")
         progress.fail("InputError")
@@ -99,7 +100,7 @@ def test_failures_by_reason(port: int) -> None:
 
 
 def test_several_at_once_take_the_next_port(port: int) -> None:
-    with served(), served(), progress.step("both"):
+    with serve_metrics(), serve_metrics(), progress.step("both"):
         assert scraped(port)["process_resident_memory_bytes"] > 1e8
         assert scraped(port + 1)["process_resident_memory_bytes"] > 1e8
 
@@ -107,12 +108,12 @@ def test_several_at_once_take_the_next_port(port: int) -> None:
 @pytest.mark.parametrize("place", ["everywhere", "0.0.0.0:", "70000", "-1"])
 def test_a_place_that_is_none(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, place)
-    with pytest.raises(InputError, match="is no place to serve figures: give a port"), served():
+    with pytest.raises(InputError, match="is no place to serve figures: give a port"), serve_metrics():
         pass
 
 
 def test_nothing_is_served_unless_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
     before = threading.active_count()
-    with served():
+    with serve_metrics():
         assert threading.active_count() == before

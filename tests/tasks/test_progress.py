@@ -151,7 +151,7 @@ def test_a_run_that_a_server_started_says_how_far_it_is(store: Path, caplog: pyt
 
     @flow(name="deployed")
     def deployed() -> None:
-        with displays.shown_somewhere(), progress.step("frames"):
+        with displays.show_progress(), progress.step("frames"):
             progress.say("hfb: one clip")
 
     with caplog.at_level(logging.INFO):

@@ -56,7 +56,7 @@ def test_runs_are_recorded_there(given: str, tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("MLFLOW_TRACKING_URI", given.replace("/{here}", str(tmp_path)))
     tracking.open_store()
     (tmp_path / "a.txt").write_text("a")
-    with tracking.recorded_run("name", "k", {}, {}) as run:
+    with tracking.record_run("name", "k", {}, {}) as run:
         tracking.log_files(run, [tmp_path / "a.txt"])
     file = tmp_path / WORK[given]
     with closing(sqlite3.connect(file)) as database:

@@ -15,7 +15,7 @@ PARAMS = {"fit": {"degree": 2, "stages": [{"size_px": 64}]}, "seed": 0, "long": 
 
 
 def record(histories: dict[str, list[float]], key: str = "k") -> str:
-    with tracking.recorded_run("name", key, PARAMS, {"seed": "0"}) as run:
+    with tracking.record_run("name", key, PARAMS, {"seed": "0"}) as run:
         if not run.complete:
             tracking.log_histories(run, histories)
         return run.run_id
@@ -38,7 +38,7 @@ def test_found_again_by_its_key(store: Path) -> None:
 )
 def test_an_interrupted_record_is_finished_by_the_next(store: Path, error: BaseException, status: str) -> None:
     def interrupted() -> None:
-        with tracking.recorded_run("name", "k", PARAMS, {}) as run:
+        with tracking.record_run("name", "k", PARAMS, {}) as run:
             tracking.log_histories(run, {"loss/total": [2.0, 1.0]})
             raise error
 
@@ -52,7 +52,7 @@ def test_an_interrupted_record_is_finished_by_the_next(store: Path, error: BaseE
 
 
 def test_a_killed_record_is_finished_by_the_next(store: Path) -> None:
-    with tracking.recorded_run("name", "k", PARAMS, {}) as run:
+    with tracking.record_run("name", "k", PARAMS, {}) as run:
         tracking.log_histories(run, {"loss/total": [2.0]})
     tracking.client_of(run.uri).update_run(run.run_id, status="RUNNING")  # what kill -9 leaves
     assert record({"loss/total": [2.0, 1.0]}) == run.run_id
@@ -64,8 +64,8 @@ def test_a_long_run_is_recorded_on_the_way(store: Path) -> None:
     run = tracking.begin_run("name", "k", PARAMS, {})
     tracking.log_points(run, {"fit/loss": {3: 0.5}, "frame/seen": {0: 1.0, 3: 1.0}})
     assert mlflow_rows(store, "select status from runs") == [("RUNNING",)]
-    assert tracking.logged_steps(run, "frame/seen") == {0, 3}
-    assert tracking.logged_steps(run, "none") == set()
+    assert tracking.read_logged_steps(run, "frame/seen") == {0, 3}
+    assert tracking.read_logged_steps(run, "none") == set()
     again = tracking.begin_run("name", "k", PARAMS, {})
     assert again == run
     tracking.log_points(again, {"fit/loss": {3: 0.5, 4: 0.25}})
@@ -117,7 +117,7 @@ def test_more_values_than_one_batch_takes(store: Path) -> None:
 def test_a_store_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/file/mlflow.db")
-    with pytest.raises(tracking.StoreLost), tracking.recorded_run("name", "k", PARAMS, {}):
+    with pytest.raises(tracking.StoreLost), tracking.record_run("name", "k", PARAMS, {}):
         pass
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hfb.datasets.motions.motion_clip import MotionClip
-from hfb.datasets.motions.quaternions import align_signs, from_axis_angle, to_axis_angle
+from hfb.geometry.quaternions import align_signs, from_axis_angle, to_axis_angle
 from hfb.typing import Array, Float
 
 _FAST = 0.9

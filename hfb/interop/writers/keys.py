@@ -16,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from hfb.body.skeleton import PARENTS
 from hfb.errors import InputError
+from hfb.geometry.quaternions import align_signs
 from hfb.geometry.rotations import axis_angle_to_quaternion, quaternion_to_matrix
 from hfb.motion.sampled import SampledMotion
 from hfb.typing import Array, Bool, Float, Int
@@ -153,7 +154,7 @@ def _knots(motion: SampledMotion) -> _Knots:
         raise InputError("the motion's instants are not in order: it is damaged; make it again with `hfb fit`")
     quaternions = axis_angle_to_quaternion(torch.from_numpy(motion.poses).unflatten(1, (24, 3))).numpy()
     values = np.concatenate(
-        [_signs_aligned(quaternions).reshape(len(times), 96), motion.trans, motion.joints.reshape(len(times), 72)], 1
+        [align_signs(quaternions).reshape(len(times), 96), motion.trans, motion.joints.reshape(len(times), 72)], 1
     )
     del quaternions
     runs, slopes = _runs(frames), np.empty_like(values)
@@ -233,10 +234,3 @@ def _absences(knots: _Knots, times_s: Float[Array, "F"]) -> Iterator[tuple[int, 
     for left in np.flatnonzero(np.diff(opens) > _ABSENT_INTERVALS * interval).tolist():
         first = int(np.searchsorted(times_s, closes[left] + tolerance, side="right"))
         yield left, slice(first, max(first, int(np.searchsorted(times_s, opens[left + 1] - tolerance))))
-
-
-def _signs_aligned(quaternions: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:
-    """The same rotations, each quaternion in the hemisphere of the one before."""
-    flips = (quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True) < 0
-    signs = np.where(np.logical_xor.accumulate(flips, axis=0), -1.0, 1.0)
-    return np.concatenate([quaternions[:1], quaternions[1:] * signs])

@@ -4,7 +4,6 @@ Large (about 1 MB an .obj), hence on request only. Pose correctives of the model
 """
 
 import re
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,13 +17,14 @@ from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.safe_folder import check_tree, is_regular
 from hfb.motion.sampled import SampledMotion
-from hfb.typing import Array, Float
+from hfb.typing import Array, Float, Int
 
 _MATERIAL, _TEXTURE = "person.mtl", "texture.png"
 _MATERIAL_TEXT = f"newmtl person\nKd 1 1 1\nillum 1\nmap_Kd {_TEXTURE}\n".encode()
 _Y_UP = np.array([1.0, -1.0, -1.0])
 _NAME = re.compile(r"frame_\d{4,}_sub_\d{2,}\.(obj|ply)")
 _MARK = "hfb, metres, y up"
+_TRIMESH_COMMENT = b"comment https://github.com/mikedh/trimesh"
 
 
 def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
@@ -78,10 +78,10 @@ def write_meshes(
         assert texture_png is not None
         write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it tells that the texture is ours
         write_bytes_atomic(folder / _TEXTURE, texture_png)
-    surface = _obj_surface(body, textured) if form == "obj" else _ply_surface(body)
+    faces, surface = body.mesh.faces.numpy(), _obj_surface(body, textured)
     for row in range(len(motion.poses)):
         vertices = _posed(shaped, motion, row)
-        data = _obj(vertices, surface, textured) if form == "obj" else _ply(vertices, surface)
+        data = _obj(vertices, surface, textured) if form == "obj" else _ply(vertices, faces)
         path = folder / mesh_name(motion, row, form)
         write_bytes_atomic(path, data)
         yield path
@@ -96,7 +96,11 @@ def _posed(shaped: ShapedBody, motion: SampledMotion, row: int) -> Float[Array, 
 
 
 def _obj_surface(body: Body, textured: bool) -> bytes:
-    """What all instants share: texture coordinates (v = 0 at the bottom in .obj) and faces (counted from 1)."""
+    """What all instants share: texture coordinates (v = 0 at the bottom in .obj) and faces (counted from 1).
+
+    Not by trimesh, which has one texture coordinate per vertex: every seam would split the surface, and vertices would
+    no longer be the body model's.
+    """
     faces = body.mesh.faces.numpy() + 1
     if not textured:
         return "".join(f"f {a} {b} {c}\n" for a, b, c in faces).encode()
@@ -111,14 +115,9 @@ def _obj(vertices: Float[Array, "V 3"], surface: bytes, textured: bool) -> bytes
     return (head + "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in vertices)).encode() + surface
 
 
-def _ply_surface(body: Body) -> bytes:
-    return b"".join(struct.pack("<B3i", 3, *face) for face in body.mesh.faces.tolist())
+def _ply(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> bytes:
+    import trimesh  # slow to import, and few need it
 
-
-def _ply(vertices: Float[Array, "V 3"], surface: bytes) -> bytes:
-    head = (
-        f"ply\nformat binary_little_endian 1.0\ncomment {_MARK}\nelement vertex {len(vertices)}\n"
-        "property float x\nproperty float y\nproperty float z\n"
-        f"element face {len(surface) // struct.calcsize('<B3i')}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    return head.encode() + vertices.astype("<f4").tobytes() + surface
+    content = trimesh.Trimesh(vertices, faces, process=False).export(file_type="ply", vertex_normal=False)
+    assert isinstance(content, bytes)  # of another kind of file it may be text, or several files
+    return content.replace(_TRIMESH_COMMENT, f"comment {_MARK}".encode(), 1)  # hfb replaces only what it marked

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.datasets.motions.files.bvh import BvhMotion
-from hfb.datasets.motions.quaternions import between, conjugate, from_axis_angle, multiply, rotate, unit
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
+from hfb.geometry.quaternions import between, conjugate, from_axis_angle, multiply, rotate, unit
 from hfb.typing import Array, Float
 
 MIXAMO = (

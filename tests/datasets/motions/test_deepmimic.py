@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.motions.motion_clip import MotionClip
-from hfb.datasets.motions.quaternions import from_axis_angle, rotate
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.errors import InputError
+from hfb.geometry.quaternions import from_axis_angle, rotate
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}
 _FPS, _FRAMES = 30, 45

@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.built_in.procedural import ProceduralMotions
-from hfb.datasets.motions.quaternions import conjugate, from_axis_angle, multiply, rotate
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.skeletons.retargeting import retarget
 from hfb.errors import InputError
+from hfb.geometry.quaternions import conjugate, from_axis_angle, multiply, rotate
 from tests.datasets.motions.skeletons import Foreign, bones_along_one_axis
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}

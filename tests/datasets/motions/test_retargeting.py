@@ -10,12 +10,12 @@ from hfb.body.skeleton import JOINT_NAMES, PARENTS
 from hfb.datasets.motions.built_in.procedural import ProceduralMotions
 from hfb.datasets.motions.files.bvh import BvhMotion, read_bvh
 from hfb.datasets.motions.motion_clip import MotionClip
-from hfb.datasets.motions.quaternions import from_axis_angle, rotate, unit
 from hfb.datasets.motions.resampling import has_jump
 from hfb.datasets.motions.skeletons.joint_names import map_joints
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.skeletons.retargeting import retarget
 from hfb.errors import InputError
+from hfb.geometry.quaternions import from_axis_angle, rotate, unit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.datasets.motions.skeletons import MIXAMO, Foreign, own_frames
 

@@ -11,11 +11,10 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.built_in.gestures import CHANNELS, GESTURES, RANGES
 from hfb.datasets.motions.built_in.procedural import ProceduralMotions
 from hfb.datasets.motions.folder import FolderMotions
-from hfb.datasets.motions.motion_clip import MotionSource
-from hfb.datasets.motions.quaternions import from_axis_angle, rotate
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.sources import open_motions, usable
 from hfb.errors import InputError
+from hfb.geometry.quaternions import from_axis_angle, rotate
 from hfb.priors.anatomy import AnatomicalPrior
 
 _MOCAP = Path(__file__).parents[4] / "shared" / "data" / "cmu_bvh"

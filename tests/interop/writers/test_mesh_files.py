@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from hfb.body.assets import load_default_body
 from hfb.config import MeshFormat
@@ -18,7 +19,6 @@ BODY = load_default_body()
 
 @pytest.mark.parametrize("form", ["obj", "ply"])
 def test_surface(form: MeshFormat, tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
     motion = motion_of(BODY, frames=1)
     write_png(tmp_path / "red.png", np.full((4, 4, 3), [1.0, 0.2, 0.2]))
     paths = []
@@ -33,7 +33,18 @@ def test_surface(form: MeshFormat, tmp_path: Path) -> None:
     read = trimesh.load(paths[1], process=False, force="mesh")
     corners = np.asarray(read.vertices)[np.asarray(read.faces)]
     assert 1000 * np.linalg.norm(corners - expected[BODY.mesh.faces.numpy()], axis=-1).max() < 0.01
-    if form == "obj":
+    assert read.is_winding_consistent
+    assert read.is_watertight == (form == "ply")  # of .obj trimesh splits the seams
+    if form == "ply":
+        assert len(read.vertices) == len(BODY.template)
+        assert read.volume > 0
+        assert b"hfb, metres, y up" in paths[1].read_bytes()[:80]
+    else:
+        lines = paths[1].read_text().splitlines()
+        kinds = [line.partition(" ")[0] for line in lines]
+        counts = len(BODY.template), len(BODY.mesh.uv), len(BODY.mesh.faces)
+        assert (kinds.count("v"), kinds.count("vt"), kinds.count("f")) == counts
+        assert {"mtllib person.mtl", "usemtl person"} <= set(lines)
         image = read.visual.material.image
         assert image is not None
         assert image.getpixel((1, 1))[0] > 200

@@ -20,8 +20,8 @@ from hfb.datasets.motions.built_in.gestures import (
     Gesture,
 )
 from hfb.datasets.motions.motion_clip import MotionClip
-from hfb.datasets.motions.quaternions import from_axis_angle, multiply, to_axis_angle
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
+from hfb.geometry.quaternions import from_axis_angle, multiply, to_axis_angle
 from hfb.typing import Array, Float
 
 FPS = 120.0

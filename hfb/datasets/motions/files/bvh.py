@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hfb.datasets.motions.quaternions import multiply, rotate
 from hfb.errors import InputError
+from hfb.geometry.quaternions import multiply, rotate
 from hfb.typing import Array, Float
 
 _MAX_BYTES, _MAX_HEAD = 64 << 20, 4 << 20

@@ -14,8 +14,8 @@ from scipy.interpolate import PchipInterpolator
 
 from hfb.datasets.motions.files.npz import read_npz
 from hfb.datasets.motions.motion_clip import MotionClip
-from hfb.datasets.motions.quaternions import align_signs, from_axis_angle, multiply, rotate, to_axis_angle
 from hfb.errors import InputError
+from hfb.geometry.quaternions import align_signs, from_axis_angle, multiply, rotate, to_axis_angle
 from hfb.typing import Array, Float, Shaped
 
 _POSES = ("poses", "root_orient", "pose_body")

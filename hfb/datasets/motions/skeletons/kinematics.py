@@ -6,7 +6,7 @@ import numpy as np
 
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import JOINT_COUNT, PARENTS
-from hfb.datasets.motions.quaternions import conjugate, multiply, rotate
+from hfb.geometry.quaternions import conjugate, multiply, rotate
 from hfb.typing import Array, Float
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from hfb.datasets.motions.quaternions import conjugate, from_axes, multiply, rotate, unit
+from hfb.geometry.quaternions import conjugate, from_axes, multiply, rotate, unit
 from hfb.typing import Array, Float
 
 _REST_SHARE = 0.02

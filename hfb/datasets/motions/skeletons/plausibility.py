@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from hfb.body.skeleton import JOINT_NAMES
-from hfb.datasets.motions.quaternions import from_axis_angle, multiply
 from hfb.errors import InputError
+from hfb.geometry.quaternions import from_axis_angle, multiply
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Bool, Float
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hfb.datasets.motions.files.bvh import BvhMotion
-from hfb.datasets.motions.quaternions import between, conjugate, from_axes, from_axis_angle, multiply, rotate, unit
 from hfb.datasets.motions.skeletons.joint_names import JointMap
 from hfb.datasets.motions.skeletons.trunk_frames import trunk_offsets
 from hfb.datasets.motions.skeletons.world_axes import find_up
 from hfb.errors import InputError
+from hfb.geometry.quaternions import between, conjugate, from_axes, from_axis_angle, multiply, rotate, unit
 from hfb.typing import Array, Float
 
 _STILL = np.array([1.0, 0, 0, 0])

@@ -12,7 +12,13 @@ import numpy as np
 
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.files.bvh import BvhMotion
-from hfb.datasets.motions.quaternions import (
+from hfb.datasets.motions.skeletons.joint_names import JointMap, map_joints
+from hfb.datasets.motions.skeletons.kinematics import rest_joints, to_local
+from hfb.datasets.motions.skeletons.limbs import Limb, align_frame
+from hfb.datasets.motions.skeletons.plausibility import without_impossible_ends
+from hfb.datasets.motions.skeletons.rest_pose import Rest, find_rest
+from hfb.errors import InputError
+from hfb.geometry.quaternions import (
     between,
     conjugate,
     from_axis_angle,
@@ -22,12 +28,6 @@ from hfb.datasets.motions.quaternions import (
     to_axis_angle,
     unit,
 )
-from hfb.datasets.motions.skeletons.joint_names import JointMap, map_joints
-from hfb.datasets.motions.skeletons.kinematics import rest_joints, to_local
-from hfb.datasets.motions.skeletons.limbs import Limb, align_frame
-from hfb.datasets.motions.skeletons.plausibility import without_impossible_ends
-from hfb.datasets.motions.skeletons.rest_pose import Rest, find_rest
-from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}

@@ -6,8 +6,8 @@ tells, where it is one. Else the motion does: on average hips, shoulders and spi
 
 import numpy as np
 
-from hfb.datasets.motions.quaternions import conjugate, from_axes, multiply, unit
 from hfb.datasets.motions.skeletons.joint_names import JointMap
+from hfb.geometry.quaternions import conjugate, from_axes, multiply, unit
 from hfb.typing import Array, Float
 
 _FAR, _NEAR = (np.cos(np.deg2rad(angle) / 2) for angle in (45, 20))

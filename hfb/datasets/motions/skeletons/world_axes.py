@@ -6,9 +6,9 @@ pose, with all bones along one axis.
 
 import numpy as np
 
-from hfb.datasets.motions.quaternions import unit
 from hfb.datasets.motions.skeletons.joint_names import JointMap
 from hfb.errors import InputError
+from hfb.geometry.quaternions import unit
 from hfb.typing import Array, Float
 
 _TRUNK, _LEGS = 0.7, 0.2
