@@ -14,6 +14,7 @@ from hfb.datasets.example import write_example
 from hfb.evaluation.warnings import ResultWarning
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
+from hfb.fitting.direction_trust import direction_condition
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
@@ -190,6 +191,8 @@ def _result(
     warnings: tuple[ResultWarning, ...],
 ) -> dict[str, Any]:
     """result.json: scores and times, where things are, and what they were made from."""
+    sources = [first.source for first in firsts]
+    directions = {"directions": direction_condition(sources)} if fitted.directions else {}
     return {
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
@@ -197,13 +200,13 @@ def _result(
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],
-        "confidence": radius_condition([first.source for first in firsts]),
+        "confidence": radius_condition(sources) | directions,
         "out": str(out.resolve()),
         "strip": str(out.resolve() / "strip.png"),
         "report": str(out.resolve() / REPORT) if config.export.report else None,
         "mlflow_run_id": None,
         "mlflow_link": None,
-        "first_bodies": [first.source for first in firsts],
+        "first_bodies": sources,
         "pose_networks": [file.path.name for file in inputs.networks],
         "inputs": input_hashes(inputs),
         "config": config.model_dump(mode="json"),

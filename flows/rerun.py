@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +31,7 @@ from hfb.tasks.results.reload_inputs import locate_inputs
 from hfb.tasks.results.stored_runs import StoredRun, fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
+from hfb.tasks.tracking.hidden_options import with_options
 from hfb.tasks.tracking.recipe import COMMAND_TAG, RECIPE, Recipe, read_recipe, recipe_config, recipe_inputs
 
 MOTION = "motion.npz"
@@ -58,7 +59,13 @@ class Plan:
     changed: tuple[str, ...]
 
 
-def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None = None, workers: int = 1) -> Plan:
+def plan_rerun(
+    words: str,
+    inputs_folder: Path | None = None,
+    out: Path | None = None,
+    workers: int = 1,
+    options: Mapping[str, str] | None = None,
+) -> Plan:
     """Find a run and everything it needs.
 
     Args:
@@ -66,10 +73,11 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
         inputs_folder: where to look for files that are no longer where they were; they are told by their content.
         out: the folder of the repetition; a new one under runs/ when not given.
         workers: processes that compute a clip; their number changes no digit.
+        options: values that the record hides, since they held a secret.
 
     Raises:
-        InputError: there is no such run, it cannot be repeated, an input is gone or was changed, or the folder holds
-            something already.
+        InputError: there is no such run, it cannot be repeated, an input is gone or was changed, a hidden option is not
+            given, or the folder holds something already.
     """
     run = find_run(words)
     if run.tags.get(COMMAND_TAG) is None:
@@ -85,7 +93,7 @@ def plan_rerun(words: str, inputs_folder: Path | None = None, out: Path | None =
         path = fetch_file(run, RECIPE, Path(folder))
         if path is None:
             raise InputError(f"the recipe of run {run.title} is gone from the store: run its own command again")
-        recipe = read_recipe(path, run.title)
+        recipe = with_options(read_recipe(path, run.title), options or {}, run.title)
     fetched = recipe_config(recipe, {}, run.title).init.method in _FETCHED_NETWORKS
     with progress.step("inputs"):
         given = {role: file for role, file in recipe.files.items() if not (fetched and role.startswith("network_"))}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ from hfb.errors import InputError
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import workspace
 from hfb.io.atomic import write_bytes_atomic
+from hfb.io.json_file import read_json
 from hfb.priors.training_spec import MotionTraining, PoseTraining
 from hfb.tasks.benchmark.cases import listing_of
 from hfb.tasks.core.environment import code_version
@@ -57,6 +59,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
     if not plan.motions.is_dir():
         raise InputError(f"{plan.motions} is no folder; give one with recordings, such as .bvh or AMASS .npz files")
     check_sources_out([plan.motions], out.parent)
+    _check_room(out)
     spec = plan.motion if plan.kind == "motion" else plan.pose
     with workspace(work_folder(out)) as folder, records_in(folder):
         lessons = gather(plan.motions, listing_of(plan.motions), spec, plan.tests, plan.held_out, plan.seed, folder)
@@ -74,6 +77,17 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         write_bytes_atomic(out, trained.path.read_bytes())
         write_bytes_atomic(out.with_suffix(".json"), json.dumps(about, indent=1, allow_nan=False).encode() + b"\n")
     return result
+
+
+def _check_room(out: Path) -> None:
+    """Raises InputError where a file that no training left would be replaced."""
+    about = out.with_suffix(".json")
+    if there := [path for path in (out, about) if path.exists() and not work_folder(out).is_dir()]:
+        with suppress(InputError, KeyError, TypeError):
+            if read_json(about)["weights"] == out.name:
+                return
+        names = " and ".join(path.name for path in there)
+        raise InputError(f"{out.parent} holds {names}, which no training of hfb left: choose another --out")
 
 
 def _params(plan: TrainingPlan) -> dict[str, Any]:

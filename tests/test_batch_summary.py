@@ -16,11 +16,12 @@ from tests.browser import CHROMIUM, browser, opened
 LINK = "http://127.0.0.1:5000/#/experiments/1"
 
 
-def finished(out: Path, name: str) -> None:
+def finished(out: Path, name: str, **more: object) -> None:
     """A result, as far as pages show it."""
     folder = out / name
     folder.mkdir(parents=True)
     facts = {"frames": 300, "sub_frames": 2400, "gaps": [[3, 9]], "matte_iou": 0.9, "psnr_db": 30.25, "seconds": 99.0}
+    facts |= more
     (folder / "result.json").write_text(json.dumps(facts))
     (folder / "report.html").write_text("its page")
     across, down = np.meshgrid(np.arange(1200), np.arange(560))
@@ -60,6 +61,42 @@ def test_a_finished_clip_touches_its_page_and_the_first(tmp_path: Path) -> None:
     summary.show_all([(name, "new", "", None) for name in names])
     assert modified(tmp_path).keys() == {"summary.html"}, "pages that no clip is on are gone"
     assert "Page" not in (tmp_path / "summary.html").read_text()
+
+
+def warning(code: str, message: str) -> dict[str, object]:
+    return {"code": code, "value": 0.5, "frames": [], "message": message}
+
+
+def test_what_a_result_warns_of_is_on_the_page(tmp_path: Path) -> None:
+    """Of a clip, and of each of several people in one; a result that was well has no word."""
+    spin, light = warning("trunk_spin", "the <trunk> turns by 150 degrees"), warning("light", "the light changed")
+    finished(tmp_path, "walk", warnings=[spin, light])
+    finished(tmp_path, "well", warnings=[])
+    finished(tmp_path, "older")
+    people = [{"name": "person 1", "error": None, "warnings": [light]}, {"name": "person 2", "error": "hidden"}]
+    finished(tmp_path, "two", people=people)
+    finished(tmp_path, "many", warnings=[warning("light", f"remark {number}") for number in range(12)])
+    summary_of(tmp_path).show_all([(name, "done", "", None) for name in ("walk", "well", "older", "two", "many")])
+    page = (tmp_path / "summary.html").read_text()
+    assert "5 clips: 5 done, 0 set aside, 0 waiting. Of those done, 3 with warnings." in page
+    assert "done, 2 warnings</span>" in page
+    assert page.count(">done</span>") == 3, "well, older, and the clip of two people as a whole"
+    assert page.count("done, 1 warning</span>") == 1, "person 1"
+    assert "the &lt;trunk&gt; turns by 150 degrees" in page
+    assert page.count("the light changed") == 2
+    assert "remark 9" in page
+    assert "remark 10" not in page
+    assert "and 2 more" in page
+
+
+@pytest.mark.parametrize("wrong", [["text"], {"message": "text"}, [{"code": "light"}], [{"message": 3}], "text"])
+def test_warnings_that_hfb_did_not_write_are_that_clips_trouble(tmp_path: Path, wrong: object) -> None:
+    finished(tmp_path, "walk", warnings=wrong)
+    finished(tmp_path, "well")
+    summary_of(tmp_path).show_all([(name, "done", "", None) for name in ("walk", "well")])
+    page = (tmp_path / "summary.html").read_text()
+    assert "2 clips: 1 done, 1 set aside" in page
+    assert "is damaged (warnings" in page
 
 
 def test_pages_that_are_somebody_elses_stay(tmp_path: Path) -> None:

@@ -30,6 +30,10 @@ def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--workers", type=positive, default=cores(), metavar="K", help="processes; changes no digit [all cores]"
     )
+    parser.add_argument(
+        "--option", action="append", default=[], metavar="NAME=VALUE",
+        help="an option that held a secret, which the record hides, as in init.person=VALUE; may be repeated",
+    )  # fmt: skip
 
 
 def add_compare_flags(parser: argparse.ArgumentParser) -> None:
@@ -43,16 +47,26 @@ def rerun(given: argparse.Namespace) -> int:
     """`hfb rerun`; returns the exit code."""
     if given.seed is not None:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
+    options = _named(given.option)
 
     def load() -> Chain:
         from hfb.flows.rerun import plan_rerun, repeat
 
-        plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers)
+        plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers, options)
         return when_ready(lambda: repeat(plan))
 
     verdict = through_prefect(given, given.out or Path("runs"), load)
     tell(given, verdict, rerun_text(verdict))
     return 0 if verdict["bit_equal"] else DIFFERS
+
+
+def _named(options: Sequence[str]) -> dict[str, str]:
+    """NAME=VALUE as a mapping; names also as flags write them."""
+    for option in options:
+        if not option.partition("=")[1]:
+            raise InputError("--option takes NAME=VALUE, as in --option init.person=VALUE")
+    split = (option.partition("=") for option in options)
+    return {name.removeprefix("--").replace("-", "_"): value for name, _, value in split}
 
 
 def compare(given: argparse.Namespace) -> None:

@@ -6,7 +6,6 @@ OUT/intermediate/                                                   what tasks l
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -17,7 +16,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from filelock import lock_descriptor
+
 from hfb.errors import Busy, InputError, TemporaryError
+from hfb.flows.runtime.own_files import among_own_files
 from hfb.interop.writers.export_names import CURVES, EXPORTED_NAMES, RECORD, REPORT, RESULT
 from hfb.io.atomic import leftover_of, sync_folder, write_bytes_atomic
 from hfb.io.names import is_text
@@ -80,11 +82,7 @@ def _held(out: Path) -> Iterator[bool]:
     with open_folder(out, INTERMEDIATE, make=True):
         lock = open_lock(out, INTERMEDIATE, _LOCK)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        yield False
-    else:
-        yield True
+        yield lock_descriptor(lock, blocking=False)  # FileLock itself would follow links of folders on the way
     finally:
         os.close(lock)
 
@@ -172,10 +170,11 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        OutputConflict: a file would take the place of one that hfb did not put there.
+        OutputConflict, TemporaryError: a file would take the place of one that hfb did not put there.
     """
     if not _published(out).known:
-        yield out
+        with among_own_files(out, names) as folder:
+            yield folder
         return
     with workspace(out) as folder:
         staging = folder / _STAGING

@@ -47,20 +47,20 @@ class Alternatives:
 
     def joint_right(self) -> Float[Array, "T 24"]:
         """P(the joint moved the way the result says), camera coordinates; NaN for a joint that hardly moved."""
-        return np.stack([self._agrees(self.joints, (joint,)) @ self.probability for joint in range(24)], 1)
+        return np.stack([self.agrees(self.joints, (joint,)) @ self.probability for joint in range(24)], 1)
 
     def limb_right(self) -> Float[Array, "T 5"]:
         """The same of a limb's joints together, in the order of `LIMB_NAMES`; the torso carries the body's path."""
-        return np.stack([self._agrees(self.joints, joints) @ self.probability for joints in LIMB_JOINTS], 1)
+        return np.stack([self.agrees(self.joints, joints) @ self.probability for joints in LIMB_JOINTS], 1)
 
     def body_right(self) -> Float[Array, "T"]:
         """P(direction right) of the whole body about its pelvis (`hfb.evaluation.metrics.wrong_direction`)."""
-        return self._body_agrees() @ self.probability
+        return self.body_agrees() @ self.probability
 
     def limb_right_given_body(self) -> Float[Array, "T 5"]:
         """P(limb's direction right) if the whole body's is: what is unknown beyond the arrow of time."""
-        weights = np.nan_to_num(self._body_agrees(), nan=1.0) * self.probability
-        limbs = np.stack([self._agrees(self.joints, joints) for joints in LIMB_JOINTS], 1)
+        weights = np.nan_to_num(self.body_agrees(), nan=1.0) * self.probability
+        limbs = np.stack([self.agrees(self.joints, joints) for joints in LIMB_JOINTS], 1)
         return np.einsum("tla,ta->tl", limbs, weights / weights.sum(1, keepdims=True))
 
     def spread_m(self) -> Float[Array, "R 24"]:
@@ -69,10 +69,11 @@ class Alternatives:
         squared = ((centred - centred[self.chosen]) ** 2).sum(-1)
         return np.sqrt(np.tensordot(self.probability, squared, 1))
 
-    def _body_agrees(self) -> Float[Array, "T A"]:
-        return self._agrees(self.joints - self.joints[:, :, :1], tuple(range(24)))
+    def body_agrees(self) -> Float[Array, "T A"]:
+        """`agrees` of the whole body about its pelvis."""
+        return self.agrees(self.joints - self.joints[:, :, :1], tuple(range(24)))
 
-    def _agrees(self, joints: Float[Array, "A R 24 3"], chosen: tuple[int, ...]) -> Float[Array, "T A"]:
+    def agrees(self, joints: Float[Array, "A R 24 3"], chosen: tuple[int, ...]) -> Float[Array, "T A"]:
         """Per frame the motions in which these joints' paths are nearer to the result's than to the result's run
         backwards; a tie counts half. NaN where they hardly moved."""
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)

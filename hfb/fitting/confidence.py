@@ -27,7 +27,7 @@ StartKind = Literal["simulated", "network", "matte"]
 
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
-_KIND_WORDS: Mapping[str, str] = {
+KIND_WORDS: Mapping[str, str] = {
     "simulated": "simulated starts", "network": "starts by a pose network", "matte": "starts by the matte alone"
 }  # fmt: skip
 
@@ -121,19 +121,20 @@ def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
     Args:
         sources: of the first bodies of all frames.
     """
-    measured = {
-        kind: _shipped()["by_start"][kind]["people_held_out"]
-        for kind in sorted({start_kind(source) for source in sources})
-    }
+    kinds = sorted({start_kind(source) for source in sources})
+    shipped = _shipped()["by_start"]
+    measured = {kind: shipped[kind]["people_held_out"] for kind in kinds}
+    new = {kind: shipped[kind]["new_people"] for kind in kinds if "new_people" in shipped[kind]}
     told = "; ".join(
-        f"{_KIND_WORDS[kind]}: {100 * one['within_p50']:.0f} % of joints within the radius said for 50 %, "
+        f"{KIND_WORDS[kind]}: {100 * one['within_p50']:.0f} % of joints within the radius said for 50 %, "
         f"{100 * one['within_p90']:.0f} % within that for 90 % (n {one['n']})"
-        for kind, one in measured.items()
+        for kind, one in (measured | new).items()
     )
     others = sorted({source for source in sources if source not in _CALIBRATED})
     beyond = f" Starts by {', '.join(others)} were not calibrated: a network's radii are taken." if others else ""
     sentence = (
-        f"Radii were calibrated on synthetic pictures and checked on people left out. From {told}. Real pictures were "
-        f"not part of it: there errors are larger, above all where front and back are mistaken.{beyond}"
+        f"Radii were calibrated on synthetic pictures and checked on other people. From {told}. "
+        "Real pictures were not part of it: there errors are larger, above all where front and back are mistaken."
+        f"{beyond}"
     )
-    return {"starts": list(measured), "people_held_out": measured, "holds_for": sentence}
+    return {"starts": kinds, "people_held_out": measured, "new_people": new, "holds_for": sentence}

@@ -13,6 +13,7 @@ from hfb.config import FitConfig
 from hfb.errors import InputError
 from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
+from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.fitting.joint_features import joint_features
@@ -303,7 +304,7 @@ class _Schedule:
                 result.motion, poses=alternatives.poses[chosen], trans=alternatives.trans[chosen],
                 joints=alternatives.joints[chosen],
             )  # fmt: skip
-            result = replace(result, motion=motion, trajectory=trajectory, alternatives=alternatives)
+            result = replace(result, motion=motion, trajectory=trajectory)
         features = joint_features(
             result.motion,
             alternatives,
@@ -314,9 +315,10 @@ class _Schedule:
         )
         sources = [first.source for first in start.first_bodies]
         radius = shipped_radius_mm(features, result.motion.frame_index, sources)
-        return replace(
-            result, motion=replace(result.motion, joint_radius_mm=radius), joint_features=features
-        )  # fmt: skip
+        if alternatives is not None:
+            alternatives = trusted(alternatives, features, sources)
+        motion = replace(result.motion, joint_radius_mm=radius)
+        return replace(result, motion=motion, joint_features=features, alternatives=alternatives)
 
     def _result(self, best: Variables, seen: Observation, stages: StagesResult) -> FitResult:
         body, config = self.body, self.config

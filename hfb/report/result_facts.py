@@ -26,6 +26,10 @@ class _Direction(_Stored):
     right: dict[str, _Share] = {}
 
 
+class _Warning(_Stored):
+    message: _Text
+
+
 class _Figures(_Stored):
     matte_iou: _Figure = None
     psnr_db: _Figure = None
@@ -36,6 +40,7 @@ class _Figures(_Stored):
     frames: _Count = None
     sub_frames: _Count = None
     gaps: list[_Span] | None = None
+    warnings: list[_Warning] | None = None
     out: _Text | None = None
     mlflow_run_id: _Text | None = None
 

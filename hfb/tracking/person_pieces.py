@@ -61,6 +61,13 @@ def join_pieces(
     return sorted(joined, key=lambda one: -one[4])
 
 
+def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
+    """The `Alpha` of the shipped matting network, at the pictures' own size."""
+    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+
+    return NetworkMatting().look(frame_linear, plate_linear)
+
+
 def _might_be_one(one: Person, other: Person) -> bool:
     """Above each other, and near enough."""
     shared = min(one[2], other[2]) - max(one[0], other[0])

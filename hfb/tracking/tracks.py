@@ -14,7 +14,7 @@ from hfb.errors import InputError
 from hfb.io.clip import PersonChoice
 from hfb.io.media.plate import changed_pixels
 from hfb.matting.matting_protocol import nobody_found
-from hfb.tracking.person_pieces import Alpha, Person, join_pieces
+from hfb.tracking.person_pieces import Alpha, Person, join_pieces, matting_look
 from hfb.tracking.track_rows import read_rows
 from hfb.typing import Array, Bool, Float
 
@@ -86,7 +86,7 @@ def find_tracks(
         on_progress: called after every frame with the number of frames done.
         alpha: tells pieces of one person from two people, see `join_pieces`; the shipped matting network's by default.
     """
-    alpha = alpha or _network_alpha
+    alpha = alpha or matting_look
     scale = min(1.0, _LOOK_PX / max(plate.shape[:2]))
     empty = _small(plate, scale)
     open_tracks: list[dict[int, Person]] = []
@@ -119,7 +119,7 @@ def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     if choice.frame >= len(tracks[0].boxes):
         raise InputError(f"person.frame {choice.frame} lies past the clip's last frame {len(tracks[0].boxes) - 1}.")
     box = np.array(choice.box)
-    shared = [_agreement(track.boxes[choice.frame], box) for track in tracks]
+    shared = [agreement(track.boxes[choice.frame], box) for track in tracks]
     if max(shared) <= 0:
         seen = [track.name for track in tracks if track.present[choice.frame]]
         raise InputError(
@@ -251,12 +251,6 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
     return tuple(sorted(here, key=lambda name: (len(name), name)))
 
 
-def _network_alpha(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
-    from hfb.matting.network import NetworkMatting  # torch: only for who asks
-
-    return NetworkMatting().look(frame_linear, plate_linear)
-
-
 def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
     """Every change that may be a person or a part of one, in full pixels."""
     closed = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
@@ -278,7 +272,7 @@ def _follow(tracks: list[dict[int, Person]], people: list[Person], frame: int) -
     last = [track[max(track)] for track in tracks]
     pairs = sorted(
         (
-            (-_agreement(np.array(box[:4]), np.array(person[:4])), number, index)
+            (-agreement(np.array(box[:4]), np.array(person[:4])), number, index)
             for number, box in enumerate(last)
             for index, person in enumerate(people)
         ),
@@ -316,7 +310,7 @@ def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
     return _shared_px(one, other) / max(min(_area_px(one), _area_px(other)), 1e-9)
 
 
-def _agreement(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
+def agreement(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
     """Shared area as a share of what either covers (IoU): a dog within a person's box is not the person."""
     shared = _shared_px(one, other)
     return shared / max(_area_px(one) + _area_px(other) - shared, 1e-9) if shared > 0 else 0.0

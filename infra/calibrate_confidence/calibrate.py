@@ -1,13 +1,13 @@
 """Make hfb/fitting/data/confidence.json, and directions.json, from benchmarks whose truth is known.
 
-python calibrate.py --simulated DIR --network DIR --matte DIR --out ../../hfb/fitting/data
+python calibrate.py --simulated DIR --network DIR --matte DIR --new-simulated DIR ... --out ../../hfb/fitting/data
 """
 
 import argparse
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,41 +22,71 @@ from hfb.evaluation.calibration import (
     held_out_reliability,
     reliability_of,
 )
+from hfb.evaluation.direction_calibration import (
+    DirectionEvent,
+    direction_events,
+    fit_trust,
+    reliability_groups,
+    said_and_right,
+)
 from hfb.evaluation.metrics import errors_mm, mpjpe_mm
-from hfb.evaluation.reliability import LEVELS
+from hfb.evaluation.reliability import DIRECTION_EDGES, LEVELS
 from hfb.fitting.alternatives import load_alternatives
 from hfb.fitting.confidence import ConfidenceModel, StartKind
-from hfb.fitting.direction_odds import EVIDENCE
+from hfb.fitting.direction_odds import EVIDENCE, probabilities
+from hfb.fitting.direction_trust import Trust
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 
 _PERSON = re.compile(r"cmu_(\d+)_")
+_COARSE = (0.0, 0.6, 0.8, 1.0)
+"""Groups of what is said of a direction that a result tells of."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What an answered case of a benchmark tells."""
+
+    joints: JointCase
+    hypotheses: DirectionCase
+    events: tuple[DirectionEvent, ...]
+
+    @property
+    def person(self) -> str:
+        """Who made the recording."""
+        return person_of(self.joints.recording)
 
 
 def main() -> None:
     """Fit the coefficients of every kind of start and write them, with how well they do on people left out."""
     parser = argparse.ArgumentParser(description=__doc__)
     for kind in get_args(StartKind):
-        help_text = f"folders of hfb benchmark whose starts are of the kind {kind}"
-        parser.add_argument(f"--{kind}", type=Path, nargs="+", default=[], help=help_text)
+        of_kind = f"folders of hfb benchmark whose starts are of the kind {kind}"
+        parser.add_argument(f"--{kind}", type=Path, nargs="+", default=[], help=of_kind)
+        new = f"{of_kind}, of people who took no part in any choice: counted, not learned from"
+        parser.add_argument(f"--new-{kind}", type=Path, nargs="+", default=[], help=new)
     parser.add_argument("--methods", nargs="+", default=["best"], help="whose answers [best]")
     parser.add_argument("--features", help="comma-separated, instead of all that the fits left")
     parser.add_argument("--directions", type=Path, nargs="+", default=[], help="folders for directions.json, one frame")
     parser.add_argument("--several", type=Path, nargs="+", default=[], help="the same with --frames 2")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    given = {kind: getattr(options, kind) for kind in get_args(StartKind)}
-    if any(given.values()):
-        cases = {kind: by_person(folders, options.methods) for kind, folders in given.items()}
-        write_confidence(cases, options.features, options.out / "confidence.json")
     if options.directions:
         write_directions(options.directions, options.several, options.methods[0], options.out / "directions.json")
+    known, new = (
+        {kind: cases_of(getattr(options, f"{which}{kind}"), options.methods) for kind in get_args(StartKind)}
+        for which in ("", "new_")
+    )
+    if any(known.values()):
+        if empty := [kind for kind, cases in known.items() if not cases]:
+            raise SystemExit(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
+        write_confidence(known, new, options.features, options.out / "confidence.json")
+        write_trust(known, new, options.out / "directions.json")
 
 
-def by_person(folders: Sequence[Path], methods: Sequence[str]) -> list[JointCase]:
-    """The cases of some benchmarks, held together by person."""
-    found = [joint for folder in folders for method in methods for joint, _ in read_cases(folder, method)]
-    return [replace(one, recording=person_of(one.recording)) for one in found]
+def cases_of(folders: Sequence[Path], methods: Sequence[str]) -> list[Case]:
+    """The cases of some benchmarks."""
+    return [case for folder in folders for method in methods for case in read_cases(folder, method)]
 
 
 def person_of(recording: str) -> str:
@@ -65,35 +95,96 @@ def person_of(recording: str) -> str:
     return found[1] if found else recording
 
 
-def write_confidence(cases: dict[StartKind, list[JointCase]], features: str | None, path: Path) -> None:
+def write_confidence(
+    cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], features: str | None, path: Path
+) -> None:
     """Coefficients per kind, pulled to those of the file's ``prior``, whose exponent all kinds share.
 
     A kind for which the prior itself is nearer to what happened, on people left out of both, keeps it.
-
-    Raises:
-        SystemExit: a kind has no case.
     """
-    if empty := [kind for kind, known in cases.items() if not known]:
-        raise SystemExit(f"no case of {', '.join(empty)}: give --{empty[0]} DIR")
     earlier = json.loads(path.read_text())
     prior = ConfidenceModel(**earlier["prior"])
-    names = features.split(",") if features else list(cases["network"][0].features)
+    names = features.split(",") if features else list(cases["network"][0].joints.features)
     exponent = prior.exponent
     by_start: dict[str, Any] = {}
-    for kind, known in cases.items():
-        people = sorted({case.recording for case in known})
-        counts = {"n": len(known), "people": people}
+    for kind, given in cases.items():
+        known = [replace(case.joints, recording=case.person) for case in given]
         before, model = reliability_of(prior, known), prior
         held_out: dict[str, float] = before
-        after = held_out_reliability(known, names, len(people), exponent, prior)
+        after = held_out_reliability(known, names, len(_people(given)), exponent, prior)
         if _off(after) < _off(before):
             held_out, model = after, fit_confidence(known, names, exponent, prior)
         told = {name: value for name, value in asdict(model).items() if name != "exponent"}
+        counts = {"n": len(given), "people": _people(given)}
         by_start[kind] = told | {"people_held_out": held_out | counts, "before": before | counts}
-        print(
-            kind, json.dumps({"before": by_start[kind]["before"], "after": by_start[kind]["people_held_out"]}, indent=1)
-        )
+        if new[kind]:
+            found = reliability_of(model, [case.joints for case in new[kind]])
+            by_start[kind]["new_people"] = found | {"n": len(new[kind]), "people": _people(new[kind])}
+        shown = {name: by_start[kind].get(name) for name in ("before", "people_held_out", "new_people")}
+        print(kind, json.dumps(shown, indent=1))
     write(path, {"exponent": exponent, "by_start": by_start, "prior": earlier["prior"]})
+
+
+def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], path: Path) -> None:
+    """How far the odds of directions can be trusted from every kind of start, and how they hold on people left out."""
+    events = {kind: [event for case in given for event in case.events] for kind, given in cases.items()}
+    content = json.loads(path.read_text())
+    content["trust"] = {}
+    for kind, trust in fit_trust(events).items():
+        print(kind, "directions of the body, on people left out in turn")
+        said_right = _said_of_left_out(events, kind)
+        _counted(said_right, DIRECTION_EDGES)
+        left_out = _counted(said_right, _COARSE, show=False)
+        content["trust"][kind] = asdict(trust) | {
+            "n": len(cases[kind]), "people": _people(cases[kind]), "people_held_out": left_out,
+            "new_people": {
+                name: _new(kind, trust, [case for case in new[kind] if (case.hypotheses.frames > 1) == several])
+                for name, several in (("one_frame", False), ("several_frames", True))
+            },
+        }  # fmt: skip
+    write(path, content)
+
+
+Said = tuple[Sequence[float], Sequence[bool]]
+
+
+def _said_of_left_out(events: Mapping[StartKind, Sequence[DirectionEvent]], kind: StartKind) -> Said:
+    """Of the body in single frames, each person by coefficients of the others."""
+    said: list[float] = []
+    right: list[bool] = []
+    for person in sorted({event.person for event in events[kind]}):
+        others = {one: [event for event in known if event.person != person] for one, known in events.items()}
+        asked = [event for event in events[kind] if event.person == person and event.whole and event.frames == 1]
+        told, happened = said_and_right(asked, fit_trust(others)[kind])
+        said += told.tolist()
+        right += happened.tolist()
+    return said, right
+
+
+def _new(kind: StartKind, trust: Trust, cases: Sequence[Case]) -> dict[str, Any] | None:
+    """How the odds hold on new people: groups of what was said of bodies and of limbs; printed before and after."""
+    if not cases:
+        return None
+    asked = [event for case in cases for event in case.events]
+    told: dict[str, Any] = {"n": len(cases), "people": _people(cases)}
+    for name, whole in (("body", True), ("limbs", False)):
+        some = [event for event in asked if event.whole == whole]
+        for when, how in (("before", None), ("after", trust)):
+            print(kind, f"directions of {name}, new people, {when}")
+            _counted(said_and_right(some, how), DIRECTION_EDGES)
+        told[name] = _counted(said_and_right(some, trust), _COARSE, show=False)
+    return told
+
+
+def _counted(said_right: tuple[Any, Any], edges: Sequence[float], show: bool = True) -> list[dict[str, float]]:
+    groups = reliability_groups(np.array(said_right[0]), np.array(said_right[1], bool), edges)
+    for one in groups if show else ():
+        print("  said {said:.2f} right {right:.2f} [{low:.2f}, {high:.2f}] n {n}".format(**one))
+    return groups
+
+
+def _people(cases: Sequence[Case]) -> list[str]:
+    return sorted({case.person for case in cases})
 
 
 def _off(measured: Mapping[str, float]) -> float:
@@ -103,18 +194,14 @@ def _off(measured: Mapping[str, float]) -> float:
 
 def write_directions(singles: Sequence[Path], several: Sequence[Path], method: str, path: Path) -> None:
     """The odds of directions from benchmarks of one frame, and of several frames where there are any."""
-    one, more = (
-        [direction for folder in folders for _, direction in read_cases(folder, method)]
-        for folders in (singles, several)
-    )
+    one, more = ([case.hypotheses for case in cases_of(folders, [method])] for folders in (singles, several))
     odds = {"single": fit_direction_odds(one), "several": fit_direction_odds(more or one)}
     made_from = {"methods": [method], "cases_of_one_frame": len(one), "cases_of_several": len(more)}
-    write(path, odds | {"made_from": made_from})
+    write(path, json.loads(path.read_text()) | odds | {"made_from": made_from})
 
 
-def read_cases(folder: Path, method: str) -> list[tuple[JointCase, DirectionCase]]:
+def read_cases(folder: Path, method: str) -> Iterator[Case]:
     """Every answered case of a benchmark."""
-    cases = []
     for answer in sorted((folder / "methods" / method).glob("case_*")):
         if not (answer / "alternatives.npz").exists():
             continue
@@ -125,13 +212,13 @@ def read_cases(folder: Path, method: str) -> list[tuple[JointCase, DirectionCase
         recording = json.loads((folder / "cases" / answer.name / "case.json").read_text())["motion"]["name"]
         errors = np.array([mpjpe_mm(joints, true) for joints in alternatives.joints])
         evidence = np.stack([alternatives.scores[name] for name in EVIDENCE], 1)
-        cases.append(
-            (
-                JointCase(recording, features, errors_mm(motion.joints, true)),
-                DirectionCase(recording, int(motion.frame_index.max()) + 1, evidence, errors),
-            )
+        frames = int(motion.frame_index.max()) + 1
+        as_measured = replace(alternatives, probability=probabilities(evidence, frames > 1))
+        yield Case(
+            JointCase(recording, features, errors_mm(motion.joints, true)),
+            DirectionCase(recording, frames, evidence, errors),
+            tuple(direction_events(person_of(recording), as_measured, features, true)),
         )
-    return cases
 
 
 def write(path: Path, content: dict) -> None:

@@ -61,7 +61,8 @@ class BatchSummary:
         from hfb.report.batch_page import BatchCounts
 
         states = [clip.status for clip in self._clips.values()]
-        return BatchCounts(len(states), states.count("done"), states.count("set aside"))
+        warned_of = sum(clip.is_warned_of for clip in self._clips.values())
+        return BatchCounts(len(states), states.count("done"), states.count("set aside"), warned_of)
 
     def show_all(self, states: Sequence[tuple[str, str, str, str | None]]) -> None:
         """Show these clips, and no others: (name, status, reason, link) in the order of the pages."""

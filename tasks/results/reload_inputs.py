@@ -17,6 +17,7 @@ from hfb.tasks.inputs.inputs import Inputs
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.results.stored_runs import fetch_file, find_run, readable_store
 from hfb.tasks.telemetry import progress
+from hfb.tasks.tracking.hidden_options import for_pictures
 from hfb.tasks.tracking.recipe import RECIPE, GivenFile, Recipe, read_recipe, recipe_config, recipe_inputs
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def reload_images(run_words: str, inputs_folder: Path | None = None) -> Iterator
                 f"run {run.title} does not say which pictures it was made from: only runs of `hfb fit`, `hfb demo` and "
                 "`hfb video` of this version on do; run its own command again with --export.films"
             )
-        recipe = read_recipe(path, run.title)
+        recipe = for_pictures(read_recipe(path, run.title), run.title)
         places = locate_inputs(
             {role: file for role, file in recipe.files.items() if role.startswith(_PICTURES)}, inputs_folder
         )

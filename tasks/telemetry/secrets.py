@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
-_HIDDEN = "***"
+HIDDEN = "***"
 _NAMES = (
     r"(?:[\w.-]*[._-])?(?:password|passwd|passphrase|pwd|token|secret|signature|sig|api[_-]?key|access[_-]?key(?:[_-]?id)?|"
     r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
@@ -23,24 +23,24 @@ _NAMES = (
 """What a value that nobody may see is called: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
 
 _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
-    (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{_HIDDEN}@"),
-    (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{_HIDDEN}@"),
-    (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{_HIDDEN}%40"),
+    (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{HIDDEN}@"),
+    (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{HIDDEN}@"),
+    (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{HIDDEN}%40"),
     (
         re.compile(r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"
                    r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"),
-        rf"\1{_HIDDEN}",
+        rf"\1{HIDDEN}",
     ),
-    (re.compile(r"(?i)\b(bearer(?:\s+|%20))[\w+/=.~-]{8,}"), rf"\1{_HIDDEN}"),
-    (re.compile(r"(?i)\b(basic\s+)(?=\S*[\d=])[\w+/=-]{8,}"), rf"\1{_HIDDEN}"),
-    (re.compile(r"(?i)\b((?:set-)?cookie\\?[\"']?\s*:\s*\\?[\"']?)[^\r\n'\"\\]+"), rf"\1{_HIDDEN}"),
-    (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{_HIDDEN}"),
+    (re.compile(r"(?i)\b(bearer(?:\s+|%20))[\w+/=.~-]{8,}"), rf"\1{HIDDEN}"),
+    (re.compile(r"(?i)\b(basic\s+)(?=\S*[\d=])[\w+/=-]{8,}"), rf"\1{HIDDEN}"),
+    (re.compile(r"(?i)\b((?:set-)?cookie\\?[\"']?\s*:\s*\\?[\"']?)[^\r\n'\"\\]+"), rf"\1{HIDDEN}"),
+    (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{HIDDEN}"),
     (
         re.compile(rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?"
                    r"(?:(?!%26)[^&\s'\"<>\\])+"),
-        rf"\1{_HIDDEN}",
+        rf"\1{HIDDEN}",
     ),
-    (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{_HIDDEN}"),
+    (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{HIDDEN}"),
 )  # fmt: skip
 _SECRETS = (
     "PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING", "PREFECT_API_KEY", "MLFLOW_TRACKING_PASSWORD",
@@ -54,7 +54,7 @@ _SHORTEST, _SHORTEST_GUESSED = 4, 8  # a shorter value would be hidden wherever 
 def without_secrets(text: str) -> str:
     """The text with every secret hidden: in addresses and headers, by its name, and what the environment holds."""
     for value in _held():
-        text = text.replace(value, _HIDDEN)
+        text = text.replace(value, HIDDEN)
     for pattern, shown in _RULES:
         text = pattern.sub(shown, text)
     return text

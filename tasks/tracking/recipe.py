@@ -135,9 +135,18 @@ def recipe_inputs(kind: type[RecordT], recipe: Recipe, places: Mapping[str, Path
     return to_record(kind, _replace_paths(recipe.inputs, _now(recipe, places)), f"the inputs of run {run}")
 
 
+def places_of_paths(recipe: Recipe) -> dict[str, str]:
+    """Path -> sha256 of every file; left out where a record that hides a secret shows two files as one path."""
+    found: dict[str, set[str]] = {}
+    for file in recipe.files.values():
+        found.setdefault(str(file.path), set()).add(file.sha256)
+    return {path: several.pop() for path, several in found.items() if len(several) == 1}
+
+
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
-    """Where a file was -> where it is."""
-    return {str(file.path): str(places[file.sha256]) for file in recipe.files.values() if file.sha256 in places}
+    """Where a file was -> where it is; a handle's own sha256 -> where that is."""
+    paths = {path: str(places[sha256]) for path, sha256 in places_of_paths(recipe).items() if sha256 in places}
+    return paths | {sha256: str(place) for sha256, place in places.items()}
 
 
 def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
@@ -152,7 +161,11 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
 def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
     """Plain content with every path that a file was moved from replaced, in handles and options alike."""
     if isinstance(content, dict):
-        return {name: _replace_paths(value, moved) for name, value in content.items()}
+        there = {name: _replace_paths(value, moved) for name, value in content.items() if name != "sha256"}
+        if "sha256" not in content:
+            return there
+        place = moved.get(content["sha256"], there.get("path"))  # a path may have been hidden
+        return {**there, "sha256": content["sha256"], **({"path": place} if "path" in content else {})}
     if isinstance(content, list):
         return [_replace_paths(one, moved) for one in content]
     return moved.get(content, content) if isinstance(content, str) else content

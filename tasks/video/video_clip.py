@@ -123,6 +123,7 @@ def find_person(
         InputError: the chosen one is not there.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
+    from hfb.tracking.gap_looks import look_into_gaps
     from hfb.tracking.tracks import choose_track, find_tracks, read_track, read_track_names
 
     if track is not None:
@@ -130,9 +131,13 @@ def find_person(
         found = read_track(track.path, choice.id, frames)
         others = len(read_track_names(track.path, frames)) - 1
     else:
+        empty = read_picture_srgb(plate.path)
         with reading(footage) as pictures:
-            tracks = find_tracks(pictures.frames(), read_picture_srgb(plate.path))
-        found, others = choose_track(tracks, choice), len(tracks) - 1
+            tracks = find_tracks(pictures.frames(), empty)
+            chosen = choose_track(tracks, choice)
+            rest = [one for one in tracks if one.name != chosen.name]
+            found = look_into_gaps(chosen, rest, lambda number: next(pictures.frames(number, number + 1)), empty)
+        others = len(tracks) - 1
     boxes = [tuple(float(side) for side in box) if np.isfinite(box).all() else None for box in found.boxes]
     return TrackHandle(name=found.name, boxes=tuple(boxes), others=others)
 

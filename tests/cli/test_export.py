@@ -1,6 +1,7 @@
 """`hfb export`: a result's folder, a motion file or a run's id, in other programs' formats."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.flows.cli.cli import main
+from hfb.flows.runtime.own_files import OWN_FILES
+from hfb.io.atomic import write_bytes_atomic
 from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion, save_motion
 from tests.interop.writers.motions import motion_of
@@ -35,7 +38,7 @@ def test_a_folder(result: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["export", str(result), "--json"]) == 0
     out = result / "export"
     names = {"amass.npz", "motion.glb", "motion.bvh", "joints.csv", "joints.trc"}
-    assert {path.name for path in out.iterdir()} == names
+    assert {path.name for path in out.iterdir()} == names | {OWN_FILES}
     told = said(capsys)
     assert told["files"] == {name: (out / name).stat().st_size for name in names}
     assert told["out"] == str(out)
@@ -56,11 +59,106 @@ def test_a_motion_file_and_meshes_on_request(result: Path, tmp_path: Path, capsy
         "30",
     ]
     assert main(words) == 0
-    assert {path.name for path in out.iterdir()} == {"joints.trc", "amass.npz", "meshes"}
+    assert {path.name for path in out.iterdir()} == {"joints.trc", "amass.npz", "meshes", OWN_FILES}
     assert len(list((out / "meshes").glob("frame_000[01]_sub_0[0-7].ply"))) == 16
     with np.load(out / "amass.npz") as amass:
         assert float(amass["mocap_framerate"]) == 30
     assert "meshes/" in capsys.readouterr().out
+
+
+def test_what_hfb_did_not_write_is_not_replaced(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor what was changed since; one file in the way and none is written. What hfb wrote gives way to the new."""
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "motion.bvh").write_text("mine")
+    words = ["export", str(result), "--out", str(out), "--formats", "bvh,csv", "--json"]
+    assert main(words) == 2
+    assert f"{out} holds motion.bvh, which is not as hfb wrote it there" in said(capsys)["error"]
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"motion.bvh": "mine"}
+    assert main([*words[:5], "csv", "--json"]) == 0  # beside it there is room
+
+    (out / "motion.bvh").unlink()
+    assert main(words) == 0
+    first = (out / "motion.bvh").read_bytes()
+    save_motion(result / "motion.npz", motion_of(load_default_body(torch.float64), frames=1), "hfb")
+    assert main(words) == 0
+    second = (out / "motion.bvh").read_bytes()
+    assert second != first
+    (out / "joints.csv").write_text("edited")
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "joints.csv" in said(capsys)["error"]
+    assert (out / "motion.bvh").read_bytes() == second
+
+
+@pytest.mark.parametrize("kind", ["link", "folder", "pipe", "dangling"])
+def test_what_is_no_file_is_not_replaced(
+    kind: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, place = tmp_path / "mine", tmp_path / "mine" / "joints.csv"
+    out.mkdir()
+    (tmp_path / "elsewhere").write_text("mine")
+    match kind:
+        case "link":
+            place.symlink_to(tmp_path / "elsewhere")
+        case "dangling":
+            place.symlink_to(tmp_path / "nowhere")
+        case "folder":
+            place.mkdir()
+        case _:
+            os.mkfifo(place)
+    assert main(["export", str(result), "--out", str(out), "--formats", "csv", "--json"]) == 2
+    assert "joints.csv" in said(capsys)["error"]
+    assert (tmp_path / "elsewhere").read_text() == "mine"
+    assert [path.name for path in out.iterdir()] == ["joints.csv"]
+
+
+@pytest.mark.parametrize("content", ["[]", "{", '{"sha256": 3}', '{"sha256": {"joints.csv": 4}}'])
+def test_a_damaged_record_of_what_hfb_wrote(
+    content: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / OWN_FILES).write_text(content)
+    assert main(["export", str(result), "--out", str(out), "--formats", "csv", "--json"]) == 2
+    assert f"{OWN_FILES} is damaged: remove it" in said(capsys)["error"]
+    assert (out / OWN_FILES).read_text() == content
+
+
+def test_what_a_killed_export_left_is_hfbs(
+    result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = ["export", str(result), "--out", str(out), "--formats", "bvh,csv", "--json"]
+    assert main(words) == 0
+    save_motion(result / "motion.npz", motion_of(load_default_body(torch.float64), frames=1), "hfb")
+    written: list[str] = []
+
+    def killed(path: Path, data: bytes) -> None:
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(path.name)
+        write_bytes_atomic(path, data)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("hfb.flows.runtime.own_files.write_bytes_atomic", killed)
+        assert main(words) != 0
+    assert written == [OWN_FILES, "motion.bvh"]
+    assert main(words) == 0
+
+
+def test_a_page_in_a_folder_of_the_users(result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mine"
+    out.mkdir()
+    (out / "report.html").write_text("mine")
+    words = ["report", str(result), "--out", str(out), "--json"]
+    assert main(words) == 2
+    assert "report.html" in said(capsys)["error"]
+    assert (out / "report.html").read_text() == "mine"
+    (out / "report.html").unlink()
+    assert main(words) == main(words) == 0
 
 
 @pytest.mark.parametrize("form", ["obj", "ply"])

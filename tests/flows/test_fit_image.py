@@ -195,6 +195,7 @@ def test_directions_are_searched_said_and_kept(problem: Problem, store: Path, tm
     (frame,) = result["directions"]
     assert set(frame["right"]) == {"body", *LIMB_NAMES}
     assert result["unknown"].endswith(".")
+    assert "counted on other people" in result["confidence"]["directions"]["holds_for"]
     found, features = load_alternatives(out / "alternatives.npz")
     assert found.probability.sum() == pytest.approx(1)
     motion, _ = load_motion(out / "motion.npz")
@@ -205,6 +206,7 @@ def test_directions_are_searched_said_and_kept(problem: Problem, store: Path, tm
 
     without = run(problem, out)  # an option less: what the earlier result knew more is gone
     assert without["unknown"] is None
+    assert "directions" not in without["confidence"]
     assert not (out / "alternatives.npz").exists()
     assert load_motion(out / "motion.npz")[0].joint_radius_mm is None
 

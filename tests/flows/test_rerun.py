@@ -12,8 +12,18 @@ import torch
 
 import hfb.flows.rerun
 import hfb.tasks.image.fit_motion
-from hfb.config import RENAMED_FIT_OPTIONS, ExportConfig, FitConfig, InitConfig, PriorConfig, RunConfig, Stage
+from hfb.config import (
+    RENAMED_FIT_OPTIONS,
+    ExportConfig,
+    FitConfig,
+    InitConfig,
+    MattingConfig,
+    PriorConfig,
+    RunConfig,
+    Stage,
+)
 from hfb.errors import InputError
+from hfb.flows.cli.cli import main
 from hfb.flows.fit_image import fit_image
 from hfb.flows.rerun import plan_rerun, repeat, with_networks
 from hfb.flows.video import run_video
@@ -23,8 +33,10 @@ from hfb.priors.mixture import write_mixture
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.inputs import Inputs, input_file
 from hfb.tasks.inputs.video_inputs import take_video_inputs
+from hfb.tasks.results.reload_inputs import pictures_of
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.recipe import RECIPE
+from hfb.tasks.tracking.hidden_options import for_pictures, hidden_options, with_options
+from hfb.tasks.tracking.recipe import RECIPE, GivenFile, Recipe
 from tests.orchestration import Problem, mlflow_rows
 from tests.small_clips import small_clip, small_config
 
@@ -250,6 +262,65 @@ def test_options_of_another_version(made: dict[str, Any], store: Path, tmp_path:
     recipe.write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"unknown option fit\.warp.*check that version out"):
         plan_rerun(made["mlflow_run_id"])
+
+
+def test_options_and_places_that_held_a_secret(
+    problem: Problem, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The record hides them: an option is given again; files are told apart by content where paths look the same."""
+    places = {}
+    for name, token in (("frame", "first-one"), ("background", "another-one"), ("first_body", "last-one")):
+        source = getattr(problem, name)
+        places[name] = tmp_path / f"token={token}" / f"input{source.suffix}"
+        places[name].parent.mkdir()
+        places[name].write_bytes(source.read_bytes())
+    aside(places["first_body"])
+    monkeypatch.setenv("CORPORATE_TOKEN", "known-background")
+    config = MOVING.model_copy(update={"matting": MattingConfig(method="known-background")})
+    made = fit_image(
+        [places["frame"]], places["background"], tmp_path / "out", config, first_bodies=[places["first_body"]]
+    )
+    monkeypatch.delenv("CORPORATE_TOKEN")
+    run_id = made["mlflow_run_id"]
+    (recipe,) = (tmp_path / "mlflow-artifacts").rglob(RECIPE)
+    assert "known-background" not in recipe.read_text()
+    assert "another-one" not in recipe.read_text()
+
+    assert main(["rerun", run_id, "--inputs", str(tmp_path), "--json"]) == 2
+    told = json.loads(capsys.readouterr().out)["error"]
+    assert "had a secret in matting.method, which its record hides: give --option matting.method=VALUE" in told
+    again = ["rerun", run_id, "--inputs", str(tmp_path), "--out", str(tmp_path / "again"), "--json"]
+    for words, says in (
+        (["--option", "seed=3"], "a repetition keeps the options of run"),
+        (["--option", "matting.method"], "--option takes NAME=VALUE"),
+        (["--option", "matting.method=sepia"], "matting.method"),
+    ):
+        assert main([*again, *words]) == 2
+        assert says in json.loads(capsys.readouterr().out)["error"]
+    assert main([*again, "--option", "matting.method=known-background"]) == 0
+    assert json.loads(capsys.readouterr().out)["bit_equal"]
+    with pictures_of(run_id, tmp_path) as seen:  # films need no such option
+        np.testing.assert_allclose(seen.frame_linear(0).shape, read_picture_srgb(places["frame"]).shape)
+
+
+def test_hidden_options_of_a_recipe() -> None:
+    """Also in lists and in what clip.toml said; a file's path is no option."""
+    file = GivenFile(path=Path("/a/token=***/w.pt"), sha256="1", bytes=3)
+    recipe = Recipe(
+        command="video", code="", options={}, results={}, files={"init_file_0": file},
+        config={"init": {"person": "***", "file": "/a/token=***/w.pt"}, "export": {"formats": ["bvh", "***"]}},
+        inputs={"clip": {"exposure": {"light": "x***"}}, "video": [{"path": "/b/sig=***/v.mp4", "sha256": "2"}]},
+    )  # fmt: skip
+    names = ("init.person", "export.formats", "inputs.clip.exposure.light")
+    assert hidden_options(recipe) == names
+    told = with_options(recipe, {name: f"value of {name}" for name in names}, "x")
+    assert hidden_options(told) == ()
+    assert told.config["init"]["person"] == "value of init.person"
+    assert told.inputs["clip"] == {"exposure": {"light": "value of inputs.clip.exposure.light"}}
+    with pytest.raises(InputError, match="make the result again"):
+        for_pictures(recipe, "x")
+    two = {"a": file, "b": file.model_copy(update={"sha256": "3"})}  # which of them init.file was nobody can tell
+    assert "init.file" in hidden_options(recipe.model_copy(update={"files": two}))
 
 
 def test_pose_networks_of_then(made: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

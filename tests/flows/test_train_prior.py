@@ -73,6 +73,15 @@ def test_a_motion_prior(plan: TrainingPlan, store: Path, tmp_path: Path) -> None
     assert kept == ["motion_prior.json", "motion_prior.safetensors"]
 
 
+@pytest.mark.parametrize("name", ["prior.safetensors", "prior.json"])
+def test_a_file_of_the_users_is_not_replaced(name: str, plan: TrainingPlan, store: Path, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('{"mine": 1}')
+    with pytest.raises(InputError, match=f"holds {name}, which no training of hfb left: choose another --out"):
+        train_prior(plan, tmp_path / "prior.safetensors")
+    assert (tmp_path / name).read_text() == '{"mine": 1}'
+    assert not work_folder(tmp_path / "prior.safetensors").exists()
+
+
 def test_goes_on_where_it_stopped(plan: TrainingPlan, store: Path, tmp_path: Path) -> None:
     out = tmp_path / "prior.safetensors"
     train_prior(plan, out)

@@ -10,6 +10,7 @@ import pytest
 from hfb.errors import InputError
 from hfb.io.clip import PersonChoice
 from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.tracking.gap_looks import look_into_gaps
 from hfb.tracking.tracks import (
     ClipFrames,
     Track,
@@ -162,6 +163,85 @@ def test_real_people_in_pieces_and_above_each_other() -> None:
     heights = woman.boxes[:, 3] - woman.boxes[:, 1]
     assert (heights > 400).all()
     assert (heights < 520).all()
+
+
+def dim(people: list[tuple[int, int] | None], brighter: dict[int, float]) -> list[np.ndarray]:
+    """Somebody who hardly stands out; some frames are exposed otherwise than the plate."""
+    out = []
+    for number, picture in enumerate(frames([None] * len(people))):
+        if (here := people[number]) is not None:
+            picture[80 - here[1] : 80, here[0] : here[0] + 14] = (0.47, 0.4, 0.4)
+        out.append((picture * brighter.get(number, 1.0)).astype(np.float32))
+    return out
+
+
+def looked_into(pictures: list[np.ndarray], whom: PersonChoice | None = None) -> tuple[Track, Track, int]:
+    """(as tracked, with a second look, number of looks)."""
+    tracks, looks = find_tracks(pictures, PLATE), [0]
+    track = choose_track(tracks, whom or PersonChoice())
+    rest = [one for one in tracks if one.name != track.name]
+    again = look_into_gaps(track, rest, lambda number: pictures[number], PLATE, sharp, looks.append)
+    return track, again, looks[-1]
+
+
+def test_frames_in_another_exposure_are_no_gaps() -> None:
+    """All of such a frame differs from the plate, and nobody stands out; the person is there all the same."""
+    track, again, looks = looked_into(dim(WALKS, {3: 1.1, 4: 0.92, 9: 1.1}))
+    assert track.present.tolist() == [number not in (3, 4, 9) for number in range(10)]
+    assert again.present.all()
+    assert looks == 3
+    assert np.allclose(again.boxes[4], [26, 30, 40, 80], atol=1)
+    assert again.areas[3] == pytest.approx(14 * 50, rel=0.1)
+    seen = track.present
+    assert np.array_equal(again.boxes[seen], track.boxes[seen])
+
+
+def test_who_is_away_or_cut_off_stays_a_gap() -> None:
+    """A few looks at each end of an absence, and none where nobody is missed."""
+    leaves = [*WALKS[:4], *[None] * 30, *WALKS[4:]]
+    track, again, looks = looked_into(dim(leaves, {}))
+    assert np.array_equal(again.present, track.present)
+    assert looks == 4
+    out: list[tuple[int, int] | None] = [(106 + 10 * n, 50) for n in range(5)]  # the last one touches the frame's side
+    assert looked_into(dim(out, {4: 1.1}))[1].present.tolist() == [True] * 4 + [False]
+    assert looked_into(dim(WALKS, {}))[2] == 0
+
+
+def test_nobody_else_stands_in() -> None:
+    """In a frame where one is hidden, a second person of the same size who is near is not taken for the first."""
+    first = [(20, 50)] * 4 + [None] * 2 + [(20, 50)] * 4
+    second: list[tuple[int, int] | None] = [(44, 50)] * 10
+    pictures = [np.minimum(one, other) for one, other in zip(dim(first, {}), dim(second, {}), strict=True)]
+    for number, picture in enumerate(pictures):
+        for here in (first[number], second[number]):
+            if here is not None:
+                picture[80 - here[1] : 80, here[0] : here[0] + 14] = (0.47, 0.4, 0.4)
+        if number in (4, 5):
+            picture *= 1.1
+    track, again, _ = looked_into(pictures, PersonChoice(box=(18, 30, 36, 80), frame=0))
+    assert not track.present[4:6].any()
+    assert not again.present[4:6].any()
+
+
+def test_real_people_in_frames_of_another_exposure() -> None:
+    """The park in frames that are brighter or darker than the plate: nobody in full view is a gap."""
+    folder = SHARED / "sports2d_park"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    plate, pictures = read_picture_srgb(folder / "plate.png"), []
+    for number, frame in enumerate(video(folder / "demo.mp4")):
+        if number > 138:
+            break
+        if number >= 90 and number % 3 == 0:
+            pictures.append((frame * (0.9 if len(pictures) % 3 == 1 else 1)).clip(0, 1).astype(np.float32))
+    tracks = find_tracks(pictures, plate)
+    track = choose_track(tracks, PersonChoice())
+    rest = [one for one in tracks if one.name != track.name]
+    again = look_into_gaps(track, rest, lambda number: pictures[number], plate)
+    assert track.present.sum() == 15
+    assert again.present.sum() == 17
+    heights = (again.boxes[:, 3] - again.boxes[:, 1])[~track.present]
+    assert (np.abs(heights / np.nanmedian(track.boxes[:, 3] - track.boxes[:, 1]) - 1) < 0.2).all()
 
 
 def video(path: Path) -> Iterator[np.ndarray]:

@@ -6,7 +6,7 @@ eight or more of that name.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import av
@@ -14,9 +14,12 @@ import numpy as np
 
 from hfb.errors import InputError
 from hfb.io.clip import Clip, read_clip
+from hfb.io.media.capture_rate import Rate, capture_remark, differs, stated_capture_rate
 from hfb.io.media.footage_names import PICTURE_SUFFIXES
 from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.io.media.video.interlacing import Scan
 from hfb.io.media.video.video_file import open_video, video_stream
+from hfb.io.media.video.video_index import index_video
 from hfb.io.media.video.video_reading import read_frames
 from hfb.photometry import as_srgb, srgb_to_linear
 from hfb.typing import Array, Bool, Float
@@ -24,6 +27,7 @@ from hfb.typing import Array, Bool, Float
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _LEAST_PICTURES = 8
 _ASSUMED_FPS = 30.0
+_LOOKED_AT = 300  # frames in which two fields are looked for
 _JITTER = 0.25  # of a frame interval: containers round their times to milliseconds, dropped frames are off by 1
 _NUMBERED = re.compile(r"(.*?)(\d+)")
 
@@ -39,6 +43,7 @@ class Footage:
         fps: frames per second; fps_known is False where nothing says and 30 was assumed.
         steady: for every frame but the last, whether the next one follows after one regular interval.
         clip: its clip.toml, or an empty one.
+        remarks: what a user should know of how it is read.
     """
 
     path: Path
@@ -48,6 +53,7 @@ class Footage:
     fps_known: bool
     steady: Bool[Array, "n"]
     clip: Clip
+    remarks: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
@@ -88,7 +94,7 @@ def find_footage(folder: Path) -> tuple[list[Footage], dict[str, str]]:
     found, refused = [], {}
     for first, pictures in _candidates(folder):
         try:
-            found.append(open_footage(first, pictures))
+            found.append(_looked_at(open_footage(first, pictures)))
         except InputError as error:
             refused[first.relative_to(folder).as_posix()] = str(error)
     if not found and not refused:
@@ -114,8 +120,24 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
         _check_numbers(pictures)
         fps, steady = clip.exposure.fps or _ASSUMED_FPS, np.ones(len(pictures) - 1, bool)
         return Footage(path, pictures, stem, fps, clip.exposure.fps is not None, steady, clip)
-    fps, steady = _timing(path)
-    return Footage(path, (), stem, clip.exposure.fps or fps, True, steady, clip)
+    fps, steady, remarks = _timing(path, clip.exposure.fps)
+    return Footage(path, (), stem, fps, True, steady, clip, remarks)
+
+
+def _looked_at(footage: Footage) -> Footage:
+    """The footage with what `hfb video` would say of the file.
+
+    Raises:
+        InputError: it is interlaced.
+    """
+    if footage.pictures:
+        return footage
+    index = index_video(footage.path)
+    scan = Scan(footage.path, index.interlaced) if footage.clip.scan == "auto" else None
+    if scan:
+        index.look_through(0, min(len(index.stamps), _LOOKED_AT), scan=scan)
+    seen = (*index.remarks, scan.remark() if scan else None)
+    return replace(footage, remarks=(*footage.remarks, *(one for one in seen if one)))
 
 
 def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
@@ -159,13 +181,26 @@ def _clip_beside(path: Path, stem: str) -> Clip:
     return Clip()
 
 
-def _timing(path: Path) -> tuple[float, Bool[Array, "n"]]:
-    """(frames per second, which frames are followed by a regular interval), from the container's time stamps."""
+def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"], tuple[str, ...]]:
+    """(frames per second, which frames are followed by a regular interval, remarks), from what the container says.
+
+    Args:
+        told_fps: by the user; wins over the rate of the capture, which wins over that of the time stamps.
+    """
+    fps, steady, capture = _time_stamps(path)
+    if told_fps or not differs(capture, fps) or capture is None:
+        return told_fps or fps, steady, ()
+    return capture[0], steady, (capture_remark(path.name, capture, fps),)
+
+
+def _time_stamps(path: Path) -> tuple[float, Bool[Array, "n"], Rate | None]:
+    """With the rate at which it was captured, where the file says so."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)
             stated = float(stream.average_rate or 0)
             base = float(stream.time_base or 0)
+            capture = stated_capture_rate(path, {**container.metadata, **stream.metadata})
             # numbers only: the packets together are the whole video
             ticks = [p.pts for p in container.demux(stream) if p.size and not p.is_discard]
     except av.FFmpegError as error:
@@ -176,11 +211,11 @@ def _timing(path: Path) -> tuple[float, Bool[Array, "n"]]:
     if len(stamps) < count or not max(stamps) > min(stamps):
         if not stated > 0:
             raise InputError(f"{path}: has no time stamps and no frame rate; convert it to H.264 in an .mp4 file.")
-        return stated, np.ones(count - 1, bool)
+        return stated, np.ones(count - 1, bool), capture
     intervals = np.diff(np.sort(np.array(stamps)))
     usual = float(np.median(intervals))
     steady = np.abs(intervals - usual) <= _JITTER * usual
     if not usual > 0:
         raise InputError(f"{path}: most of its frames have the same time stamp; convert it to H.264 in an .mp4 file.")
     fps = 1 / float(intervals[steady].mean())
-    return (stated if abs(stated - fps) < 0.01 * fps else fps), steady
+    return (stated if abs(stated - fps) < 0.01 * fps else fps), steady, capture

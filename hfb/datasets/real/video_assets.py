@@ -79,7 +79,7 @@ def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
     Raises:
         InputError: a calibration or a joint file that cannot be read, or a picture size that is not the video's.
     """
-    folder, remarks = footage.path.parent, []
+    folder, remarks = footage.path.parent, list(footage.remarks)
     recording = Recording(footage.path, find_plate(footage))
     places = [folder, folder.parent / "calibration"]
     for path in [path for place in places for path in _matching(place, ("cameras.json", "Calib*.toml"))]:

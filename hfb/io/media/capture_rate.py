@@ -39,6 +39,14 @@ def differs(capture: Rate | None, stored_fps: float) -> bool:
     return capture is not None and abs(capture[0] / stored_fps - 1) > _SAME_SHARE
 
 
+def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
+    """What a user should know of a file whose capture rate is taken instead of its time stamps'."""
+    return (
+        f"{name} was captured at {capture[0]:.6g} frames per second, by {capture[1]}, and plays at {stored_fps:.6g}: "
+        "the capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
+    )
+
+
 def is_time_mapped(path: Path) -> bool:
     """Whether an MP4's or MOV's list of edits plays parts of it slower or faster, as a telephone's slow motion does.
 

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from hfb.errors import InputError
-from hfb.io.media.capture_rate import differs
+from hfb.io.media.capture_rate import capture_remark, differs
 from hfb.io.media.footage_files import footage_files, one_size, sample_remarks
 from hfb.io.media.footage_names import PICTURE_SUFFIXES
 from hfb.io.media.images.image_io import read_picture_srgb, recorded_exposure
@@ -175,8 +175,9 @@ def open_footage(
         whole, first, last = _of_video(place, files, wanted, scan == "auto", on_progress)
         if not fps and whole.index and differs(whole.index.capture, 1 / whole.interval_s):
             assert whole.index.capture is not None
-            fps, told = whole.index.capture
-            whole = replace(whole, remarks=(*whole.remarks, _captured(place.name, fps, told, whole.interval_s)))
+            fps = whole.index.capture[0]
+            told = capture_remark(place.name, whole.index.capture, 1 / whole.interval_s)
+            whole = replace(whole, remarks=(*whole.remarks, told))
     if whole.index and whole.index.counted and not fps:
         whole = replace(whole, remarks=(whole.index.counted, *whole.remarks))
     chosen = replace(
@@ -225,13 +226,6 @@ def _of_video(
         recorded_exposure=index.recorded_exposure, tick_s=index.tick_s,
     )  # fmt: skip
     return footage, first, readable
-
-
-def _captured(name: str, fps: float, told: str, interval_s: float) -> str:
-    return (
-        f"{name} was captured at {fps:.6g} frames per second, by {told}, and plays at {1 / interval_s:.6g}: the "
-        "capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
-    )
 
 
 def _remarks(index: VideoIndex) -> Iterator[str]:

@@ -14,6 +14,9 @@ from hfb.errors import InputError
 from hfb.io.media.images.image_io import write_png
 from tests.datasets.real.videos import BODY, FPS, calibration_toml, figure, joints_m, room, write_recording, write_trc
 from tests.datasets.real.videos import write_video as write
+from tests.io.media.test_capture_rate import tagged
+from tests.io.media.test_interlacing import woven
+from tests.io.media.videos import write_video as write_coded
 
 
 def _picture(levels: np.ndarray) -> np.ndarray:
@@ -91,6 +94,36 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on(tmp_path: Path) -> No
     }.items():  # fmt: skip
         assert says in refused[name], refused[name]
     assert len(refused) == 9
+
+
+def test_interlaced_videos_are_refused_as_by_hfb_video(tmp_path: Path) -> None:
+    """Unless clip.toml says that their frames are whole pictures; what only looks interlaced is told."""
+    for name in ("flagged", "whole"):
+        (tmp_path / name).mkdir()
+        write_coded(tmp_path / name / "walk.mp4", woven(8), options={"x264-params": "tff=1"})
+    (tmp_path / "whole" / "clip.toml").write_text('scan = "progressive"\n')
+    write_coded(tmp_path / "combed.mp4", woven(12))
+    found, refused = find_footage(tmp_path)
+    assert list(refused) == ["flagged/walk.mp4"]
+    assert "is interlaced" in refused["flagged/walk.mp4"]
+    assert "bwdif=mode=send_field" in refused["flagged/walk.mp4"]
+    told = {footage.path.parent.name: footage.remarks for footage in found}
+    assert told["whole"] == ()
+    (remark,) = told[tmp_path.name]
+    assert "combed.mp4 seems to be interlaced" in remark
+    assert find_recording(found[0])[1] == [remark]
+
+
+@pytest.mark.parametrize(("told", "fps"), [("", 240.0), ("[exposure]\nfps = 60\n", 60.0)])
+def test_slow_motion_has_the_rate_of_its_capture(tmp_path: Path, told: str, fps: float) -> None:
+    tagged(tmp_path / "slow.mp4", "com.android.capture.fps", "240.0")
+    if told:
+        (tmp_path / "slow_clip.toml").write_text(told)
+    (footage,), refused = find_footage(tmp_path)
+    assert refused == {}
+    assert footage.fps == fps == open_footage(tmp_path / "slow.mp4").fps
+    remarks = find_recording(footage)[1]
+    assert [("captured at 240 frames per second" in one) for one in remarks] == ([] if told else [True])
 
 
 def test_folders_without_video(tmp_path: Path) -> None:

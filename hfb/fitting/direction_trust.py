@@ -1,0 +1,133 @@
+"""How far the odds of directions can be trusted: what is said is drawn to even odds, by the start and by trouble.
+
+The odds of `hfb.fitting.direction_odds` were measured on fits that began near the truth. Either the motion prior knows
+a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with
+L the log odds that the body moved the way the result says, the probability p of every hypothesis becomes
+
+    p^k e^(1 - k),    k = max(0, 1 - doubt / L),    doubt = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
+
+whose f_i are signs of trouble in the fit (`SIGNS`), with b_i >= 0; e is the hypothesis' probability where nothing is
+known (`even_odds`). The coefficients were fitted to fits whose truth is known (`infra/calibrate_confidence`), for each
+kind of start, and lie in data/directions.json. Which motion is the result does not depend on them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from hfb.fitting.alternatives import Alternatives
+from hfb.fitting.confidence import KIND_WORDS, Features, StartKind, start_kind
+from hfb.fitting.direction_odds import shipped_odds
+from hfb.typing import Array, Float
+
+SIGNS: tuple[str, ...] = ("misfit", "moved", "unusual")
+"""Of `hfb.fitting.joint_features`: the matte is not covered, the fit left its first body far behind, an odd pose."""
+
+_LEAST, _SUREST = 1e-12, 1 - 1e-9
+
+
+@dataclass(frozen=True)
+class Trust:
+    """The coefficients of the doubt.
+
+    Attributes:
+        constant: b_0. coefficients: b_i, by the name of the sign. typical, spread: of the signs where they were fitted.
+    """
+
+    constant: float
+    coefficients: Mapping[str, float]
+    typical: Mapping[str, float]
+    spread: Mapping[str, float]
+
+    def doubt(self, signs: Mapping[str, float]) -> float:
+        """What evidence has to overcome in a frame with these signs, in log odds."""
+        scaled = {name: (signs[name] - self.typical[name]) / self.spread[name] for name in self.coefficients}
+        return max(0.0, self.constant + sum(weight * scaled[name] for name, weight in self.coefficients.items()))
+
+
+def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """What odds are raised to where the body is right with these probabilities; of one that hardly moves (NaN) 1."""
+    surer = np.clip(np.maximum(right, 1 - right), 0.5, _SUREST)
+    log_odds = np.log(surer / (1 - surer))
+    known = np.maximum(0, 1 - np.divide(doubt, log_odds, out=np.ones_like(log_odds), where=log_odds > 0))
+    return np.where(np.isnan(right), 1.0, known)
+
+
+def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
+    """The signs of trouble in a frame, which is these rows of the features."""
+    return {name: float(features[name][rows, 1:].mean()) for name in SIGNS}
+
+
+def even_odds(agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
+    """Probabilities of hypotheses by which no direction of the body is likelier than another.
+
+    Args:
+        agrees: `Alternatives.body_agrees`.
+    """
+    _, group, sizes = np.unique(np.nan_to_num(agrees, nan=1.0) > 0.5, axis=1, return_inverse=True, return_counts=True)
+    even = 1 / sizes[group.ravel()]
+    return even / even.sum()
+
+
+def tempered(
+    probability: Float[Array, "*n A"], even: Float[Array, "*n A"], power: Float[Array, "*n"]
+) -> Float[Array, "*n A"]:
+    """Between even odds (power 0) and the given ones (1); what has no even odds is no hypothesis."""
+    power = np.asarray(power)[..., None]
+    weights = np.where(even > 0, np.maximum(probability, _LEAST) ** power * even ** (1 - power), 0)
+    return weights / weights.sum(-1, keepdims=True)
+
+
+def trusted(alternatives: Alternatives, features: Features, sources: Sequence[str]) -> Alternatives:
+    """The alternatives with probabilities that hold; of several frames the least trusted one counts.
+
+    Args:
+        features: of the result. sources: of the frames' first bodies.
+    """
+    rows = (alternatives.frame_index == frame for frame in range(len(sources)))
+    doubts = [
+        shipped_trust(start_kind(source)).doubt(signs_of(features, one))
+        for source, one in zip(sources, rows, strict=True)
+    ]
+    power = np.asarray(power_of(alternatives.body_right(), np.array(doubts)).min())
+    even = even_odds(alternatives.body_agrees())
+    return replace(alternatives, probability=tempered(alternatives.probability, even, power))
+
+
+@lru_cache
+def shipped_trust(kind: StartKind) -> Trust:
+    """The coefficients that come with hfb for a kind of start."""
+    content = shipped_odds()["trust"][kind]
+    return Trust(**{name: content[name] for name in ("constant", "coefficients", "typical", "spread")})
+
+
+def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
+    """What the odds of a result's directions rest on: how often they held from its kinds of start, and a sentence.
+
+    Args:
+        sources: of the first bodies of all frames.
+    """
+    kinds = sorted({start_kind(source) for source in sources})
+    frames = "several_frames" if len(sources) > 1 else "one_frame"
+    shipped = shipped_odds()["trust"]
+    new = {kind: shipped[kind]["new_people"][frames] for kind in kinds}
+    told = "; ".join(f"{KIND_WORDS[kind]}: {_told(shipped[kind], frames)}" for kind in kinds)
+    sentence = (
+        f"Odds of directions were calibrated on synthetic pictures and counted on other people. From {told}. Least is "
+        "known of motions that resemble no walk, run or everyday action; real pictures were not part of it."
+    )
+    return {"starts": kinds, "new_people": new, "holds_for": sentence}
+
+
+def _told(counted: Mapping[str, Any], frames: str) -> str:
+    """How often what was said of the body happened, on new people where there are any."""
+    new = counted["new_people"][frames]
+    if new is None and frames != "one_frame":
+        return "not counted"
+    groups = counted["people_held_out"] if new is None else new["body"]
+    return ", ".join(
+        f"said {100 * one['said']:.0f} %, right {100 * one['right']:.0f} % (n {one['n']})" for one in groups
+    )
