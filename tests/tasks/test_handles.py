@@ -70,7 +70,7 @@ def test_the_digest_is_of_content_alone(file: Path, tmp_path: Path) -> None:
 
 def test_every_file_is_found(file: Path) -> None:
     one = FileHandle.of(file)
-    assert len(list(files_in(fit_of(file)))) == 4
+    assert len(list(files_in(fit_of(file)))) == 5
     assert list(files_in(Inputs(frames=(one, one), background=one, body=one))) == [one] * 4
     assert list(files_in(3)) == []
     judged = JudgedHandle.of(file, motion=one)  # a file that goes with others
