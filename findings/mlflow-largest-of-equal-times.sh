@@ -9,7 +9,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check mlflow-skinny==3.17.2 'sqlalchemy<2.1' alembic==1.20.1 'fastapi<0.151' pandas==3.1.1
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check mlflow-skinny==3.17.2 'sqlalchemy<2.1' alembic==1.20.1 'fastapi<0.151' pandas==3.1.1
 cd "$place"
 MLFLOW_DISABLE_TELEMETRY=true "$place/venv/bin/python" - <<'PY' 2>/dev/null
 import mlflow

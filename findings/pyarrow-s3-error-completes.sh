@@ -7,7 +7,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --disable-pip-version-check pyarrow==25.0.1 'moto[s3,server]==5.2.5'
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check pyarrow==25.0.1 'moto[s3,server]==5.2.5'
 "$place/venv/bin/python" - <<'PY' 2>/dev/null
 import pyarrow
 from moto.server import ThreadedMotoServer

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from hfb.errors import InputError
 from hfb.evaluation.motion_difference import MotionDifference, motion_difference
 from hfb.flows.runtime.summary import number_text
@@ -18,7 +20,7 @@ from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import Html, small_picture
+from hfb.report.page import small_picture
 from hfb.report.run_page import PageTable, RunLook, run_page
 from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
@@ -43,7 +45,7 @@ class _Shown:
     run: StoredRun
     motion: SampledMotion | None
     strip: Any
-    turning: Html | None
+    turning: Markup | None
 
 
 def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:

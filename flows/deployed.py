@@ -50,7 +50,8 @@ class Options(RunConfig):
 
     def config(self) -> RunConfig:
         """The configuration that these options and their preset make together; raises InputError."""
-        return to_record(RunConfig, merged(preset(self.preset).model_dump(), self.model_dump()), "options")
+        fit = to_record(RunConfig, {"fit": self.fit}, "options").model_dump(exclude_unset=True)
+        return to_record(RunConfig, merged(preset(self.preset).model_dump(), self.model_dump() | fit), "options")
 
 
 _BEST = Options()

@@ -104,12 +104,13 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             clip=scene, mattes=mattes, first_bodies=firsts, fit=fitted, body=body, truth=inputs.truth,
             config=config.fit, folder=folder,
         )  # fmt: skip
+        # Warnings compare with the mattes of before the fit: refined ones share its errors.
         found = look_for_warnings(
             clip=scene, numbers=tuple(numbers), mattes=mattes, motion=fitted.motion, matte_iou=(), body=body,
             config=config.fit,
         ).warnings  # fmt: skip
         tell(found)
-        image = strip(clip=scene, mattes=mattes, fit=fitted, body=body, config=config.fit, folder=folder)
+        image = strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder)
         shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
         exports = export_motion(shot, fitted.texture_image, config.export, folder)
         warnings = (*plate_warnings(scene.remarks), *found)
@@ -119,7 +120,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
             "texture.png": fitted.texture_image, "strip.png": image, CURVES: fit_curves(fitted, folder),
-            **{f"matte_{index}.png": one for index, one in enumerate(mattes)}, **exports.by_name(),
+            **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)}, **exports.by_name(),
         }  # fmt: skip
         of_run = fit_record(inputs=inputs, config=config, fit=fitted, scores=scores, published=files, result=result)
         try:
@@ -195,6 +196,7 @@ def _result(
     return {
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
+        "fit_stage_seconds": {name: round(seconds, 3) for name, seconds in fitted.stage_seconds.items()},
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],

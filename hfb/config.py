@@ -5,10 +5,35 @@ Light to import (pydantic only): the command line builds its flags from these re
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+_log = logging.getLogger(__name__)
+
+RENAMED_FIT_OPTIONS: Mapping[str, str] = {
+    "across": "xy_weight",
+    "several": "multi_frame",
+    "at_once": "batch_size",
+    "size_moves_away": "keep_image_size",
+    "root_kick": "initial_root_velocity",
+}
+"""Earlier names of options of `FitConfig`; files, flags and recorded runs may still use them."""
+
+
+def current_option_name(name: str) -> str:
+    """The present name of a dotted option such as ``fit.several.image``.
+
+    Args:
+        name: dotted, by an earlier or the present name.
+    """
+    first, *rest = name.split(".")
+    if first == "fit" and rest:
+        rest[0] = RENAMED_FIT_OPTIONS.get(rest[0], rest[0])
+    return ".".join([first, *rest])
 
 
 def _in_order(schema: dict[str, Any]) -> None:
@@ -28,7 +53,12 @@ HeightM = Annotated[float, Field(ge=1.4, le=2.4)]
 
 
 def within(least: float, most: float) -> AfterValidator:
-    """Refuses what no camera has, such as 1e300: products of such numbers overflow."""
+    """Refuses what no camera has, such as 1e300: products of such numbers overflow.
+
+    Args:
+        least: smallest value.
+        most: largest value.
+    """
 
     def check(value: float) -> float:
         if not least <= value <= most:
@@ -156,8 +186,8 @@ class Stage(Record):
     cosine: bool = Field(False, description="let the learning rate fall to a twentieth along a half cosine")
 
 
-class SeveralFrames(Record):
-    """What counts more where one texture has to explain several frames: a single one's may make up what it likes."""
+class MultiFrame(Record):
+    """Factors of weights where several frames share one texture; that of a single frame can explain anything."""
 
     image: float = Field(1.0, ge=0, description="factor of w_I in the stages of full size, when the texture is known")
     height: float = Field(1.0, ge=0, description="factor of the height's weight")
@@ -185,12 +215,12 @@ class FitConfig(Record):
         "cpu",
         description="cpu: numba; reference: readable torch; cuda: the fit on a GPU; warp: the same on the processor",
     )
-    at_once: int = Field(
-        32, ge=1, le=1024, description="cuda: windows of a clip that are one problem; fewer take less of its memory"
+    batch_size: int = Field(
+        32, ge=1, le=1024, description="cuda: windows of a clip that are fitted together; fewer take less of its memory"
     )
     texture_px: int = Field(128, ge=8, le=4096, description="side of the texture [px]")
     weights: Weights = Weights()
-    several: SeveralFrames = SeveralFrames()
+    multi_frame: MultiFrame = MultiFrame()
     motion_shared: bool = Field(
         False, description="divide w_C by the number of frames: where neighbours meet they bound the motion, too"
     )
@@ -201,18 +231,19 @@ class FitConfig(Record):
     directions: DirectionsConfig = DirectionsConfig()
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
-    settle: int = Field(0, ge=0, description="iterations of the skeleton alone, towards what the joint network sees")
+    settle: int = Field(0, ge=0, description="iterations of the warm-up: the skeleton alone, towards predicted joints")
     lifting: float = Field(
         0.0,
         ge=0,
         le=1,
         description="share of the lifting network in the joint network's depth, after every stage but the last",
     )
-    across: float = Field(
+    xy_weight: float = Field(
         1.0,
         ge=0,
         le=1,
-        description="share of the joint network's word across the view in the stages; outlines tell it, but not depth",
+        description="factor of the joint evidence across the view in the image stages: outlines show that, but not "
+        "depth",
     )
     compare: float = Field(
         0.0,
@@ -232,13 +263,29 @@ class FitConfig(Record):
     height_m: HeightM | None = Field(
         None, description="how tall the person is, soles to crown; no picture shows it, and every length hangs on it"
     )
-    size_moves_away: bool = Field(False, description="a larger shape stands further away: quaternions only")
+    keep_image_size: bool = Field(False, description="a change of shape keeps the size in the image; quaternions only")
     origin: float = Field(0.0, ge=0, le=1, description="time u at which the motion's constants hold the first body")
     shape_rate: float = Field(3.0, gt=0, description="learning rate of the betas, times the stage's")
     texture_rate: float = Field(1.0, gt=0, description="learning rate of the texture, times the stage's")
     adam_epsilon: float = Field(1e-8, gt=0, description="Adam's epsilon; larger holds what the picture does not show")
-    root_kick: float = Field(0.0, ge=0, description="first root velocity [m per exposure], leaves the saddle at rest")
+    initial_root_velocity: float = Field(
+        0.0, ge=0, description="start velocity of the root [m per exposure]: at rest is a saddle point"
+    )
     threads: int = Field(1, ge=1, description="threads of one fit; the result does not depend on it")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_old_names(cls, content: Any) -> Any:
+        if not isinstance(content, Mapping):
+            return content
+        given = dict(content)
+        for old in RENAMED_FIT_OPTIONS.keys() & given.keys():
+            new = RENAMED_FIT_OPTIONS[old]
+            if new in given:
+                raise ValueError(f"{old} and {new} are the same option; leave out {old}, its old name")
+            given[new] = given.pop(old)
+            _log.warning("the option fit.%s is now called fit.%s; use the new name", old, new)
+        return given
 
 
 class PriorConfig(Record):
@@ -332,7 +379,7 @@ _PAPER = FitConfig(
 _BEST = FitConfig(
     degree=3,  # as many coefficients as a frame's two ends have values and velocities
     origin=0.5,  # a static estimate of a blurred person is nearest to the middle of the motion
-    root_kick=0.1,
+    initial_root_velocity=0.1,
     adam_epsilon=1e-4,
     stages=(
         Stage(size_px=64, iterations=60),
@@ -346,12 +393,12 @@ _BEST = FitConfig(
     directions=DirectionsConfig(search=True),
     settle=80,
     lifting=0.75,
-    across=0.2,
+    xy_weight=0.2,
     compare=0.75,
     fuse_depth=True,
-    size_moves_away=True,
+    keep_image_size=True,
     motion_shared=True,
-    several=SeveralFrames(image=33, height=3),
+    multi_frame=MultiFrame(image=33, height=3),
     matte_again=True,
     weights=Weights(
         image=30, matte=14, pose=0.014, shape=0.002, motion=0.1, boundary=5, start=0.2, joints=3, path=0.4, height=0.04
@@ -360,5 +407,9 @@ _BEST = FitConfig(
 
 
 def preset(name: Literal["paper", "best"]) -> RunConfig:
-    """All options of a preset: ``paper`` is the faithful method, ``best`` what measured best."""
+    """All options of a preset: ``paper`` is the faithful method, ``best`` what measured best.
+
+    Args:
+        name: of the preset.
+    """
     return RunConfig(preset=name, fit=_PAPER if name == "paper" else _BEST)

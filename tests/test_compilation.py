@@ -23,7 +23,7 @@ import torch
 from numba.core.dispatcher import Dispatcher
 from hfb.body.assets import load_default_body
 from hfb.config import Stage, preset
-from hfb.fitting.loop import fit
+from hfb.fitting.fit import fit
 from hfb.matting.network import NetworkMatting
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.bench.jobs import with_pose_blend_shapes

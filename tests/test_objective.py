@@ -33,7 +33,7 @@ def random(*size: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*size, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
-def problem(frames: int, settling: bool, way: float) -> tuple[Objective, Variables]:
+def problem(frames: int, warm_up: bool, way: float) -> tuple[Objective, Variables]:
     """Somebody who moves, and claims that are wrong; `way`: how far the body moves."""
     scene = moving_scene(load_default_body(), size_px=48, frames=frames)
     seen = scene.observation
@@ -52,8 +52,8 @@ def problem(frames: int, settling: bool, way: float) -> tuple[Objective, Variabl
     )  # fmt: skip
     first = axis_angle_to_matrix(poses + 0.3 * random(frames, 24, 3, seed=6))
     objective = Objective(
-        seen, BODY, make_rasterizer(), AnatomicalPrior(), WEIGHTS, 5, first, evidence=claims, across=0.3,
-        settling=settling,
+        seen, BODY, make_rasterizer(), AnatomicalPrior(), WEIGHTS, 5, first, evidence=claims, xy_weight=0.3,
+        warm_up=warm_up,
     )  # fmt: skip
     betas = random(10, seed=7)
     return objective, Variables(
@@ -80,15 +80,15 @@ def found(objective: Objective, variables: Variables, with_course: bool) -> dict
     return values
 
 
-@pytest.mark.parametrize("settling", [False, True])
+@pytest.mark.parametrize("warm_up", [False, True])
 @pytest.mark.parametrize("with_course", [False, True])
 @pytest.mark.parametrize(("frames", "way"), [(1, 1.0), (1, 0.0), (3, 1.0)])
-def test_compiled_terms_are_the_readable_ones(frames: int, way: float, with_course: bool, settling: bool) -> None:
-    objective, variables = problem(frames, settling, way)
+def test_compiled_terms_are_the_readable_ones(frames: int, way: float, with_course: bool, warm_up: bool) -> None:
+    objective, variables = problem(frames, warm_up, way)
     fast = found(objective, variables, with_course)
     with readable_formulas():
         slow = found(objective, variables, with_course)
-    expected = set(TERMS) - ({"boundary"} if frames == 1 else set() if settling else {"path"})
+    expected = set(TERMS) - ({"boundary"} if frames == 1 else set() if warm_up else {"path"})
     assert set(fast) == set(slow) == expected
     for name, values in fast.items():
         for ours, theirs in zip(values, slow[name], strict=True):

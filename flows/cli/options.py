@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -15,10 +16,11 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from hfb.config import InitConfig, RunConfig, preset
+from hfb.config import RENAMED_FIT_OPTIONS, InitConfig, RunConfig, preset
 from hfb.errors import InputError
 from hfb.io.toml_file import merged, read_toml, to_record
 
+_log = logging.getLogger(__name__)
 _PREFIX = "config:"
 _DEFAULT_PRESET = RunConfig().preset
 _NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
@@ -45,6 +47,25 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
             group.add_argument(
                 f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
             )  # fmt: skip
+        for old, new in RENAMED_FIT_OPTIONS.items():
+            if name == f"fit.{new}" or name.startswith(f"fit.{new}."):
+                earlier = name.replace(new, old, 1)
+                spellings = sorted({f"--{earlier}", f"--{earlier.replace('_', '-')}"})
+                group.add_argument(
+                    *spellings, dest=_PREFIX + name, action=_EarlierName, default=argparse.SUPPRESS,
+                    help=argparse.SUPPRESS,
+                )  # fmt: skip
+
+
+class _EarlierName(argparse.Action):
+    """Sets the key that an earlier name of a flag stands for, and says what it is called now."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        key = self.dest.removeprefix(_PREFIX)
+        _log.warning("the flag %s is now called --%s; use the new name", option, key.replace("_", "-"))
+        setattr(namespace, self.dest, values)
 
 
 def _add_short_flags(group: argparse._ArgumentGroup) -> None:
@@ -83,15 +104,19 @@ def run_config(given: argparse.Namespace) -> RunConfig:
         InputError: an unknown key or an impossible value, named with where it came from.
     """
     path: Path | None = given.config
-    from_file = read_toml(path) if path else {}
-    to_record(RunConfig, from_file, str(path))
+    from_file = _checked(read_toml(path), str(path)) if path else {}
     from_flags = _nest({key: value for key, value in vars(given).items() if key.startswith(_PREFIX)})
     if "weights" in given:
         from_flags = merged(from_flags, {_room_of_weights(merged(from_file, from_flags)): {"weights": given.weights}})
-    to_record(RunConfig, from_flags, "options")
+    from_flags = _checked(from_flags, "options")
     name = from_flags.get("preset", from_file.get("preset", _DEFAULT_PRESET))
     content = merged(merged(preset(name).model_dump(), from_file), from_flags)
     return to_record(RunConfig, content, "options")
+
+
+def _checked(content: dict[str, Any], source: str) -> dict[str, Any]:
+    """What was given, by the options' present names; raises InputError where it is impossible."""
+    return to_record(RunConfig, content, source).model_dump(exclude_unset=True)
 
 
 def _room_of_weights(chosen: Mapping[str, Any]) -> str:

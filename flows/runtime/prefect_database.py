@@ -6,7 +6,6 @@ it holds is history: results lie elsewhere. A damaged one is set aside instead o
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import re
 import sqlite3
@@ -17,7 +16,8 @@ from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO
+
+from filelock import FileLock, ReadWriteLock, Timeout
 
 _KEPT_DAYS = 30
 _LARGEST_BYTES = 256 << 20
@@ -51,19 +51,19 @@ class PrefectDatabase:
         """
         self._home, self._say = home, say
         self.path = home / f"prefect-{version('prefect')}.db"
-        self._making: IO[str] | None = _lock(home / "tables.lock", fcntl.LOCK_EX)
-        self._in_use = _lock(home / "in-use.lock", fcntl.LOCK_EX | fcntl.LOCK_NB)
-        alone = self._in_use is not None
+        self._making = FileLock(home / "tables.lock", thread_local=False)
+        self._making.acquire()
+        # Shared by all servers; who takes it alone gives it back before the next one may look, see `_making`.
+        self._in_use = ReadWriteLock(home / "in-use.lock", is_singleton=False)
+        alone = _taken_alone(self._in_use)
         if reason := trouble_with(self.path, thorough=alone):
             self.set_aside(reason)
         if alone:
             with suppress(OSError, sqlite3.Error):  # tidying up must not stop a run
                 remove_old_files(home, self.path)
                 prune(self.path)
-        if self._in_use is None:
-            self._in_use = _lock(home / "in-use.lock", fcntl.LOCK_SH)
-        else:
-            fcntl.flock(self._in_use, fcntl.LOCK_SH)
+            self._in_use.release()
+        self._in_use.acquire_read()
         if _revisions(self.path) == {_known_revisions()[1]}:
             self.let_go()
 
@@ -88,9 +88,7 @@ class PrefectDatabase:
 
     def let_go(self) -> None:
         """There are tables, or the server did not start: the next server may try."""
-        if self._making is not None:
-            self._making.close()
-            self._making = None
+        self._making.release(force=True)
 
 
 def trouble_with(path: Path, thorough: bool) -> str | None:
@@ -190,12 +188,10 @@ def _known_revisions() -> tuple[set[str], str]:
     return known, head
 
 
-def _lock(path: Path, kind: int) -> IO[str] | None:
-    """An open file with a lock that ends with this process; None where another process holds it."""
-    file = path.open("a")
+def _taken_alone(lock: ReadWriteLock) -> bool:
+    """Whether nobody else holds it; this process does then."""
     try:
-        fcntl.flock(file, kind)
-    except BlockingIOError:
-        file.close()
-        return None
-    return file
+        lock.acquire_write(blocking=False)
+    except Timeout:
+        return False
+    return True

@@ -6,7 +6,6 @@ OUT/intermediate/                                                   what tasks l
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -16,6 +15,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from filelock import lock_descriptor
 
 from hfb.errors import Busy, InputError, TemporaryError
 from hfb.flows.runtime.own_files import among_own_files
@@ -81,11 +82,7 @@ def _held(out: Path) -> Iterator[bool]:
     with open_folder(out, INTERMEDIATE, make=True):
         lock = open_lock(out, INTERMEDIATE, _LOCK)
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        yield False
-    else:
-        yield True
+        yield lock_descriptor(lock, blocking=False)  # FileLock itself would follow links of folders on the way
     finally:
         os.close(lock)
 

@@ -42,13 +42,20 @@ def reblur(
         )
 
 
-def picture_scores(blurred: Float[Tensor, "T H W 4"], observation: Observation) -> dict[str, float]:
+def picture_scores(
+    blurred: Float[Tensor, "T H W 4"], observation: Observation, region: tuple[int, int, int, int] | None = None
+) -> dict[str, float]:
     """How well re-blurred frames explain the observed ones.
 
     ``matte_iou``: soft IoU of re-blurred alpha and matte. ``psnr_db``: of the sRGB pictures within the region of
     interest (the box of the mattes, widened), so that the size of the empty background does not count.
+
+    Args:
+        blurred: mean premultiplied colour and silhouette of every frame.
+        observation: frames, plate and mattes.
+        region: left, top, width and height [px]; that of the observation's mattes when not given.
     """
-    left, top, width, height = observation.region()
+    left, top, width, height = region or observation.region()
     rows, columns = slice(max(top, 0), max(top + height, 0)), slice(max(left, 0), max(left + width, 0))
     predicted = observation.to_srgb(compose(blurred, observation.plate_linear))[:, rows, columns].numpy()
     seen = observation.to_srgb(observation.frames_linear)[:, rows, columns].numpy()

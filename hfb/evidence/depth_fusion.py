@@ -1,9 +1,9 @@
-"""A small network that weighs what is told of a joint's depth: by pictures, by joints across the view, by the fit.
+"""The fusion network: joint depth from four cues.
 
-Before a fit's stages of full size four things say how deep a joint lies: the joint network about the picture, the same
-about the fit's own picture (of which the truth is known, so that the difference corrects the fit, see
-`hfb.fitting.comparison`), the lifting network, and the fit itself. Their weights depend on the joint and
-on how far they are apart. One set of weights serves all joints, so that some thousand fits are enough to learn from.
+Before a fit's stages of full size there are four depths of a joint: the joint network's for the frame, the joint
+network's for the fit's own image (of which the truth is known, see `hfb.fitting.refine`), the lifting network's, and
+the fit's. The best weighting depends on the joint and on the differences between them. All joints share the network's
+parameters, so that some thousand fits are enough training data.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from hfb.body.skeleton import JOINT_COUNT, MIRROR, PARENT_OR_SELF
-from hfb.evidence.lifting_network import as_large, lift
+from hfb.evidence.lifting_network import lift_depth, match_spread
 from hfb.kernels.determinism import one_torch_thread
 from hfb.typing import Float, Tensor
 
@@ -23,14 +23,15 @@ FACTS = 33
 
 _WIDTH = 96
 _OUTPUT_SCALE = 0.1
-"""Of a window's unit: corrections of about unit size learn best."""
+"""Scale of a correction in units of the window."""
 
 
 class DepthFusion(nn.Module):
-    """Two hidden layers for each joint by itself, all joints alike but for a vector of their own.
+    """MLP with two hidden layers per joint; joints share all parameters but an embedding.
 
     Attributes:
-        mean, spread: (FACTS,) of what it learned from.
+        mean: of the training inputs, (FACTS,).
+        spread: standard deviation of the training inputs, (FACTS,).
     """
 
     mean: Tensor
@@ -49,7 +50,11 @@ class DepthFusion(nn.Module):
         nn.init.zeros_(self.leave.bias)
 
     def forward(self, facts: Float[Tensor, "*n 24 f"]) -> Float[Tensor, "*n 24"]:
-        """By how much each joint lies deeper than the lifting network says [units]; see `DepthCues.facts`."""
+        """Correction of the lifting network's depth [units].
+
+        Args:
+            facts: see `DepthCues.facts`.
+        """
         values = nn.functional.gelu(self.enter((facts - self.mean) / self.spread) + self.joint)
         values = self.forget(nn.functional.gelu(self.hidden(values)))
         corrections: Tensor = _OUTPUT_SCALE * self.leave(values)[..., 0]
@@ -58,13 +63,17 @@ class DepthFusion(nn.Module):
 
 @dataclass(frozen=True)
 class DepthCues:
-    """What is told of T neighbouring frames, in the units of their windows (`hfb.evidence.joint_network.Window`).
+    """Depth cues of T neighbouring frames, in the units of their windows (`hfb.evidence.joint_network.Window`).
 
     Attributes:
-        fitted: the fit's joints from the pelvis. start: what it began from. lengths: of its bones.
-        perspective: `Window.units_to_tangents`. unit_m: a unit in metres at the pelvis' distance.
-        claimed: what the joint network says about the picture, and the ``scale`` of its error.
-        shown: what it says about the fit's own picture.
+        fitted: the fit's joints from the pelvis.
+        start: joints of the first body.
+        lengths: of the fit's bones.
+        perspective: `Window.units_to_tangents`.
+        unit_m: a unit in metres at the pelvis' distance.
+        claimed: the joint network's prediction for the frame.
+        scale: Laplace scale of the error of `claimed`.
+        shown: the joint network's prediction for the fit's own image.
     """
 
     fitted: Float[Tensor, "T 24 3"]
@@ -78,10 +87,10 @@ class DepthCues:
 
     def lifted(self) -> Float[Tensor, "T 24"]:
         """Depth by the lifting network."""
-        return lift(self.fitted, self.start, self.lengths, self.perspective)
+        return lift_depth(self.fitted, self.start, self.lengths, self.perspective)
 
     def mirrored(self) -> "DepthCues":
-        """Of the mirror images."""
+        """The cues of the mirror images."""
         mirror, turned = list(MIRROR), self.fitted.new_tensor([-1.0, 1.0, 1.0])
         fitted, start, claimed, shown = (
             one[:, mirror] * turned for one in (self.fitted, self.start, self.claimed, self.shown)
@@ -91,11 +100,15 @@ class DepthCues:
         )
 
     def facts(self, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "T 24 f"]:
-        """What `DepthFusion` is told: differences between the cues, of the joints and of their bones."""
+        """Inputs of `DepthFusion`: differences between the cues, of the joints and of their bones.
+
+        Args:
+            lifted: depth by the lifting network, see `lifted`.
+        """
         fitted, start, claimed, shown = (
             (one - one[:, :1]).detach().float() for one in (self.fitted, self.start, self.claimed, self.shown)
         )
-        start = as_large(start, fitted[..., :2])
+        start = match_spread(start, fitted[..., :2])
         apart = torch.stack([one[..., 2] - lifted for one in (claimed, shown, fitted, start)], -1)
         across = torch.cat([one[..., :2] - fitted[..., :2] for one in (claimed, shown)], -1)
         own = torch.cat([apart, lifted[..., None], across, fitted], -1)
@@ -107,7 +120,7 @@ class DepthCues:
 
 
 def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
-    """The mean of the frames before and after; of a single frame its own."""
+    """Mean of the frames before and after; a single frame's own values."""
     if len(values) == 1:
         return values
     before, after = values[:-1], values[1:]
@@ -115,17 +128,26 @@ def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
 
 
 def facts_both_ways(cues: DepthCues, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "2 T 24 f"]:
-    """Of the frames and of their mirror images."""
+    """Inputs for the frames and for their mirror images.
+
+    Args:
+        cues: depth cues of T frames.
+        lifted: depth by the lifting network.
+    """
     return torch.stack([cues.facts(lifted), cues.mirrored().facts(lifted[:, list(MIRROR)])])
 
 
-def fuse(cues: DepthCues) -> Float[Tensor, "T 24"]:
-    """Depth behind the pelvis by the shipped network: the mean for the frames and their mirror images."""
+def fuse_depth(cues: DepthCues) -> Float[Tensor, "T 24"]:
+    """Predict depth behind the pelvis, by the shipped network: the mean for the frames and their mirror images.
+
+    Args:
+        cues: depth cues of T frames.
+    """
     lifted = cues.lifted()
     with one_torch_thread(), torch.inference_mode():
         seen, reflected = shipped_depth_fusion()(facts_both_ways(cues, lifted))
         fused = lifted + (seen + reflected[:, list(MIRROR)]) / 2
-    return fused.clone()  # what inference mode makes must not enter a graph
+    return fused.clone()  # inference tensors must not enter a graph
 
 
 @lru_cache(maxsize=1)

@@ -1,4 +1,4 @@
-"""What the joint network says about an observation, kept in the form that a fit compares itself with."""
+"""Joint evidence: the joint network's predictions for an observation, and the terms that compare a fit with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,9 +12,9 @@ from safetensors.torch import load_file
 from hfb.body.height import height_line, height_m
 from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
-from hfb.evidence.depth_fusion import DepthCues, fuse
+from hfb.evidence.depth_fusion import DepthCues, fuse_depth
 from hfb.evidence.joint_network import JointClaim, JointNetwork, Window, in_units, picture_channels
-from hfb.evidence.lifting_network import lengths_in_window, lift
+from hfb.evidence.lifting_network import lengths_in_window, lift_depth
 from hfb.evidence.robust import evidence_loss
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.kernels.determinism import one_torch_thread
@@ -27,17 +27,19 @@ from hfb.typing import Bool, Float, Tensor
 
 @dataclass(frozen=True)
 class JointEvidence:
-    """Where the joints were in every frame, in the units of that frame's window.
+    """Predicted joints of every frame, in the units of that frame's window.
 
     Attributes:
-        middle: at u = 1/2. scale: the Laplace scale of its error.
-        path: from u = 0 to u = 1; its sign is the likelier one in one frame, and the neighbours' in several.
-        log_odds: the network's own, from this frame alone, that the sign of ``path`` is right.
-        start: the first body's joints, from which the network began.
-        log_height, height_scale: logarithm of how tall the person stands [m], by proportions, and the standard
-            deviation of its error; one person is seen in all frames.
-        lenses: what `in_units` needs of the windows; found from them where not given.
-        height_compared: the height is a fit's, corrected (`hfb.fitting.comparison`), and no longer the network's own.
+        windows: one square window per frame.
+        middle: joints at u = 1/2.
+        scale: Laplace scale of the error of `middle`.
+        path: displacement from u = 0 to u = 1. Its sign is the likelier one for one frame, the neighbours' for several.
+        log_odds: the network's log odds, from each frame alone, that the sign of `path` is right.
+        start: joints of the first body, which the network starts from.
+        log_height: logarithm of the standing height [m], by proportions; the same for all frames.
+        height_scale: standard deviation of `log_height`.
+        height_refined: `log_height` is a fit's, corrected (`hfb.fitting.refine`), instead of the network's own.
+        lenses: parameters of the windows for `in_units`; computed from `windows` when not given.
     """
 
     windows: tuple[Window, ...]
@@ -48,7 +50,7 @@ class JointEvidence:
     start: Float[Tensor, "T 24 3"]
     log_height: Float[Tensor, ""]
     height_scale: Float[Tensor, ""]
-    height_compared: bool = False
+    height_refined: bool = False
     lenses: Float[Tensor, "T 5"] = field(default_factory=lambda: torch.empty(0, 5))
 
     def __post_init__(self) -> None:
@@ -57,15 +59,20 @@ class JointEvidence:
             object.__setattr__(self, "lenses", lenses)
 
     def units(self, joints: Float[Tensor, "T *n 24 3"]) -> Float[Tensor, "T *n 24 3"]:
-        """Joints [m, camera] of every frame as its window shows them."""
+        """Convert joints [m, camera] of every frame to units of its window.
+
+        Args:
+            joints: camera coordinates [m].
+        """
         lenses = self.lenses.to(joints.dtype)
         return in_units(joints, lenses.view(-1, *(1,) * (joints.ndim - 2), lenses.shape[1]))
 
     def middle_loss(self, joints: Float[Tensor, "T S 24 3"], share: tuple[float, float, float]) -> Float[Tensor, ""]:
-        """How far the joints [m, camera] of each frame's last instant are from what was seen of mid-exposure.
+        """Distance of the joints at each frame's last instant from the predicted ones of mid-exposure.
 
         Args:
-            share: of the claim's word along each axis.
+            joints: camera coordinates [m].
+            share: factor of each axis.
         """
         if compiled(joints):
             weights = constant(share, torch.float64, joints.device)
@@ -74,10 +81,11 @@ class JointEvidence:
         return evidence_loss(off, constant(share, joints.dtype, joints.device))
 
     def path_loss(self, joints: Float[Tensor, "T S 24 3"], both_ways: bool) -> Float[Tensor, ""]:
-        """How far the joints' way from each frame's first instant to its last but one is from the path that was seen.
+        """Distance of the joints' displacement, first instant to last but one, from the predicted path.
 
         Args:
-            both_ways: the path's sign is open; the nearer one counts.
+            joints: camera coordinates [m].
+            both_ways: the sign of the path is free; the nearer one counts.
         """
         if compiled(joints):
             return operators.off_path(joints, self.lenses, self.path, self.scale, both_ways)[0]
@@ -86,7 +94,12 @@ class JointEvidence:
         return torch.minimum(forth, evidence_loss((-way - self.path) / self.scale)) if both_ways else forth
 
     def height_loss(self, body: Body, betas: Float[Tensor, "10"]) -> Float[Tensor, ""]:
-        """How far a person's height is from what the proportions tell."""
+        """Distance of the height from the predicted one.
+
+        Args:
+            body: the body model.
+            betas: shape coefficients.
+        """
         if compiled(betas):
             mean_m, per_beta = height_line(body)
             claim = self.log_height.item(), self.height_scale.item()
@@ -94,55 +107,69 @@ class JointEvidence:
         return evidence_loss((height_m(body, betas).log() - self.log_height) / self.height_scale)
 
     def backwards_logit(self, way: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T"]:
-        """The network's log odds, from each frame alone, that a way from u = 0 to u = 1 runs against the true one.
+        """Log odds, from each frame alone, that a displacement from u = 0 to u = 1 is opposite to the true one.
 
-        As far as the way agrees with the network's own up to its sign: the cosine of the two times its log odds.
+        The network's log odds times the cosine between its path and this displacement.
+
+        Args:
+            way: displacement in units of the windows.
         """
         return -self.log_odds * torch.cosine_similarity(way.flatten(1), self.path.flatten(1))
 
-    def lifted(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
-        """The claim with a share of its depth from the lifting network, which looks at a fit's joints across the view.
+    def lift(self, joints: Float[Tensor, "T 24 3"], share: float) -> "JointEvidence":
+        """Blend the depth with that of the lifting network, which sees a fit's joints across the view.
 
         Args:
-            joints: of the fit at mid-exposure, camera coordinates [m].
+            joints: the fit's at mid-exposure, camera coordinates [m].
+            share: of the lifting network.
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         lengths = lengths_in_window(joints, perspective)
-        told = lift(self.units(joints), self.start, lengths, perspective).to(self.middle)
-        return self._as_deep(torch.lerp(self.middle[..., 2], told, share))
+        depth = lift_depth(self.units(joints), self.start, lengths, perspective).to(self.middle)
+        return self._with_depth(torch.lerp(self.middle[..., 2], depth, share))
 
-    def fused(self, shown: "JointEvidence", joints: Float[Tensor, "T 24 3"]) -> "JointEvidence":
-        """The claim with its depth from the fusion network, which weighs it against all else that is told of depth.
+    def fuse(self, rendered: "JointEvidence", joints: Float[Tensor, "T 24 3"]) -> "JointEvidence":
+        """Replace the depth by that of the fusion network, which weighs all depth cues.
 
         Args:
-            shown: what the joint network says about a fit's own pictures. joints: as of `lifted`.
+            rendered: the joint network's prediction for a fit's own images.
+            joints: the fit's at mid-exposure, camera coordinates [m].
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         cues = DepthCues(
             self.units(joints), self.start, lengths_in_window(joints, perspective), perspective,
-            joints[:, 0, 2] * perspective, self.middle, self.scale, shown.middle,
+            joints[:, 0, 2] * perspective, self.middle, self.scale, rendered.middle,
         )  # fmt: skip
-        return self._as_deep(fuse(cues))
+        return self._with_depth(fuse_depth(cues))
 
-    def _as_deep(self, depth: Float[Tensor, "T 24"]) -> "JointEvidence":
+    def _with_depth(self, depth: Float[Tensor, "T 24"]) -> "JointEvidence":
         return replace(self, middle=torch.cat([self.middle[..., :2], depth[..., None].to(self.middle)], -1))
 
-    def of(self, observation: Observation) -> "JointEvidence":
-        """What the network says about other pictures in the same windows, beginning at the same first bodies.
+    def predict_for(self, observation: Observation) -> "JointEvidence":
+        """Predict joints for other images in the same windows, starting from the same first bodies.
 
         Args:
-            observation: the same lines of sight, perhaps a crop of them or of another size.
+            observation: the same lines of sight, possibly cropped or of another size.
         """
-        return _look(observation, self.windows, self.start)
+        return _predict(observation, self.windows, self.start)
 
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
-        """The claim's own expected distance from the truth at these joints' distance [m]."""
+        """Expected error of the prediction [m], at the distance of these joints [m, camera].
+
+        Args:
+            joints: a fit's at mid-exposure, camera coordinates [m].
+        """
         unit_m = joints[:, :1, 2] * joints.new_tensor([window.units_to_tangents() for window in self.windows])[:, None]
         return (2 * self.scale.square()).sum(-1).sqrt() * unit_m
 
 
-def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody], body: Body) -> JointEvidence:
-    """Ask the shipped network about every frame, beginning at its first body.
+def predict_joint_evidence(observation: Observation, first_bodies: Sequence[FirstBody], body: Body) -> JointEvidence:
+    """Run the shipped network on every frame, starting from its first body.
+
+    Args:
+        observation: whole frames with their mattes.
+        first_bodies: one static body per frame.
+        body: the body model.
 
     Raises:
         InputError: a matte is empty.
@@ -150,25 +177,25 @@ def look_for_joints(observation: Observation, first_bodies: Sequence[FirstBody],
     mattes = observation.mattes
     windows = tuple(Window.around(matte.numpy(), observation.camera) for matte in mattes)
     starts = [window.to_units(_joints(one, body)) for window, one in zip(windows, first_bodies, strict=True)]
-    return _look(observation, windows, torch.stack(starts).to(mattes))
+    return _predict(observation, windows, torch.stack(starts).to(mattes))
 
 
-def _look(observation: Observation, windows: tuple[Window, ...], start: Float[Tensor, "T 24 3"]) -> JointEvidence:
+def _predict(observation: Observation, windows: tuple[Window, ...], start: Float[Tensor, "T 24 3"]) -> JointEvidence:
     plate = observation.plate_linear.numpy()
-    told: list[tuple[Tensor, ...]] = []
-    pictures = zip(observation.frames_linear, observation.mattes, windows, start, strict=True)
-    for frame, matte, window, first in pictures:
-        picture = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
-        claim = _both_ways(torch.from_numpy(picture.astype(np.float32)) / 127.5 - 1, first)
-        told.append(
+    predictions: list[tuple[Tensor, ...]] = []
+    inputs = zip(observation.frames_linear, observation.mattes, windows, start, strict=True)
+    for frame, matte, window, first in inputs:
+        image = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
+        claim = _predict_mirrored(torch.from_numpy(image.astype(np.float32)) / 127.5 - 1, first)
+        predictions.append(
             (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.log_height[0],
              claim.height_scale[0])
         )  # fmt: skip
-    # Copied: what inference mode makes must not enter a graph.
+    # Copied: inference tensors must not enter a graph.
     middle, scale, path, odds, log_height, height_scale = (
-        torch.stack(values).clone() for values in zip(*told, strict=True)
+        torch.stack(values).clone() for values in zip(*predictions, strict=True)
     )
-    forwards = odds >= 0 if len(windows) == 1 else _as_neighbours_go(windows, middle, path)
+    forwards = odds >= 0 if len(windows) == 1 else _along_neighbours(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
     return JointEvidence(
         windows, middle, scale, sign[:, None, None] * path, sign * odds, start.to(middle),
@@ -177,10 +204,10 @@ def _look(observation: Observation, windows: tuple[Window, ...], start: Float[Te
     )  # fmt: skip
 
 
-def _as_neighbours_go(
+def _along_neighbours(
     windows: Sequence[Window], middle: Float[Tensor, "T 24 3"], path: Float[Tensor, "T 24 3"]
 ) -> Bool[Tensor, "T"]:
-    """Whether each frame's path runs the way that the joints go from frame to frame, across the view."""
+    """Whether each frame's path points along the joints' displacement from frame to frame, across the view."""
     sides = middle.new_tensor([window.side for window in windows])[:, None, None]
     corners = middle.new_tensor([[window.left, window.top] for window in windows])[:, None]
     places = corners + (middle[..., :2] + 1) / 2 * sides
@@ -188,8 +215,8 @@ def _as_neighbours_go(
     return (way * path[..., :2]).sum((1, 2)) >= 0
 
 
-def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> JointClaim:
-    """The mean of what the network says about the picture and about its mirror image."""
+def _predict_mirrored(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> JointClaim:
+    """Mean of the predictions for the image and for its mirror image."""
     mirror = list(MIRROR)
     across = torch.tensor([-1.0, 1.0, 1.0])
     pictures = torch.stack([seen, seen.flip(-1)]).contiguous(memory_format=torch.channels_last)
@@ -199,7 +226,7 @@ def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> Jo
         torch.stack([values[0], values[1, mirror] * turned])
         for values, turned in ((claim.joints, across), (claim.log_scale, 1.0), (claim.path, across))
     )
-    # The sign of a path is free: the mirror image's is turned to agree before the two are averaged.
+    # The sign of a path is free: both are made to agree before they are averaged.
     agree = 1.0 if float((path[0] * path[1]).sum()) >= 0 else -1.0
     log_odds = (claim.log_odds[0] + agree * claim.log_odds[1]) / 2
     path = torch.stack([path[0], agree * path[1]]).mean(0)
@@ -210,7 +237,7 @@ def _both_ways(seen: Float[Tensor, "C h w"], start: Float[Tensor, "24 3"]) -> Jo
 
 
 def _joints(first: FirstBody, body: Body) -> Float[Tensor, "24 3"]:
-    """Of a first body, in camera coordinates [m]."""
+    """Joints of a first body, camera coordinates [m]."""
     shaped = body.shape(first.betas.float())
     return shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], first.translation.float()[None])[0]
 

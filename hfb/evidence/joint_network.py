@@ -1,8 +1,8 @@
-"""A network that looks at a blurred person and a first guess, and says where the joints were and how sure it is.
+"""The joint network: joints with error scales from a blurred image of a person and a first guess.
 
-Joints are told in a window around the matte, in weak perspective: x and y in [-1, 1] from edge to edge, and z the depth
-behind the pelvis in the same units at the pelvis' distance. So nothing depends on the picture's size, the focal length
-or the person's distance.
+Joints are in units of a window around the matte, in weak perspective: x and y in [-1, 1] from edge to edge, and z the
+depth behind the pelvis in the same units at the pelvis' distance. Predictions then do not depend on the image size, the
+focal length or the person's distance.
 """
 
 import math
@@ -27,7 +27,7 @@ _EXCHANGES = 4
 
 _MARGIN = 0.12
 _LOG_HEIGHT, _LOG_HEIGHT_UNIT = math.log(1.7), 0.1
-"""About the mean and the spread of grown people's heights [m], as logarithms: what is learned has about unit size."""
+"""About mean and standard deviation of adults' heights [m], as logarithms: scales the output to about unit size."""
 _MAP, _DETAIL = 64, 32
 _LOOKS = (
     (0.0, 0.0),
@@ -40,12 +40,12 @@ _LOOKS = (
     (0.0, 0.25),
     (0.0, -0.25),
 )
-"""Where the map is read around a joint's present place, in the window's units; the finer map at half of it."""
+"""Sampling offsets around a joint, in the window's units; half of them for the finer map."""
 
 
 @dataclass(frozen=True)
 class Widths:
-    """Channels of the network: of its five kinds of layers from fine to coarse, and of a joint's own vector."""
+    """Channels of the five layers from fine to coarse, and size of a joint's token."""
 
     layers: tuple[int, int, int, int, int]
     token: int
@@ -58,7 +58,7 @@ SHIPPED = WIDE
 
 @dataclass(frozen=True)
 class Window:
-    """A square of a picture [px] and the camera of that picture."""
+    """A square of an image [px] and the camera of that image."""
 
     left: float
     top: float
@@ -67,9 +67,11 @@ class Window:
 
     @staticmethod
     def around(matte: Float[Array, "H W"], camera: PinholeCamera, jitter: Float[Array, "3"] | None = None) -> "Window":
-        """The square around a matte's box, a margin wider.
+        """The square around a matte's box, with a margin.
 
         Args:
+            matte: the person's share of each pixel.
+            camera: camera of the image.
             jitter: for training: shifts in x and y and the logarithm of a scale, as shares of the side.
 
         Raises:
@@ -84,7 +86,11 @@ class Window:
         return Window(x - side / 2, y - side / 2, side, camera)
 
     def within(self, camera: PinholeCamera) -> "Window":
-        """The same lines of sight in a crop of this window's picture, or in one of another size."""
+        """The same lines of sight in a crop or another size of the image.
+
+        Args:
+            camera: of a crop or a resized image.
+        """
         across, down = camera.fx / self.camera.fx, camera.fy / self.camera.fy
         left = camera.cx + across * (self.left - self.camera.cx)
         top = camera.cy + down * (self.top - self.camera.cy)
@@ -101,11 +107,20 @@ class Window:
         return camera.fx * per_px, camera.fy * per_px, *shifts, self.units_to_tangents()
 
     def to_units(self, joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24 3"]:
-        """Joints in camera coordinates [m] as the window shows them; differentiable."""
+        """Convert joints to units of the window; differentiable.
+
+        Args:
+            joints: camera coordinates [m].
+        """
         return in_units(joints, joints.new_tensor(self.lens()))
 
     def cut(self, picture: Float[Array, "H W *c"], outside: int) -> Float[Array, "h w *c"]:
-        """The window's part of a picture at `PICTURE_PX`, every new pixel the mean of what it covers."""
+        """Cut the window out of an image and resize it to `PICTURE_PX` by area average.
+
+        Args:
+            picture: the window's image.
+            outside: OpenCV's border mode.
+        """
         side = max(round(self.side), 2)
         left, top = round(self.left), round(self.top)
         height, width = picture.shape[:2]
@@ -117,7 +132,12 @@ class Window:
 
 
 def in_units(joints: Float[Tensor, "*n 24 3"], lens: Float[Tensor, "*m 5"]) -> Float[Tensor, "*n 24 3"]:
-    """Joints in camera coordinates [m] as windows show them, each before its own `Window.lens`; differentiable."""
+    """Convert joints to units of windows; differentiable.
+
+    Args:
+        joints: camera coordinates [m].
+        lens: of every window, see `Window.lens`.
+    """
     depth = joints[..., 2:]
     across = joints[..., :2] / depth * lens[..., :2] + lens[..., 2:4]
     pelvis = depth[..., :1, :]
@@ -130,7 +150,14 @@ def picture_channels(
     matte: Float[Array, "H W"],
     window: Window,
 ) -> Shaped[Array, "C h w"]:
-    """What the network sees: the matte, the frame, and what it changes of the plate; 8 bits."""
+    """Input channels of the network: matte, frame, and difference from the plate; 8 bits.
+
+    Args:
+        frame_linear: the frame.
+        plate_linear: the background.
+        matte: the person's share of each pixel.
+        window: square to cut out.
+    """
     frame, plate = (window.cut(one, cv2.BORDER_REPLICATE) for one in (frame_linear, plate_linear))
     frame, plate = (linear_to_srgb(np.clip(one, 0, 1)) for one in (frame, plate))
     alpha = window.cut(matte, cv2.BORDER_CONSTANT)[..., None]
@@ -140,13 +167,15 @@ def picture_channels(
 
 @dataclass(frozen=True)
 class JointClaim:
-    """What the network says about N pictures, in the window's units.
+    """Predictions for N images, in units of their windows.
 
     Attributes:
-        joints: at the middle of the exposure. log_scale: logarithm of the Laplace scale of each coordinate.
-        path: from the exposure's start to its end, up to the sign that one picture cannot tell.
-        log_odds: that ``path`` has the right sign, for the whole body.
-        log_height: logarithm of how tall the person stands [m], by proportions. height_scale: its standard deviation.
+        joints: at the middle of the exposure.
+        log_scale: logarithm of the Laplace scale of each coordinate.
+        path: displacement during the exposure; one image does not determine its sign.
+        log_odds: log odds that the sign of ``path`` is right, for the whole body.
+        log_height: logarithm of the standing height [m], by proportions.
+        height_scale: standard deviation of ``log_height``.
         rounds: ``joints`` after each round, the last one included.
     """
 
@@ -160,7 +189,7 @@ class JointClaim:
 
 
 class JointNetwork(nn.Module):
-    """Looks at the picture once, then reads that map around every joint's present place and moves it, three times."""
+    """One feature map per image; three rounds that sample it around every joint and move the joint."""
 
     def __init__(self, widths: Widths = SHIPPED) -> None:
         super().__init__()
@@ -190,7 +219,12 @@ class JointNetwork(nn.Module):
         nn.init.zeros_(self.read_closer.weight)
 
     def forward(self, picture: Float[Tensor, "N C h w"], start: Float[Tensor, "N 24 3"]) -> JointClaim:
-        """Joints from a picture (8 bits as [-1, 1]) and a first guess."""
+        """Predict joints from an image and a first guess.
+
+        Args:
+            picture: 8 bits as [-1, 1], see `picture_channels`.
+            start: first guess in the window's units.
+        """
         halved = self.fine[:2](picture)
         fine = self.fine[2:](halved)
         middle = self.middle(fine)
@@ -223,7 +257,7 @@ class JointNetwork(nn.Module):
 
 
 class _Exchange(nn.Module):
-    """One layer in which the joints hear each other: a skeleton has always the same neighbours (an MLP-Mixer, 2021)."""
+    """A layer of an MLP-Mixer (2021) over the joints, whose neighbours are always the same."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -242,7 +276,7 @@ class _Exchange(nn.Module):
 
 
 def _looked(seen: Float[Tensor, "N C h w"], spots: Float[Tensor, "N K L 2"]) -> Float[Tensor, "N K LC"]:
-    """What a map holds at spots, one after the other."""
+    """Features of a map at some spots, concatenated."""
     return functional.grid_sample(seen, spots, align_corners=False).permute(0, 2, 3, 1).flatten(2)
 
 

@@ -1,10 +1,9 @@
-"""A network that never saw a picture: from joints across the view and an erring first guess it says how deep they lie.
+"""The lifting network: joint depth from joints across the view, a first guess and bone lengths, without an image.
 
-The joint network learns from drawn pictures, of which there are never enough; what this one learns from costs next to
-nothing, but for some thousand fits. Once a fit has found the joints across the view it knows their depth better
-(2D-to-3D lifting: Martinez et al., A simple yet effective baseline for 3d human pose estimation, ICCV 2017; here with
-an erring first guess beside, and with the lengths of the fit's bones: what of a bone is not seen across the view lies
-in depth).
+Its training data is cheap but for some thousand fits, whereas the joint network needs rendered images. Once a fit has
+the joints across the view, this network knows their depth better (2D-to-3D lifting: Martinez et al., A simple yet
+effective baseline for 3d human pose estimation, ICCV 2017; here with a first guess and the lengths of the fit's bones
+as further inputs: the part of a bone that is not seen across the view lies in depth).
 """
 
 from functools import lru_cache
@@ -22,11 +21,11 @@ WIDTH = 768
 
 _BLOCKS = 3
 _INPUT_SCALE, _OUTPUT_SCALE = 3.0, 0.3
-"""A body is about one unit of its window high: inputs and corrections of about unit size learn best."""
+"""Scales to about unit size: a body is about one unit of its window high."""
 
 
 class LiftingNetwork(nn.Module):
-    """Layers of one width with short cuts around each two; corrects what it is given of a frame beside another."""
+    """Residual MLP that corrects the inputs of a frame, given a neighbouring frame."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -46,7 +45,7 @@ class LiftingNetwork(nn.Module):
         Args:
             across: x and y from the pelvis in the units of each frame's window
                 (`hfb.evidence.joint_network.Window`); where there is one frame alone it is its own neighbour.
-            start: first guesses in the same units, which seem as large (`as_large`).
+            start: first guesses in the same units, which seem as large (`match_spread`).
             lengths: of bones in the same units (`lengths_in_window`). perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
@@ -65,10 +64,10 @@ def _left_for_depth(
     lengths: Float[Tensor, "N 2 24"],
     perspective: Float[Tensor, "N 2"],
 ) -> Float[Tensor, "N 2 24"]:
-    """How far each bone reaches into depth, either way; negative where more is seen across the view than there is.
+    """Extent of each bone in depth; negative where it is longer across the view than in space.
 
     Args:
-        middle: depth of the bones' middles: what is farther away than the pelvis seems smaller.
+        middle: depth of the bones' middles; bones beyond the pelvis look smaller.
     """
     seen = bones.norm(dim=-1) * (1 + perspective[..., None] * middle)
     square = lengths.square() - seen.square()
@@ -85,12 +84,16 @@ class _Block(nn.Module):
 
 
 def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
-    """From every joint to its parent, in the unit of the joints; the pelvis has no bone."""
+    """Distance from every joint to its parent, in the unit of the joints; 0 for the pelvis.
+
+    Args:
+        joints: camera coordinates [m].
+    """
     return (joints - joints[..., list(PARENT_OR_SELF), :]).norm(dim=-1)
 
 
 def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tensor, "*n"]) -> Float[Tensor, "*n 24"]:
-    """Lengths of bones in units of windows, as `LiftingNetwork` is told them.
+    """Lengths of bones in units of windows, an input of `LiftingNetwork`.
 
     Args:
         joints: camera coordinates [m]. perspective: `Window.units_to_tangents`.
@@ -98,29 +101,33 @@ def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tenso
     return bone_lengths(joints) / (joints[..., 0, 2] * perspective)[..., None]
 
 
-def as_large(start: Float[Tensor, "N 24 3"], across: Float[Tensor, "N 24 2"]) -> Float[Tensor, "N 24 3"]:
-    """A first guess from the pelvis, scaled to spread as wide as the joints are seen: it cannot know the true size."""
+def match_spread(start: Float[Tensor, "N 24 3"], across: Float[Tensor, "N 24 2"]) -> Float[Tensor, "N 24 3"]:
+    """Scale a first guess to the spread of the joints across the view: its true size is unknown.
+
+    Args:
+        start: first guess from the pelvis, units of the window.
+        across: joints from the pelvis, units of the window.
+    """
     spread, wanted = ((one - one.mean(1, keepdim=True)).square().sum((1, 2)).sqrt() for one in (start[..., :2], across))
     return start * (wanted / spread)[:, None, None]
 
 
-def lift(
+def lift_depth(
     joints: Float[Tensor, "T 24 3"],
     start: Float[Tensor, "T 24 3"],
     lengths: Float[Tensor, "T 24"],
     perspective: Float[Tensor, "T"],
 ) -> Float[Tensor, "T 24"]:
-    """Depth behind the pelvis in neighbouring frames by the shipped network.
+    """Predict depth behind the pelvis in neighbouring frames, by the shipped network.
 
-    It is the mean of what the network says of each frame beside the one before and the one after, and of their mirror
-    images.
+    The mean of the predictions for each frame with the one before and the one after, and for their mirror images.
 
     Args:
         joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
         lengths, perspective: as of `LiftingNetwork`.
     """
     across, first = ((one - one[:, :1]).detach().float() for one in (joints[..., :2], start))
-    first = as_large(first, across)
+    first = match_spread(first, across)
     frames = len(across)
     pairs = [(one, one + step) for one in range(frames) for step in (-1, 1) if 0 <= one + step < frames] or [(0, 0)]
     across, first, lengths, perspective = (
@@ -137,7 +144,7 @@ def lift(
         seen, reflected = told[..., 2].chunk(2)
         depth = (seen + reflected[:, mirror]) / 2
         means = [depth[[row for row, (one, _) in enumerate(pairs) if one == frame]].mean(0) for frame in range(frames)]
-    return torch.stack(means).clone()  # what inference mode makes must not enter a graph
+    return torch.stack(means).clone()  # inference tensors must not enter a graph
 
 
 @lru_cache(maxsize=1)

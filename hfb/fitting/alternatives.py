@@ -15,7 +15,7 @@ from hfb.typing import Array, Bool, Float
 LIMB_NAMES: tuple[str, ...] = tuple(LIMBS)
 LIMB_JOINTS: tuple[tuple[int, ...], ...] = tuple(tuple(c for c in columns if c < 24) for columns in LIMBS.values())
 MOVES_M = 0.015
-"""What ends less far from its own reverse than this has no direction worth asking for."""
+"""A path that differs less from its reverse has no direction."""
 
 _UNSURE = 0.75
 _UNPACKED_LIMIT, _LARGEST = 128 << 20, 1e6
@@ -94,6 +94,9 @@ def direction_record(alternatives: Alternatives) -> list[Record]:
     """Per frame P(direction right) as plain numbers, None where hardly anything moved.
 
     ``right`` holds the whole body's and every limb's, ``given_body`` every limb's if the whole body's is right.
+
+    Args:
+        alternatives: motions with their probabilities.
     """
 
     def numbers(names: tuple[str, ...], values: Array) -> dict[str, float | None]:
@@ -107,7 +110,11 @@ def direction_record(alternatives: Alternatives) -> list[Record]:
 
 
 def what_is_unknown(record: Sequence[Record]) -> str:
-    """A sentence or two on what the pictures do not tell of the directions in which the body and its limbs moved."""
+    """A sentence or two on what the pictures do not tell of the directions in which the body and its limbs moved.
+
+    Args:
+        record: per frame, see `direction_record`.
+    """
     said = []
     for number, frame in enumerate(record, 1):
         body = frame["right"]["body"]
@@ -131,6 +138,8 @@ def save_alternatives(
     """alternatives.npz, whole or not at all; no pickled member. Places and angles are kept in single precision.
 
     Args:
+        path: the file.
+        alternatives: motions with their probabilities.
         joint_features: what the joints' radii were computed from; calibrations read them.
     """
     arrays = {name: np.asarray(getattr(alternatives, name)) for name in _ARRAYS}
@@ -151,6 +160,9 @@ def save_alternatives(
 
 def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, "R 24"]]]:
     """Read what `save_alternatives` wrote: the alternatives, and the joints' features by name.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: no such file, or another one.

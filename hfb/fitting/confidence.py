@@ -48,7 +48,11 @@ class ConfidenceModel:
     typical: Mapping[str, float]
 
     def radius_mm(self, features: Features) -> Float[Array, "R 24"]:
-        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured."""
+        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured.
+
+        Args:
+            features: one table per name, see `hfb.fitting.joint_features`.
+        """
         exponent = np.full_like(next(iter(features.values())), self.constant)
         for name, weight in self.coefficients.items():
             exponent = exponent + weight * features.get(name, self.typical[name])
@@ -58,12 +62,21 @@ class ConfidenceModel:
 
 
 def radius_factor(probability: float, exponent: float) -> float:
-    """How many radii hold the error with this probability: the law solved for x / radius."""
+    """How many radii hold the error with this probability: the law solved for x / radius.
+
+    Args:
+        probability: P(error <= factor x radius).
+        exponent: k of the law.
+    """
     return float(np.log2(1 / (1 - probability)) ** (1 / exponent))
 
 
 def start_kind(source: str) -> StartKind:
-    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's."""
+    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's.
+
+    Args:
+        source: of a first body.
+    """
     if source in ("simulated", "truth"):
         return "simulated"
     return "matte" if source == "matte" else "network"
@@ -76,14 +89,24 @@ def _shipped() -> dict[str, Any]:
 
 @lru_cache
 def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
-    """The model that comes with hfb for a kind of start; the exponent is the same for all."""
+    """The model that comes with hfb for a kind of start; the exponent is the same for all.
+
+    Args:
+        kind: of start.
+    """
     content = _shipped()
     of_kind = {name: content["by_start"][kind][name] for name in ("coefficients", "constant", "typical")}
     return ConfidenceModel(exponent=content["exponent"], **of_kind)
 
 
 def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources: Sequence[str]) -> Float[Array, "R 24"]:
-    """Every row's radius, by the source of its frame's first body."""
+    """Every row's radius, by the source of its frame's first body.
+
+    Args:
+        features: one table per name, see `hfb.fitting.joint_features`.
+        frame_index: frame of every row.
+        sources: of every frame's first body.
+    """
     radius = np.empty_like(features["reach"])
     kinds = np.array([start_kind(source) for source in sources])[frame_index]
     for kind in get_args(StartKind):

@@ -1,4 +1,4 @@
-"""From evidence to probabilities: a softmax over hypotheses whose few coefficients were measured."""
+"""Probabilities of directions: a softmax over hypotheses with calibrated coefficients."""
 
 import json
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ import numpy as np
 from hfb.typing import Array, Float
 
 EVIDENCE: tuple[str, ...] = ("excess", "limbs_backwards", "body_backwards", "network_backwards")
-"""What speaks against a hypothesis.
+"""Evidence against a hypothesis.
 
 ``excess``: by how much the objective's weighted sum, the motion prior left out, is above that of the motion as fitted;
 beyond `LARGEST_EXCESS` more means no more. ``limbs_backwards``, ``body_backwards``: the motion prior's
@@ -28,6 +28,7 @@ def probabilities(
     """P(hypothesis) = softmax of minus the evidence (columns: `EVIDENCE`) times the calibration's coefficients.
 
     Args:
+        evidence: one row per hypothesis, columns as `EVIDENCE`; the motion as fitted first.
         several: of several frames, which the continuity between them ties together.
         calibration: coefficients by name, for ``single`` and for ``several``; the shipped ones when not given.
     """

@@ -1,9 +1,8 @@
-"""Which way did it move? Hypotheses that run the fitted motion, or a limb of it, backwards in time.
+"""Search for the directions of a motion: hypotheses that reverse the fitted motion, or a limb of it, in time.
 
-One uniformly exposed picture looks the same whichever way the whole body moved, and nearly the same whichever way a
-single limb did; the fit has settled on one of these motions by chance. Here the others are made from it exactly,
-refitted briefly, and weighed by everything the objective knows (picture, matte, pose prior and, in several frames, the
-continuity between them) and by the motion prior, which has seen how people move.
+One uniformly exposed image is the same for both directions of the whole body, and nearly the same for both directions
+of a limb; the fit finds one of these motions by chance. The others are computed from it exactly, refitted briefly, and
+compared by the objective (image, matte, pose prior and, for several frames, continuity) and by the motion prior.
 """
 
 import math
@@ -28,19 +27,19 @@ from hfb.priors.motion_columns import LIMBS
 from hfb.typing import Array, Bool, Float, Tensor
 
 _REFIT_RATE, _POLISH_RATE = 0.003, 0.002
-"""Learning rates of Adam [rad and m per step]: the motion is nearly right, only what the turn broke is to be mended."""
+"""Learning rates of Adam [rad and m per step]; only the effects of the reversal need repair."""
 
 _ADAM_EPSILON = 1e-4
 _CONVINCING = 1.25
-"""How much likelier than the fitted motion (or its reverse) one has to be whose limbs were turned against the body."""
+"""Ratio of probabilities above which a motion with reversed limbs replaces the fitted one (or its reverse)."""
 
 _IN_DOUBT = (0.02, 1.0)
-"""Excess of the loss, before refitting, between which a refit may change what is thought of a hypothesis."""
+"""Range of the excess loss, before refitting, in which a refit may change the choice."""
 
 
 @dataclass(frozen=True)
 class _Hypothesis:
-    """A motion with some limbs run backwards, the objective's terms of it, and their weighted sum."""
+    """A motion with some limbs reversed, its terms, and their weighted sum."""
 
     reversed_limbs: Bool[Tensor, "T 5"]
     trajectory: Trajectory
@@ -48,11 +47,11 @@ class _Hypothesis:
     loss: float
 
     def mirrored(self, found: Variables, objective: Objective, shaped: ShapedBody) -> "_Hypothesis":
-        """The whole motion of one frame backwards: its picture, and so the picture's terms, stay the same."""
+        """The whole motion of one frame reversed: its image, and so the image terms, stay the same."""
         trajectory = reverse_columns(self.trajectory, limb_columns(torch.ones_like(self.reversed_limbs)))
         with torch.no_grad():
             here, there = (
-                _weighed(objective.body_terms(one, found.betas, shaped)) for one in (self.trajectory, trajectory)
+                _without_prior(objective.body_terms(one, found.betas, shaped)) for one in (self.trajectory, trajectory)
             )
             change = {name: (there[name] - here[name]).item() for name in here}
             loss = self.loss + (objective.total(there) - objective.total(here)).item() if here else self.loss
@@ -66,13 +65,14 @@ def search_directions(
     fine: Objective,
     config: DirectionsConfig,
 ) -> tuple[Trajectory, Alternatives]:
-    """The motion in its likeliest directions (the fitted one bit for bit, where none is likelier), and all others.
+    """Find the likeliest directions of a motion; the fitted motion stays bit for bit where none is likelier.
 
     Args:
         found: what was fitted; its shape and texture are kept by every hypothesis.
         coarse: the objective of the last stage at a small picture size: there hypotheses are refitted and compared.
         fine: the objective of the last stage: there the winner is polished, where it is another than what was fitted.
             Its motion prior is what knows time's arrow; without one a picture says nothing about the whole body.
+        config: options of the search.
     """
     with torch.no_grad():
         shaped = fine.body.shape(found.betas)
@@ -88,7 +88,7 @@ def search_directions(
     as_fitted = [0] if several else [0, len(hypotheses) // 2]  # the motion that was fitted, and exactly its reverse
     chosen = _likeliest(probability, as_fitted)
     if chosen not in as_fitted:
-        hypotheses[chosen] = _refitted(hypotheses[chosen], found, fine, config.polish, _POLISH_RATE)
+        hypotheses[chosen] = _refit(hypotheses[chosen], found, fine, config.polish, _POLISH_RATE)
     motions = [_sampled(one.trajectory, found, fine, shaped) for one in hypotheses]
     alternatives = Alternatives(
         reversed_limbs=torch.stack([one.reversed_limbs for one in hypotheses]).numpy(),
@@ -107,7 +107,7 @@ def search_directions(
 
 
 def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
-    """The likeliest hypothesis; one that was not fitted to the full pictures has to be clearly likelier."""
+    """The likeliest hypothesis; one that was not fitted to the full images must be clearly likelier."""
     handicapped = probability / _CONVINCING
     handicapped[as_fitted] = probability[as_fitted]
     return int((handicapped > handicapped.max() - 1e-5).argmax())  # a tie but for rounding stays what was fitted
@@ -116,29 +116,29 @@ def _likeliest(probability: Float[Array, "A"], as_fitted: Sequence[int]) -> int:
 def _hypotheses(
     found: Variables, shaped: ShapedBody, objective: Objective, config: DirectionsConfig
 ) -> list[_Hypothesis]:
-    """As fitted, then what else is worth weighing, the likeliest of them refitted."""
+    """The fitted motion, then its reversals, the likeliest of them refitted."""
     moves = _moving_limbs(found.trajectory, shaped, subframe_clock(objective.subframes))
     turned = [
-        _judged(limbs, reverse_columns(found.trajectory, limb_columns(limbs)), found, objective)
+        _evaluate_hypothesis(limbs, reverse_columns(found.trajectory, limb_columns(limbs)), found, objective)
         for limbs in _turns(moves, config.limbs)
     ]
-    start = _judged(torch.zeros_like(moves), found.trajectory, found, objective)
+    start = _evaluate_hypothesis(torch.zeros_like(moves), found.trajectory, found, objective)
     low, high = (start.loss + bound for bound in _IN_DOUBT)
     doubtful = [index for index, one in enumerate(turned) if low < one.loss < high]
     if not doubtful:
         return [start, *turned]
     # What was fitted is compared at its best at this picture size too, but it stays what it was; what is not refitted
     # is taken to gain as much.
-    compared = _refitted(start, found, objective, config.iterations, _REFIT_RATE)
+    compared = _refit(start, found, objective, config.iterations, _REFIT_RATE)
     gain = start.loss - compared.loss
     turned = [replace(one, loss=one.loss - gain) for one in turned]
     for index in sorted(doubtful, key=lambda index: turned[index].loss)[: config.refits]:
-        turned[index] = _refitted(turned[index], found, objective, config.iterations, _REFIT_RATE)
+        turned[index] = _refit(turned[index], found, objective, config.iterations, _REFIT_RATE)
     return [replace(compared, trajectory=found.trajectory), *turned]
 
 
 def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tensor, "S"]) -> Bool[Tensor, "T 5"]:
-    """Limbs whose own reversal would move one of their joints; of the torso, any joint of the body."""
+    """Limbs whose reversal moves one of their joints; for the torso, any joint."""
     frames = trajectory.rotation.shape[0]
 
     def joints(motion: Trajectory) -> Float[Tensor, "T S 24 3"]:
@@ -156,7 +156,7 @@ def _moving_limbs(trajectory: Trajectory, shaped: ShapedBody, clock: Float[Tenso
 
 
 def _turns(moves: Bool[Tensor, "T 5"], each_limb: bool) -> list[Bool[Tensor, "T 5"]]:
-    """What to run backwards: of several frames each one and all of them; of every frame each limb that moves."""
+    """Reversals to try: for several frames each one and all of them; for every frame each limb that moves."""
     frames, turns = len(moves), []
     whole: Sequence[int | slice] = (*range(frames), slice(None)) if frames > 1 else ()
     places = [tuple(place) for place in moves.nonzero().tolist()] if each_limb else []
@@ -168,11 +168,11 @@ def _turns(moves: Bool[Tensor, "T 5"], each_limb: bool) -> list[Bool[Tensor, "T 
 
 
 def _terms(trajectory: Trajectory, found: Variables, objective: Objective) -> dict[str, Float[Tensor, ""]]:
-    return _weighed(objective.terms(trajectory, found.betas.detach(), found.texture.detach()))
+    return _without_prior(objective.terms(trajectory, found.betas.detach(), found.texture.detach()))
 
 
-def _weighed(terms: dict[str, Float[Tensor, ""]]) -> dict[str, Float[Tensor, ""]]:
-    """The objective's terms but the motion prior's, whose opinion on directions is weighed apart."""
+def _without_prior(terms: dict[str, Float[Tensor, ""]]) -> dict[str, Float[Tensor, ""]]:
+    """All terms but the motion prior's, which is a separate kind of evidence."""
     return {name: value for name, value in terms.items() if name != "adversarial"}
 
 
@@ -180,14 +180,16 @@ def _values(terms: dict[str, Float[Tensor, ""]]) -> dict[str, float]:
     return {name: value.item() for name, value in terms.items()}
 
 
-def _judged(limbs: Bool[Tensor, "T 5"], trajectory: Trajectory, found: Variables, objective: Objective) -> _Hypothesis:
+def _evaluate_hypothesis(
+    limbs: Bool[Tensor, "T 5"], trajectory: Trajectory, found: Variables, objective: Objective
+) -> _Hypothesis:
     with torch.no_grad():
         terms = _terms(trajectory, found, objective)
         return _Hypothesis(limbs, trajectory, _values(terms), objective.total(terms).item())
 
 
-def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterations: int, rate: float) -> _Hypothesis:
-    """The best iterate of Adam on the motion alone, its steps shortening along a half cosine."""
+def _refit(start: _Hypothesis, found: Variables, objective: Objective, iterations: int, rate: float) -> _Hypothesis:
+    """Best iterate of Adam on the motion alone, with a cosine decay of the learning rate."""
     given = start.trajectory
     rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
     free = given.with_coefficients(rotation, translation)
@@ -207,7 +209,7 @@ def _refitted(start: _Hypothesis, found: Variables, objective: Objective, iterat
 
 
 def _evidence(one: _Hypothesis, fitted: float, objective: Objective, shaped: ShapedBody) -> Float[Array, "E"]:
-    """See `EVIDENCE`; `fitted` is the loss of the motion as fitted."""
+    """Evidence against a hypothesis, see `EVIDENCE`; `fitted` is the loss of the fitted motion."""
     against = [torch.zeros(1)] * (len(EVIDENCE) - 1)
     with torch.no_grad():
         if (prior := objective.motion_prior) is not None:

@@ -1,4 +1,4 @@
-"""What a fit knows about its own joints' errors: the features by which `hfb.fitting.confidence` tells radii."""
+"""Features of a fit that predict the errors of its joints; input of `hfb.fitting.confidence`."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -19,7 +19,7 @@ from hfb.rendering.texels import texel_faces, visible_texels
 from hfb.typing import Array, Float, Tensor
 
 _FLOOR_M = 0.02
-"""Added to lengths before their logarithm is taken: differences below it say nothing."""
+"""Added to lengths before the logarithm: smaller differences carry no information."""
 
 _SKIN_TEXELS = 64
 
@@ -28,11 +28,12 @@ def joint_features(
     motion: SampledMotion,
     alternatives: Alternatives | None,
     found: Variables,
+    *,
     first_bodies: Sequence[FirstBody],
     coarse: Objective,
     height_told: bool,
 ) -> dict[str, Float[Array, "R 24"]]:
-    """What a fit knows about its own joints' errors; lengths as log(metres + 0.02).
+    """Compute the features; lengths as log(metres + 0.02).
 
     - ``reach``: way along the skeleton from the pelvis: errors of rotations add up along it.
     - ``motion``: way of the joint about the pelvis during its exposure.
@@ -43,14 +44,16 @@ def joint_features(
     - ``hidden``: share of the joint's skin that the camera does not see in any sub-frame of the exposure.
     - ``misfit``: log(1 - soft IoU of the re-blurred silhouette and the matte + 0.02).
     - ``unusual``: log of the pose prior's value + 1.
-    - ``network``: the joint network's own expected distance from the truth, where the fit asked it.
+    - ``network``: the joint network's expected error, where the fit used the network.
     - ``told``: 1 where the fit was told how tall the person is, else 0.
 
     Args:
-        alternatives: None where no directions were searched: ``spread`` is then not among the features.
-        motion: the result. found: its polynomials, shape and texture.
-        coarse: the objective at a small picture size, with the mattes from before the fit: one that was found beside
-            the fit agrees with it in its errors, too.
+        motion: the result.
+        alternatives: other directions; None where none were searched, and `spread` is then not among the features.
+        found: its polynomials, shape and texture.
+        first_bodies: one static body per frame.
+        coarse: the objective at a small image size, with the initial mattes: refined ones share the fit's errors.
+        height_told: the height was given.
     """
     frames = range(int(motion.frame_index.max()) + 1)
     centred = motion.joints - motion.joints[:, :1]

@@ -1,4 +1,4 @@
-"""Motion backwards in time, wholly or in part: what one uniformly exposed picture cannot tell from the motion."""
+"""Exact time reversal of a motion or of some limbs, which one uniformly exposed image does not distinguish."""
 
 from math import comb
 
@@ -17,6 +17,7 @@ def reverse_columns(trajectory: Trajectory, columns: Bool[Tensor, "T 25"]) -> Tr
     of the exposure (origin 0.5) the odd coefficients change their signs. All columns at once turn the motion around.
 
     Args:
+        trajectory: polynomials of the motion.
         columns: per frame, which of the 24 rotations and of the translation (the last) run backwards.
     """
     mirror = _mirror(trajectory.rotation, trajectory.origin)
@@ -29,7 +30,11 @@ def reverse_columns(trajectory: Trajectory, columns: Bool[Tensor, "T 25"]) -> Tr
 
 
 def limb_columns(limbs: Bool[Tensor, "T 5"]) -> Bool[Tensor, "T 25"]:
-    """The columns of C that belong to the chosen limbs of every frame, in the order of `LIMBS`."""
+    """The columns of C that belong to the chosen limbs of every frame, in the order of `LIMBS`.
+
+    Args:
+        limbs: per frame.
+    """
     columns = torch.zeros(limbs.shape[0], COLUMN_COUNT, dtype=torch.bool)
     for place, members in enumerate(LIMBS.values()):
         columns[:, list(members)] = limbs[:, place, None]

@@ -1,4 +1,4 @@
-"""What is free in a fit, and where it starts."""
+"""Free variables of a fit, their start values and learning rates."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import torch
 from hfb.body.height import as_tall
 from hfb.body.model import PARENT_TABLE, Body, bone_length
 from hfb.config import FitConfig
-from hfb.fitting.clip_person import ClipPerson
+from hfb.fitting.identity import Identity
 from hfb.kernels.dispatch import compiled
 from hfb.kernels.motion.rescale_operators import as_large
 from hfb.motion.clock import next_opening, subframe_clock
@@ -21,15 +21,16 @@ from hfb.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class Variables:
-    """The free parameters of one fit: leaf tensors that an optimiser changes in place.
+    """Free variables of one fit: leaf tensors that an optimiser changes in place.
 
-    A picture does not tell a tall person far away from a short one nearby: where only the shape changed, the outline
-    would grow, and the fit would have to move two parameters in step. With a ``reference`` the person keeps the place
-    in the picture whatever the shape, and the shape's gradient is about proportions.
+    An image does not tell a tall person far away from a short one nearby. With a ``reference``, a change of shape
+    rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
 
     Attributes:
-        trajectory: in metres for a person with the reference's betas, who stands as far away as the real one seems
-            large; simply in metres without a reference.
+        trajectory: polynomials in metres, for a person with the reference's betas where there is a reference.
+        betas: shape coefficients.
+        texture: linear light.
+        reference: betas that the trajectory is expressed for; None: the trajectory is in metres as it is.
     """
 
     trajectory: Trajectory
@@ -38,7 +39,11 @@ class Variables:
     reference: Float[Tensor, "10"] | None = None
 
     def motion(self, body: Body) -> Trajectory:
-        """In metres for the person with the present betas; differentiable in both."""
+        """The trajectory in metres for the present betas; differentiable in both.
+
+        Args:
+            body: the body model.
+        """
         if self.reference is None:
             return self.trajectory
         if compiled(self.betas):
@@ -48,56 +53,88 @@ class Variables:
         before, now = body.rest_joints(self.reference), body.rest_joints(self.betas)
         return self.trajectory.enlarged(bone_length(now) / bone_length(before), before[0], now[0])
 
-    def keep_within(self, config: FitConfig, body: Body) -> None:
-        """After a step: colours between black and white, the height that is known."""
+    def project_(self, config: FitConfig, body: Body) -> None:
+        """Project onto the constraints after a step: colours in [0, 1], a known height.
+
+        Args:
+            config: options of the fit.
+            body: the body model.
+        """
         with torch.no_grad():
             self.texture.clamp_(0, 1)
             if config.height_m is not None and self.betas.requires_grad:
                 self.betas.copy_(as_tall(self.betas, body, config.height_m))
 
     def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
-        """Of every frame at u = 1/2, camera coordinates [m]; no gradient."""
+        """Joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
+
+        Args:
+            body: the body model.
+        """
         with torch.no_grad():
             rotations, translations = self.motion(body).at(self.betas.new_tensor([0.5]))
             return body.shape(self.betas).joints_of(rotations[:, 0], translations[:, 0])
 
     def vertices(self, body: Body, subframes: int) -> Float[Tensor, "T S V 3"]:
-        """Of every frame's sub-frames, camera coordinates [m]; no gradient."""
+        """Vertices of every sub-frame, camera coordinates [m]; no gradient.
+
+        Args:
+            body: the body model.
+            subframes: N.
+        """
         with torch.no_grad():
             rotations, translations = self.motion(body).at(subframe_clock(subframes))
             posed = body.shape(self.betas).pose(rotations.flatten(0, 1), translations.flatten(0, 1))
             return posed.vertices.unflatten(0, rotations.shape[:2])
 
     def in_metres(self, body: Body) -> "Variables":
-        """The same person and motion without a reference, as a snapshot."""
+        """A copy whose trajectory is in metres, without a reference.
+
+        Args:
+            body: the body model.
+        """
         with torch.no_grad():
             return Variables(self.motion(body), self.betas, self.texture).copy()
 
     def leaves(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """What an optimiser changes: rotation, translation, betas and texture."""
+        """Rotation, translation, betas and texture."""
         return self.trajectory.rotation, self.trajectory.translation, self.betas, self.texture
 
-    def take(self, other: "Variables") -> None:
-        """Copy another's numbers into these."""
+    def copy_from_(self, other: "Variables") -> None:
+        """Copy the values of `other` into these tensors.
+
+        Args:
+            other: of the same shapes.
+        """
         with torch.no_grad():
             for mine, its in zip(self.leaves(), other.leaves(), strict=True):
                 mine.copy_(its)
 
     def copy(self) -> "Variables":
-        """A snapshot that later steps leave alone."""
+        """A detached copy."""
         trajectory = self.trajectory.with_coefficients(
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
         return Variables(trajectory, self.betas.detach().clone(), self.texture.detach().clone(), self.reference)
 
 
-def falling(iteration: int, iterations: int) -> float:
-    """Share of the learning rate: from 1 along a half cosine to a twentieth."""
+def cosine_decay(iteration: int, iterations: int) -> float:
+    """Factor of the learning rate: from 1 to 1/20 along a half cosine.
+
+    Args:
+        iteration: from 0 on.
+        iterations: of the stage.
+    """
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
 
-def rates(config: FitConfig, rate: float) -> tuple[float, float, float, float]:
-    """Learning rates of rotation, translation, betas and texture, where motion has this one."""
+def learning_rates(config: FitConfig, rate: float) -> tuple[float, float, float, float]:
+    """Learning rates of rotation, translation, betas and texture; `rate` is that of the motion.
+
+    Args:
+        config: options of the fit.
+        rate: of the motion.
+    """
     return rate, rate, rate * config.shape_rate, rate * config.texture_rate
 
 
@@ -106,13 +143,19 @@ def start_variables(
     observation: Observation,
     config: FitConfig,
     generator: torch.Generator,
-    person: ClipPerson | None = None,
+    identity: Identity | None = None,
 ) -> Variables:
-    """A body at rest per frame (moving towards its neighbours' where there are several), one shape, one texture.
+    """Start values: a body at rest per frame, moving towards its neighbours' where there are several.
 
-    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse,
-    and a body at rest is the saddle between the two: the root gets a small velocity in a random direction.
-    A known person's shape and texture are constants: no gradient, no step.
+    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse, and a body
+    at rest is the saddle point between the two: its root gets a small velocity in a random direction.
+
+    Args:
+        first_bodies: one static body per frame; their mean shape is used.
+        observation: for the texture's colour and the frames' times.
+        config: options of the fit.
+        generator: of the random direction.
+        identity: known shape and texture, held constant; both are free when not given.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)
     translations = torch.stack([first.translation for first in first_bodies]).to(observation.mattes)
@@ -121,14 +164,14 @@ def start_variables(
     trajectory = move_towards_neighbours(trajectory, next_opening(observation.exposure_s, observation.interval_s))
     if len(first_bodies) == 1 and config.rotation == "quaternion":
         direction = torch.nn.functional.normalize(torch.randn(3, generator=generator), dim=0)
-        trajectory.translation[0, 1, :3] += config.root_kick * direction.to(trajectory.translation)
-    if person is None:
+        trajectory.translation[0, 1, :3] += config.initial_root_velocity * direction.to(trajectory.translation)
+    if identity is None:
         texture = mean_foreground(observation).expand(config.texture_px, config.texture_px, 3)
-        reference = betas.clone() if config.size_moves_away and config.rotation == "quaternion" else None
+        reference = betas.clone() if config.keep_image_size and config.rotation == "quaternion" else None
         leaves = Variables(trajectory, betas, texture, reference).copy()
         free = [leaves.betas, leaves.texture]
     else:
-        leaves = Variables(trajectory, person.betas.to(betas), person.texture.to(betas)).copy()
+        leaves = Variables(trajectory, identity.betas.to(betas), identity.texture.to(betas)).copy()
         free = []
     for leaf in (leaves.trajectory.rotation, leaves.trajectory.translation, *free):
         leaf.requires_grad_(True)
@@ -136,7 +179,11 @@ def start_variables(
 
 
 def mean_foreground(observation: Observation) -> Float[Tensor, "3"]:
-    """The person's mean colour, linear light: eq. (1) solved for one colour, weighted by the mattes."""
+    """Mean colour of the person, linear light: eq. (1) solved for one colour, weighted by the mattes.
+
+    Args:
+        observation: frames, plate and mattes.
+    """
     alpha = observation.mattes[..., None]
     foreground = observation.frames_linear - (1 - alpha) * observation.plate_linear
     colour = (alpha * foreground).sum((0, 1, 2)) / (alpha * alpha).sum((0, 1, 2)).clamp_min(1e-6)

@@ -14,7 +14,7 @@ from hfb.initialization.matte_search import search_by_matte
 from hfb.initialization.network_body import MetroBody
 from hfb.initialization.person_landmarks import find_landmarks
 from hfb.initialization.registration import register
-from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine
 from hfb.initialization.swept_search import carried_along, search_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.networks.mediapipe_files import LandmarkChoice
@@ -32,7 +32,7 @@ _CONFIDENT_AGREEMENT = 0.35  # stick figure against matte; invented people stay 
 _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is tried as well
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
 _CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
-_REFINEMENT = (Stage(64, 40, 0.02, shape=False), Stage(_COMPARE_PX, 30, 0.015))
+_REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMPARE_PX, 30, 0.015))
 _ABOUT_AS_GOOD = 0.03  # a smear hardly shows a pose: the one found at rest is nearer to the truth
 _SAME_DISTANCE = 0.05  # but a smear shows how far away somebody is, and one found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
@@ -54,6 +54,7 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
     """The initialiser that the configuration names.
 
     Args:
+        config: options of the first body.
         rasterizer: the coverage silhouette by default; DIB-R's halo would place the body too far away.
     """
     drawing = rasterizer or make_rasterizer("coverage")
@@ -101,12 +102,24 @@ class LandmarkInitializer:
         return self.body(found[0], alpha, camera, body)
 
     def landmarks(self, frame_linear: Picture, matte: Float[Array, "H W"]) -> tuple[Landmarks, float] | None:
-        """The person's landmarks and their agreement with the matte."""
+        """The person's landmarks and their agreement with the matte.
+
+        Args:
+            frame_linear: the frame.
+            matte: the person's share of each pixel.
+        """
         frame_srgb = linear_to_srgb(np.clip(np.asarray(frame_linear, np.float32), 0, 1)).astype(np.float32)
         return find_landmarks(self._networks, frame_srgb, matte)
 
     def body(self, landmarks: Landmarks, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body) -> FirstBody:
-        """Register, then refine; the refinement is kept only where it shares more with the matte."""
+        """Register, then refine; the refinement is kept only where it shares more with the matte.
+
+        Args:
+            landmarks: of the person.
+            matte: the person's share of each pixel.
+            camera: camera of the image.
+            body: the body model.
+        """
         first = register(landmarks, camera, body)
         closer = refine(first, matte, camera, body, self._rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
         level = matte_level(matte, camera, _COMPARE_PX)

@@ -13,7 +13,7 @@ from hfb.body.model import Body, ShapedBody
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
-from hfb.initialization.point_registration import Registered, Start, settle
+from hfb.initialization.point_registration import Registered, Start, fit_points
 from hfb.initialization.pose_bank import bank_rotations
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Bool, Float, Tensor
@@ -36,7 +36,10 @@ def register_keypoints(
     """Lay the body onto where a picture shows its joints.
 
     Args:
-        pixels: SMPL's joints [px], NaN where not seen. betas: of the person, the mean one's where not given.
+        pixels: SMPL's joints [px], NaN where not seen.
+        camera: camera of the image.
+        body: the body model.
+        betas: of the person, the mean one's where not given.
 
     Returns:
         poses before the camera; `residual_m` is what the picture shows, at the body's depth [m].
@@ -56,7 +59,7 @@ def register_keypoints(
         def misfit(shaped: ShapedBody, turns: Tensor, at: Tensor, spread: float = spread) -> tuple[Tensor, Tensor]:
             return several.misfit(shaped.joints_of(turns, at), spread)
 
-        found = settle(Start(rotations, places, shape, shape_is_free=False), body, misfit, iterations, rate)
+        found = fit_points(Start(rotations, places, shape, shape_is_free=False), body, misfit, iterations, rate)
         rotations, places = axis_angle_to_matrix(found.poses), found.translations
     cost = misfit(body.shape(shape), rotations, places)[0] + _LIKELY * AnatomicalPrior()(found.poses[:, 1:])
     best = cost.reshape(-1, _STARTS).argmin(1) + _STARTS * torch.arange(len(pixels))

@@ -70,7 +70,11 @@ class Landmarks:
 
 
 def networks_ready(choice: LandmarkChoice = "auto") -> bool:
-    """Whether the files and the interpreter are there. Raises InputError as `networks_in_use`."""
+    """Whether the files and the interpreter are there. Raises InputError as `networks_in_use`.
+
+    Args:
+        choice: which landmark network.
+    """
     try:
         import ai_edge_litert.interpreter  # noqa: F401
     except ImportError:
@@ -92,7 +96,13 @@ class PoseNetworks:
         self._detector, self._landmarker = map(_load, files)
 
     def detect(self, picture_srgb: Float[Array, "H W 3"], least_score: float = 0.3, most: int = 3) -> list[Region]:
-        """People in a picture, best first, none overlapping another's centre."""
+        """People in a picture, best first, none overlapping another's centre.
+
+        Args:
+            picture_srgb: the image.
+            least_score: of a detection that is returned.
+            most: detections that are returned.
+        """
         height, width = picture_srgb.shape[:2]
         side = max(height, width)
         left, top = (side - width) / 2, (side - height) / 2
@@ -117,7 +127,12 @@ class PoseNetworks:
         return regions
 
     def locate(self, picture_srgb: Float[Array, "H W 3"], region: Region) -> Landmarks:
-        """The landmarks of the person in a region."""
+        """The landmarks of the person in a region.
+
+        Args:
+            picture_srgb: the image.
+            region: square around the person.
+        """
         crop = cut_region(picture_srgb, region, _LANDMARK_PX)
         points, score, world = self._run(self._landmarker, crop, ("Identity", "Identity_1", "Identity_4"))
         points = points.reshape(39, 5).astype(np.float64)
@@ -144,7 +159,13 @@ class PoseNetworks:
 
 
 def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int) -> Float[Array, "s s 3"]:
-    """The turned square as an upright picture; black outside the frame."""
+    """The turned square as an upright picture; black outside the frame.
+
+    Args:
+        picture_srgb: the image.
+        region: square to cut out.
+        side_px: of the result.
+    """
     scale = min(1.0, 2 * side_px / region.size)
     reduced = _reduce(picture_srgb, scale)
     scale = reduced.shape[0] / picture_srgb.shape[0]

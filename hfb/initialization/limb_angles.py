@@ -51,7 +51,13 @@ def rotations_from_joints(
 def kabsch(
     rest: Float[Tensor, "S n 3"], seen: Float[Tensor, "S n 3"], weight: Float[Tensor, "S n"]
 ) -> Float[Tensor, "S 3 3"]:
-    """The rotations R that make sum w |R rest - seen|^2 least; the smallest such turn where several do."""
+    """The rotations R that make sum w |R rest - seen|^2 least; the smallest such turn where several do.
+
+    Args:
+        rest: vectors of the rest pose.
+        seen: the same vectors, rotated.
+        weight: of every vector.
+    """
     product = (seen * weight[..., None]).transpose(1, 2) @ rest
     # A little of the identity decides what the vectors leave open: the twist about a single bone is none.
     scale = product.flatten(1).norm(dim=1).clamp_min(1e-9)

@@ -16,7 +16,7 @@ from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.pose_bank import bank_rotations
-from hfb.initialization.silhouette_fit import Level, Stage, Stay, matte_level, overlap, refine, refine_all
+from hfb.initialization.silhouette_fit import Level, SilhouetteStage, Stay, matte_level, overlap, refine, refine_all
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.rasterizer import Rasterizer
@@ -31,7 +31,11 @@ _TEMPLATE_PX = 72
 _ROLL_COST = 0.04  # per 40 degrees
 _BACK_COST = 0.01
 _CANDIDATES, _SURVIVORS = 16, 6
-_ROUGH, _MIDDLE, _FINE = Stage(40, 30, 0.05, shape=False), Stage(64, 40, 0.03, shape=False), Stage(128, 40, 0.02)
+_ROUGH, _MIDDLE, _FINE = (
+    SilhouetteStage(40, 30, 0.05, shape=False),
+    SilhouetteStage(64, 40, 0.03, shape=False),
+    SilhouetteStage(128, 40, 0.02),
+)
 _STAY = Stay(prior=0.002, betas=0.03)
 
 
@@ -59,7 +63,14 @@ class Moments:
 def search_by_matte(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float]:
-    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; some two seconds."""
+    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; some two seconds.
+
+    Args:
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+    """
     templates = bank_templates(body)
     starts = _best_starts(matte, camera, body, templates)
     scene = (matte, camera, body, rasterizer)
@@ -101,7 +112,12 @@ def _best_starts(
 
 
 def differ(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
-    """Another pose, or the same from a clearly different side."""
+    """Another pose, or the same from a clearly different side.
+
+    Args:
+        one: number of the pose, and its turn about the vertical [rad].
+        other: as `one`.
+    """
     turn = abs((one[1] - other[1] + pi) % (2 * pi) - pi)
     return bool(one[0] != other[0] or turn > radians(75))
 
@@ -114,7 +130,11 @@ def _soft_ious(picture: Float[Array, "s s"], pictures: Float[Array, "N s s"]) ->
 
 
 def matte_moments(picture: Float[Array, "H W"]) -> Moments:
-    """Of a silhouette or a matte."""
+    """Of a silhouette or a matte.
+
+    Args:
+        picture: a silhouette or a matte.
+    """
     columns, rows = picture.sum(0, dtype=np.float64), picture.sum(1, dtype=np.float64)
     total = max(float(columns.sum()), 1e-9)
     along_x, along_y = np.arange(len(columns)) + 0.5, np.arange(len(rows)) + 0.5
@@ -141,7 +161,11 @@ def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.
 
 @lru_cache(maxsize=2)
 def bank_templates(body: Body) -> Templates:
-    """Draw the bank once per body and process; what is a mirror image of something drawn is flipped instead."""
+    """Draw the bank once per body and process; what is a mirror image of something drawn is flipped instead.
+
+    Args:
+        body: the body model.
+    """
     dtype = body.template.dtype
     names, bank = bank_rotations(dtype)
     upright = axis_angle_to_matrix(torch.tensor([pi, 0.0, 0.0], dtype=dtype))
@@ -193,7 +217,16 @@ def _draw(
 def body_from_template(
     templates: Templates, index: int, roll: float, moments: Moments, camera: PinholeCamera, body: Body
 ) -> FirstBody:
-    """The template's body where the matte is: as far away as its size says, turned towards its view ray."""
+    """The template's body where the matte is: as far away as its size says, turned towards its view ray.
+
+    Args:
+        templates: silhouettes of the bank.
+        index: of the template.
+        roll: about the optical axis [rad].
+        moments: of the matte.
+        camera: camera of the image.
+        body: the body model.
+    """
     dtype = body.template.dtype
     depth = _TEMPLATE_DEPTH_M * float(templates.spreads[index]) * camera.fx / moments.spread
     cosine, sine = np.cos(roll), np.sin(roll)

@@ -20,7 +20,7 @@ from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.joint_layouts import joints_as_24
 from hfb.initialization.person_crop import cut_square, person_square, weak_perspective_place
 from hfb.initialization.point_registration import Registered, only_vertices, register_joints, register_vertices
-from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine
+from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine
 from hfb.io.safe.contents import named, read_contents
 from hfb.io.safe.pickled_arrays import to_array
 from hfb.motion.static_pose import FirstBody
@@ -31,7 +31,7 @@ from hfb.typing import Array, Float, Int, Tensor
 
 _SIZE_PX, _MARGIN = 224, 1.2
 _COMPARE_PX = 96
-_STAGES = (Stage(64, 30, 0.02), Stage(_COMPARE_PX, 20, 0.015))
+_STAGES = (SilhouetteStage(64, 30, 0.02), SilhouetteStage(_COMPARE_PX, 20, 0.015))
 _STAY = Stay(pose=0.05, root=0.1, place=0.1)
 
 
@@ -72,6 +72,9 @@ def read_samplings(path: Path) -> tuple[Int[Array, "..."], ...]:
     mesh_downsampling.npz holds under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
     "Generating 3D faces using convolutional mesh autoencoders", section 3).
 
+    Args:
+        path: the file.
+
     Raises:
         InputError: another file, or a pickle in it that names code.
     """
@@ -97,6 +100,8 @@ def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "...
     """The body laid onto a network's mesh, where it is this body's, else onto its joints; about the network's origin.
 
     Args:
+        outputs: of the network.
+        body: the body model.
         samplings: see `read_samplings`; a coarse mesh is taken where there is no full one.
 
     Raises:

@@ -12,6 +12,11 @@ from hfb.typing import Array, Float, Tensor
 def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 0.05) -> tuple[int, int, int]:
     """left, top and side [px] of the square about the person's box; it may reach outside the picture.
 
+    Args:
+        matte: the person's share of each pixel.
+        margin: share of the box that is added on each side.
+        threshold: of the matte, for its box.
+
     Raises:
         InputError: the matte is empty.
     """
@@ -30,7 +35,15 @@ def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 
 def cut_square(
     picture: Float[Array, "H W 3"], left: int, top: int, side: int, size_px: int
 ) -> Float[Array, "{size_px} {size_px} 3"]:
-    """A square window at another size; outside the picture it is black, as networks are trained."""
+    """A square window at another size; outside the picture it is black, as networks are trained.
+
+    Args:
+        picture: the image.
+        left: of the square [px].
+        top: of the square [px].
+        side: of the square [px].
+        size_px: of the result.
+    """
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
     pads = (
@@ -47,6 +60,14 @@ def weak_perspective_place(
     """Where a body [m] stands whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
 
     The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
+
+    Args:
+        scale: of the weak perspective.
+        x: shift of the weak perspective.
+        y: shift of the weak perspective.
+        centre_px: of the crop.
+        side_px: of the crop.
+        camera: camera of the image.
 
     Raises:
         InputError: a scale that is not positive: nobody is in the crop.

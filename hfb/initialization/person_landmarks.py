@@ -34,6 +34,7 @@ def find_landmarks(
     """The best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
 
     Args:
+        networks: loaded pose networks.
         frame_srgb: the blurred frame.
         matte: the person's share of each pixel, not empty.
     """
@@ -92,7 +93,12 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
 
 
 def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
-    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths."""
+    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
+
+    Args:
+        landmarks: of a person.
+        matte: the person's share of each pixel.
+    """
     top, left, bottom, right = matte_region(matte, margin=0.25)
     scale = _STICK_FIGURE_PX / max(bottom - top, right - left)
     size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
@@ -103,7 +109,12 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
 
 
 def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> Shaped[Array, "h w"]:
-    """A figure of 0 and 1: trunk, head and limbs as thick lines."""
+    """A figure of 0 and 1: trunk, head and limbs as thick lines.
+
+    Args:
+        pixels: places of the landmarks [px].
+        shape: height and width of the image [px].
+    """
     figure = np.zeros(shape, np.uint8)
     at = {name: pixels[index] for name, index in LANDMARK.items()}
     shoulders = (at["left_shoulder"] + at["right_shoulder"]) / 2

@@ -59,7 +59,9 @@ def register_joints(
 
     Args:
         joints: SMPL's [m] in the target frame, NaN where unknown (`hfb.initialization.joint_layouts`).
+        body: the body model.
         betas: held fixed where given.
+        iterations: of Adam.
 
     Raises:
         InputError: fewer than six joints are known at some instant.
@@ -80,7 +82,7 @@ def register_joints(
 
     places = _places(body.shape(shape).joints_of(rotations, target.new_zeros(len(target), 3)), goal, known)
     start = Start(rotations, places, shape, betas is None)
-    return settle(start, body, misfit, iterations, 0.03)
+    return fit_points(start, body, misfit, iterations, 0.03)
 
 
 def register_vertices(
@@ -90,6 +92,12 @@ def register_vertices(
 
     The shape is settled on a dozen instants, the others are then laid on by themselves: memory and results do not
     depend on how many there are.
+
+    Args:
+        vertices: of this body's mesh [m].
+        body: the body model.
+        betas: known shape; fitted when not given.
+        iterations: of Adam.
 
     Raises:
         InputError: meshes of another body; only the model they belong to can be laid onto them.
@@ -120,7 +128,12 @@ def register_vertices(
 
 
 def only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
-    """The body with some of its vertices, which are enough to tell the pose; not to be drawn."""
+    """The body with some of its vertices, which are enough to tell the pose; not to be drawn.
+
+    Args:
+        body: the body model.
+        chosen: numbers of the vertices.
+    """
     return replace(
         body,
         template=body.template[chosen],
@@ -146,7 +159,7 @@ def _laid(vertices: Float[Array, "S V 3"], body: Body, betas: Tensor | None, ite
         return _WORTH_OF_A_MESH * square.mean(1) / (2 * _VERTEX_SPREAD_M**2), square.detach().sqrt().mean(1)
 
     start = Start(rotations, _places(still, target, every), shape, betas is None)
-    return settle(start, body, misfit, iterations, _RATE)
+    return fit_points(start, body, misfit, iterations, _RATE)
 
 
 def _part_rotations(target: Float[Tensor, "S V 3"], body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "S 24 3 3"]:
@@ -225,7 +238,7 @@ def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"]
 
 @dataclass(frozen=True)
 class Start:
-    """Where `settle` begins: turns, places [m] and betas, which may be held."""
+    """Where `fit_points` begins: turns, places [m] and betas, which may be held."""
 
     rotations: Float[Tensor, "S 24 3 3"]
     places: Float[Tensor, "S 3"]
@@ -233,14 +246,22 @@ class Start:
     shape_is_free: bool
 
 
-def settle(
+def fit_points(
     start: Start,
     body: Body,
     misfit: Callable[[ShapedBody, Tensor, Tensor], tuple[Tensor, Tensor]],
     iterations: int,
     rate: float,
 ) -> Registered:
-    """Adam on turns relative to the start (no wrap-around at pi), places and betas; deterministic."""
+    """Adam on turns relative to the start (no wrap-around at pi), places and betas; deterministic.
+
+    Args:
+        start: turns, places and betas.
+        body: the body model.
+        misfit: loss of posed joints and vertices.
+        iterations: of Adam.
+        rate: learning rate.
+    """
     turns = torch.zeros_like(start.rotations[..., 0]).requires_grad_()
     places = start.places.clone().requires_grad_()
     betas = start.betas.clone().requires_grad_(start.shape_is_free)

@@ -46,12 +46,21 @@ class Attachments:
     weights: Float[Tensor, "L"]
 
     def positions(self, joints: Float[Tensor, "24 3"], R_world_joint: Float[Tensor, "24 3 3"]) -> Float[Tensor, "L 3"]:
-        """The points [m] on a posed body."""
+        """The points [m] on a posed body.
+
+        Args:
+            joints: of the posed body [m].
+            R_world_joint: rotation of every joint.
+        """
         return joints[self.joints] + (R_world_joint[self.joints] @ self.offsets[..., None]).squeeze(-1)
 
 
 def attach_landmarks(shaped: ShapedBody) -> Attachments:
-    """Find nose, ears, heels and toes on the rest pose: extreme points of the parts that head and feet move."""
+    """Find nose, ears, heels and toes on the rest pose: extreme points of the parts that head and feet move.
+
+    Args:
+        shaped: the body with its shape.
+    """
     owner = shaped.body.skinning_weights.argmax(1)
     rows: list[tuple[str, str, Tensor, float]] = [
         (name, name, shaped.joints.new_zeros(3), 1.0) for name in _SAME_JOINTS
@@ -88,6 +97,13 @@ def register(
     Minimises, over root and joint rotations, translation and betas (Adam, deterministic): robust reprojection in
     units of the trunk, 1 - cosine of the directions between landmarks, the anatomical prior and |betas|^2. A
     landmark counts as much as the network is sure to see it.
+
+    Args:
+        landmarks: of the person.
+        camera: camera of the image.
+        body: the body model.
+        iterations: of Adam.
+        source: recorded in the result.
     """
     dtype = body.template.dtype
     betas = torch.zeros(body.shape_count, dtype=dtype)
@@ -125,7 +141,12 @@ def register(
 
 
 def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
-    """The metric landmarks turned from "along the region's view ray" to "along the optical axis"."""
+    """The metric landmarks turned from "along the region's view ray" to "along the optical axis".
+
+    Args:
+        landmarks: of the person.
+        camera: camera of the image.
+    """
     ray = np.array([(landmarks.region.x - camera.cx) / camera.fx, (landmarks.region.y - camera.cy) / camera.fy, 1.0])
     ray /= np.linalg.norm(ray)
     cross = np.cross([0.0, 0.0, 1.0], ray)
@@ -136,7 +157,11 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
 
 
 def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
-    """Arms down, knees hardly bent: nearer to most poses than the rest pose T."""
+    """Arms down, knees hardly bent: nearer to most poses than the rest pose T.
+
+    Args:
+        dtype: of the result.
+    """
     pose = torch.zeros(24, 3, dtype=dtype)
     for name, value in {
         "left_shoulder": (0, 0, -1.0), "right_shoulder": (0, 0, 1.0), "left_elbow": (0, -0.4, 0),
@@ -239,7 +264,13 @@ def _misfit(
 def follow_chain(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "24 3 3"], translation: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "24 3 3"]]:
-    """Posed joints [m] and each joint's rotation in camera coordinates, without skinning anything."""
+    """Posed joints [m] and each joint's rotation in camera coordinates, without skinning anything.
+
+    Args:
+        rest: joints of the rest pose [m].
+        rotations: of every joint in its parent's frame.
+        translation: of the body [m].
+    """
     places, turns = [rest[0] + translation], [rotations[0]]
     for joint, parent in enumerate(PARENTS[1:], start=1):
         places.append(places[parent] + turns[parent] @ (rest[joint] - rest[parent]))

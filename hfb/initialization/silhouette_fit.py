@@ -37,7 +37,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Stage:
+class SilhouetteStage:
     """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
 
     shape: whether the betas move too; without them an iteration costs a third.
@@ -61,7 +61,13 @@ class Stay:
 
 
 def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int) -> Level:
-    """The region around the matte at `size_px` on the longer side."""
+    """The region around the matte at `size_px` on the longer side.
+
+    Args:
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        size_px: of the longer side of the result.
+    """
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     cut, inside = matte[top:bottom, left:right], camera.crop(left, top, right - left, bottom - top)
     scale = size_px / max(cut.shape)
@@ -72,7 +78,14 @@ def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int)
 
 
 def silhouette(first: FirstBody, camera: PinholeCamera, body: Body, rasterizer: Rasterizer) -> Float[Tensor, "H W"]:
-    """The body's share of each pixel."""
+    """The body's share of each pixel.
+
+    Args:
+        first: a static body.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+    """
     with torch.no_grad():
         posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
         return rasterizer.silhouette_mean(posed.vertices, camera, body.mesh)
@@ -84,7 +97,11 @@ def overlap(
     """Soft IoU of the matte and the body's silhouette.
 
     Args:
-        travel_m: the mean silhouette of the body carried from -travel / 2 to +travel / 2 is meant.
+        first: a static body.
+        level: the matte at one size.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        travel_m: path of the body; its mean silhouette from -travel / 2 to +travel / 2 is compared.
     """
     with torch.no_grad():
         posed = body.shape(first.betas).pose(axis_angle_to_matrix(first.pose)[None], first.translation[None])
@@ -99,13 +116,22 @@ def refine(
     camera: PinholeCamera,
     body: Body,
     rasterizer: Rasterizer,
-    stages: Sequence[Stage],
+    stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> FirstBody:
     """Adam on pose, translation and betas: 1 - soft IoU (eq. (4) with one sub-frame), anatomy, nearness to the start.
 
     Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
     of the last stage, the start included.
+
+    Args:
+        first: a static body.
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        stages: image sizes and iterations.
+        stay: how strongly the start is held.
     """
     return refine_all([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
 
@@ -117,13 +143,20 @@ def refine_swept(
     camera: PinholeCamera,
     body: Body,
     rasterizer: Rasterizer,
-    stages: Sequence[Stage],
+    stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> tuple[FirstBody, Float[Tensor, "3"]]:
     """As `refine`, with the straight path of the whole body during the exposure besides: the middle, and the path.
 
     Args:
+        first: a static body.
         travel_m: the path to start from, from its first to its last instant in camera coordinates.
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        stages: image sizes and iterations.
+        stay: how strongly the start is held.
     """
     (found,), moved = refine_all([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
     assert moved is not None
@@ -137,10 +170,20 @@ def refine_all(
     camera: PinholeCamera,
     body: Body,
     rasterizer: Rasterizer,
-    stages: Sequence[Stage],
+    stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
     """As `refine`, or with paths as `refine_swept`: each of several bodies by itself, in the time of few.
+
+    Args:
+        firsts: bodies to start from.
+        travels_m: paths to start from; None for bodies at rest.
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        stages: image sizes and iterations.
+        stay: how strongly the start is held.
 
     Raises:
         ValueError: several bodies whose betas differ, or a stage that moves them.
@@ -168,7 +211,7 @@ def _refine_at(
     level: Level,
     body: Body,
     rasterizer: Rasterizer,
-    stage: Stage,
+    stage: SilhouetteStage,
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
     """Adam works on each number by itself, so the sum of the bodies' losses moves each as its own loss would."""

@@ -13,7 +13,7 @@ import torch
 from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.matte_search import Moments, Templates, bank_templates, body_from_template, differ
-from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine_all, refine_swept
+from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine_all, refine_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.typing import Array, Float, Tensor
@@ -23,7 +23,7 @@ _SCALE_PX = 9.0  # the templates' root mean square radius
 _LONGEST = 4.5  # paths, in template spreads: about twice a person's height
 _CANDIDATES = 3
 _BACK_COST = 0.01
-_ROUGH, _FINE = Stage(56, 30, 0.05, shape=False), Stage(80, 35, 0.02)
+_ROUGH, _FINE = SilhouetteStage(56, 30, 0.05, shape=False), SilhouetteStage(80, 35, 0.02)
 _STAY = Stay(prior=0.004, betas=0.05)
 
 
@@ -47,7 +47,14 @@ class _Start:
 
 
 def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer) -> SweptBody:
-    """The body whose smear along a straight line shares most with the matte. Deterministic; some seconds."""
+    """The body whose smear along a straight line shares most with the matte. Deterministic; some seconds.
+
+    Args:
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+    """
     templates = bank_templates(body)
     x, y, var_x, var_y = _spreads(matte)
     scene = (matte, camera, body, rasterizer)
@@ -73,7 +80,17 @@ def carried_along(
     first: FirstBody, path_m: Float[Tensor, "3"], matte: Float[Array, "H W"], camera: PinholeCamera, body: Body,
     rasterizer: Rasterizer, stay: Stay,
 ) -> SweptBody:  # fmt: skip
-    """A body that was found at rest, moved along a path: it knows the pose better, the path knows the size."""
+    """A body that was found at rest, moved along a path: it knows the pose better, the path knows the size.
+
+    Args:
+        first: a static body.
+        path_m: of the body, from the first to the last instant.
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        stay: how strongly the start is held.
+    """
     rough = replace(_ROUGH, learning_rate=0.03)
     first, travel = refine_swept(first, path_m, matte, camera, body, rasterizer, [rough], stay)
     return refined_swept(SweptBody(first, travel, 0.0), matte, camera, body, rasterizer, stay)
@@ -82,7 +99,16 @@ def carried_along(
 def refined_swept(
     swept: SweptBody, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer, stay: Stay
 ) -> SweptBody:
-    """Laid onto the matte once more, at a finer size, with the shape."""
+    """Laid onto the matte once more, at a finer size, with the shape.
+
+    Args:
+        swept: body and path to start from.
+        matte: the person's share of each pixel.
+        camera: camera of the image.
+        body: the body model.
+        rasterizer: renders the silhouettes.
+        stay: how strongly the start is held.
+    """
     first, travel = refine_swept(swept.first, swept.travel_m, matte, camera, body, rasterizer, [_FINE], stay)
     level = matte_level(matte, camera, _FINE.size_px)
     return SweptBody(first, travel, overlap(first, level, body, rasterizer, travel))

@@ -17,7 +17,7 @@ from hfb.geometry.rays import between_rays
 from hfb.geometry.rotations import axis_angle_to_matrix, matrix_to_axis_angle
 from hfb.initialization.keypoint_registration import register_keypoints
 from hfb.initialization.point_registration import register_joints
-from hfb.initialization.silhouette_fit import Level, Stage, Stay, matte_level, overlap, refine
+from hfb.initialization.silhouette_fit import Level, SilhouetteStage, Stay, matte_level, overlap, refine
 from hfb.interop.readers.pose_track import PoseTrack
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.rasterizer import Rasterizer
@@ -31,7 +31,7 @@ _COMPARE_PX = 96
 _LEAST_DEPTH_M = 0.1
 _LEAST_OVERLAP = 0.02
 _TURNS = 12
-_STAGES = (Stage(64, 30, 0.02, shape=False), Stage(_COMPARE_PX, 20, 0.015, shape=False))
+_STAGES = (SilhouetteStage(64, 30, 0.02, shape=False), SilhouetteStage(_COMPARE_PX, 20, 0.015, shape=False))
 _STAY = Stay(pose=0.05, root=0.1, place=0.1)
 _STAY_UNPLACED = Stay(pose=0.05, root=0.02)
 

@@ -103,7 +103,7 @@ class NetworkMatting:
         return _answer(self._second, np.concatenate([seen, told]))
 
 
-class BesideFit:
+class RenderConditionedMatting:
     """A crop around a person as the third network sees it, but for the fit: what it makes of a fit's picture there.
 
     Its alpha is what a matte and a fit show, weighed by the pixels. What lies far from both is somebody else, who was
@@ -148,7 +148,7 @@ def seen_beside_fit(
     matte: Float[Array, "H W"],
     fitted: Float[Array, "H W 4"],
 ) -> Float[Array, "C H W"]:
-    """All that the third network sees; arguments as of `BesideFit`."""
+    """All that the third network sees; arguments as of `RenderConditionedMatting`."""
     pictures, seen = _seen_before_fit(frame_linear, plate_linear, matte)
     return np.concatenate([seen, fit_evidence(*pictures, fitted)])
 

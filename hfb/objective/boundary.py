@@ -21,6 +21,8 @@ def boundary_loss(trajectory: Trajectory, shaped: ShapedBody, next_opening: floa
     entries. The earlier frame is extrapolated over the exposure gap.
 
     Args:
+        trajectory: polynomials of the motion [m].
+        shaped: the body with its shape.
         next_opening: time at which the next shutter opens, on the earlier frame's clock (`clock.next_opening`).
     """
     frames = trajectory.rotation.shape[0]

@@ -32,6 +32,9 @@ def robust_image_loss(
     zero for a perfect prediction.
 
     Args:
+        predicted: I^, see `image_loss`.
+        observed: I, see `image_loss`.
+        area_px: see `image_loss`.
         scale: the difference [of light in 0..1] where the loss turns from a square into a line.
     """
     difference = predicted - observed

@@ -1,4 +1,4 @@
-"""The joint loss, eq. (11): the only place that knows weights.
+"""The joint loss, eq. (11): terms and their weighted sum. `hfb.objective.weights` has the weights.
 
 A term with weight zero is not computed.
 """
@@ -22,6 +22,7 @@ from hfb.objective.boundary import boundary_loss
 from hfb.objective.pyramid import image_over_scales, matte_over_scales
 from hfb.objective.regularizers import background_loss, motion_loss, pose_loss, shape_loss, start_loss
 from hfb.objective.texture import TexelNeighbours, texture_smoothness
+from hfb.objective.weights import StageWeights
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
 from hfb.rendering.cpu import CpuRasterizer
@@ -32,18 +33,18 @@ from hfb.typing import Bool, Float, Tensor
 
 @dataclass(frozen=True)
 class Objective:
-    """How well a body, its motion and its texture explain an observation.
+    """Loss of a body, its motion and its texture for one observation.
 
     Attributes:
-        texels: neighbourhoods for L_S; needed only where its weight is positive.
-        first: rotations of the first bodies, for the term that holds on to them.
-        visible: texels seen in some sub-frame, for L_S; every texel when not given.
-        evidence: where the joint network saw the joints, for the terms that compare with it.
-        across: share of the evidence's word on joints across the view; what it says of their depth counts whole.
-        motion_prior: for L_A, which a single frame alone has: its neighbours know the direction better.
-        settling: before any picture the path counts with the sign that is likelier, and in several frames too. A single
-            frame's picture leaves the sign open; several frames know their paths better from each other.
-        matte_scales, image_scales: at how many scales L_alpha and L_I compare, each half the last.
+        texels: texel neighbourhoods for L_S; needed only where its weight is positive.
+        first: joint rotations of the first bodies, for the term `start`.
+        visible: texels visible in some sub-frame, for L_S; every texel when not given.
+        evidence: joints predicted by the joint network, for the terms `joints`, `path` and `height`.
+        xy_weight: factor of the joint evidence across the view; along depth it is 1.
+        motion_prior: for L_A, which is used for single frames only: neighbours tell the direction better.
+        warm_up: compare paths with the network's likelier sign, for several frames too. Afterwards the sign of a single
+            frame's path is free, and several frames tell each other's paths.
+        matte_scales, image_scales: number of scales of L_alpha and L_I, each half the size of the last.
     """
 
     observation: Observation
@@ -58,44 +59,59 @@ class Objective:
     matte_scales: int = 1
     image_scales: int = 1
     evidence: JointEvidence | None = None
-    across: float = 1.0
+    xy_weight: float = 1.0
     motion_prior: MotionPrior | None = None
-    settling: bool = False
+    warm_up: bool = False
 
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms with a positive weight, named as in `Weights`."""
+        """The unweighted terms with a positive weight, named as in `Weights`.
+
+        Args:
+            trajectory: polynomials of the motion [m].
+            betas: shape coefficients.
+            texture: linear light.
+        """
         posed, of_body = self._posed(trajectory, betas)
-        # Not split where there is but one frame: the way back of that copies.
+        # A split of one frame would copy in the backward pass.
         vertices = posed.split(self.subframes) if len(posed) > self.subframes else (posed,)
-        per_frame = [self._picture_terms(frame, drawn, texture) for frame, drawn in enumerate(vertices)]
+        per_frame = [self._image_terms(frame, one, texture) for frame, one in enumerate(vertices)]
         return mean_of_frames(per_frame) | self.surface_terms(texture) | of_body
 
     def vertices_and_terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
-        """What is to be drawn, camera coordinates [m], and the terms of body and motion."""
+        """Vertices to render, camera coordinates [m], and the terms of body and motion.
+
+        Args:
+            trajectory: polynomials of the motion [m].
+            betas: shape coefficients.
+        """
         posed, terms = self._posed(trajectory, betas)
         return posed.unflatten(0, (-1, self.subframes)), terms
 
     def _posed(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
-        """The body at every sub-frame of every frame in turn, and the terms of body and motion."""
+        """Vertices of every sub-frame, frame after frame, and the terms of body and motion."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed, joints = shaped.pose_frames(*course)
         return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
-        """The term of the texture alone."""
+        """The term of the texture, L_S.
+
+        Args:
+            texture: linear light.
+        """
         if self.weights.texture > 0 and self.texels is not None:
             return {"texture": texture_smoothness(texture, self.texels, self.visible)}
         return {}
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
-        """The sub-frames' times, and last the middle of the exposure."""
+        """Times of the sub-frames, then the middle of the exposure."""
         return _instants(self.subframes, dtype, self.first.device)
 
     def body_terms(
@@ -105,22 +121,24 @@ class Objective:
         shaped: ShapedBody,
         course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"], Float[Tensor, "T S1 24 3"]] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Those terms that no picture is drawn for.
+        """Terms that need no rendering.
 
         Args:
-            shaped: the body with these betas. course: the trajectory at `_instants`, and the joints [m] there, where
-                they are known already.
+            trajectory: polynomials of the motion [m].
+            betas: shape coefficients.
+            shaped: the body with these betas.
+            course: rotations, translations and joints [m] at `_instants`; computed when not given.
         """
         weights, seen = self.weights, self.observation
         rotations, translations, *known = course or trajectory.at(self._instants(betas.dtype))
         frames = rotations.shape[0]
         terms: dict[str, Tensor] = {}
-        whole = weights.path > 0 and (frames == 1 or self.settling)
+        whole = weights.path > 0 and (frames == 1 or self.warm_up)
         if self.evidence is not None and (weights.joints > 0 or whole):
             joints = known[0] if known else self._some_joints(shaped, rotations, translations, whole)
-            terms["joints"] = self.evidence.middle_loss(joints, (self.across, self.across, 1.0))
+            terms["joints"] = self.evidence.middle_loss(joints, (self.xy_weight, self.xy_weight, 1.0))
             if whole:
-                terms["path"] = self.evidence.path_loss(joints, both_ways=not self.settling)
+                terms["path"] = self.evidence.path_loss(joints, both_ways=not self.warm_up)
         if weights.pose > 0:
             terms["pose"] = pose_loss(self.pose_prior, self._vectors(rotations))
         if weights.start > 0:
@@ -144,7 +162,7 @@ class Objective:
         translations: Float[Tensor, "T S1 3"],
         whole: bool,
     ) -> Float[Tensor, "T n 24 3"]:
-        """Those that the evidence is about [m]: at opening, closing and middle, or in the middle alone."""
+        """Joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
         some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
         index = constant(some, torch.long, rotations.device)
         places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
@@ -156,23 +174,28 @@ class Objective:
             return rotation_vectors(rotations, self.subframes).flatten(0, 1)
         return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
 
-    def _picture_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
-        """What one frame's picture and matte say: the image, matting and background terms."""
+    def _image_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
+        """Image, matting and background terms of one frame."""
         weights, seen, mesh = self.weights, self.observation, self.body.mesh
-        if weights.background > 0:  # the only term that needs every sub-frame's own picture
+        if weights.background > 0:  # the only term that needs each sub-frame by itself
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
             background = background_loss(seen.plate_linear, pictures)
-            return {"background": background} | self.compared(frame, pictures.mean(0))
+            return {"background": background} | self.compare_mean(frame, pictures.mean(0))
         if weights.image > 0 and isinstance(self.rasterizer, CpuRasterizer) and not torch.compiler.is_compiling():
             target = self._targets[frame]
-            return self._named(*self.rasterizer.judge_mean(vertices, texture, seen.camera, mesh, target))
+            return self._named(*self.rasterizer.image_losses(vertices, texture, seen.camera, mesh, target))
         if weights.image > 0:
-            return self.compared(frame, self.rasterizer.render_mean(vertices, texture, seen.camera, mesh))
+            return self.compare_mean(frame, self.rasterizer.render_mean(vertices, texture, seen.camera, mesh))
         alpha = self.rasterizer.silhouette_mean(vertices, seen.camera, mesh)
-        return self.compared(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
+        return self.compare_mean(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
 
-    def compared(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
-        """The image and matting terms of a frame whose drawing is known: mean colour, premultiplied, and silhouette."""
+    def compare_mean(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
+        """Image and matting terms of a rendered frame: mean colour, premultiplied, and mean silhouette.
+
+        Args:
+            frame: number of the frame.
+            mean: mean premultiplied colour and silhouette.
+        """
         if compiled(mean) and not torch.compiler.is_compiling():
             return self._named(*self._targets[frame].losses(mean))
         seen, (image_scales, matte_scales) = self.observation, self._scales
@@ -185,39 +208,60 @@ class Objective:
 
     @property
     def _scales(self) -> tuple[int, int]:
-        """At how many the image and the matting loss are compared: at none without a weight."""
+        """Number of scales of the image and the matting loss: 0 without a weight."""
         weights = self.weights
         return self.image_scales if weights.image > 0 else 0, self.matte_scales if weights.matte > 0 else 0
 
     @cached_property
     def _targets(self) -> tuple[Target, ...]:
-        """What is seen of each frame, for the compiled losses."""
+        """Every frame with its matte, for the compiled losses."""
         seen = self.observation
         pictures = zip(seen.frames_linear, seen.mattes, strict=True)
         return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
 
     def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
-        """The two losses of a picture, those that have a weight."""
+        """Those of both losses that have a weight."""
         weights = self.weights
         return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
 
-    def of_stage(self, seen: Observation, visible: Bool[Tensor, "A A"] | None, image: float) -> "Objective":
-        """What a stage minimises: of the observation at its size, with a factor of w_I."""
-        weights = self.weights.model_copy(update={"image": image * self.weights.image})
-        return replace(self, observation=seen, visible=visible, weights=weights)
+    def for_stage(
+        self, observation: Observation, weights: StageWeights, visible: Bool[Tensor, "A A"] | None = None
+    ) -> "Objective":
+        """The objective of a stage: the observation at its size, and its weights.
+
+        Args:
+            observation: at the stage's size.
+            weights: of the stage.
+            visible: texels visible in some sub-frame; every texel when not given.
+        """
+        return replace(
+            self, observation=observation, visible=visible, weights=weights.terms, xy_weight=weights.xy_weight
+        )
 
     def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
-        """The weighted sum of the terms."""
+        """Weighted sum of the terms; one value per fit where the terms have a batch dimension.
+
+        Args:
+            terms: unweighted, by name.
+        """
         values = torch.stack(tuple(terms.values()))
         weights = constant(tuple(getattr(self.weights, name) for name in terms), values.dtype, values.device)
         return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
 
-    def weighed(self, values: dict[str, float]) -> float:
-        """`total` of terms whose values are known."""
+    def total_of_values(self, values: dict[str, float]) -> float:
+        """`total` of plain numbers.
+
+        Args:
+            values: unweighted terms by name.
+        """
         return sum(getattr(self.weights, name) * value for name, value in values.items())
 
-    def pull(self, terms: dict[str, Float[Tensor, ""]]) -> None:
-        """The way back of `total`, straight from the terms: what is free gets its gradient."""
+    def backward(self, terms: dict[str, Float[Tensor, ""]]) -> None:
+        """Accumulate the gradients of `total` in the free variables; starts at the terms, which saves a node.
+
+        Args:
+            terms: unweighted, by name.
+        """
         free = {name: term for name, term in terms.items() if term.requires_grad}
         weights = [constant(getattr(self.weights, name), one.dtype, one.device) for name, one in free.items()]
         torch.autograd.backward(tuple(free.values()), weights)
@@ -225,12 +269,16 @@ class Objective:
 
 @lru_cache
 def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
-    """See `Objective._instants`; not to be changed."""
+    """Cached tensor of `Objective._instants`; read only."""
     return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 
 def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
-    """Every term's mean over the frames."""
+    """Mean of every term over the frames.
+
+    Args:
+        per_frame: unweighted terms of every frame.
+    """
     if len(per_frame) == 1:
         return per_frame[0]
     return {name: torch.stack([one[name] for one in per_frame]).mean() for name in per_frame[0]}

@@ -1,4 +1,4 @@
-"""Comparisons at several scales: what lies beside its place by a few pixels still meets it in a coarser picture.
+"""Losses at several scales: a coarser image still overlaps where a body is off by a few pixels.
 
 Readable torch; a fit on the processor runs the compiled form of the same, `hfb.kernels.objective.image_losses`.
 """
@@ -25,6 +25,13 @@ def mean_over_scales(
     """The mean of loss(predicted, seen, matte) at full size, half, a quarter ...
 
     A coarse pixel is the mean of the four it covers, as a coarser sensor's would be.
+
+    Args:
+        loss: of a prediction, an observation and a matte.
+        predicted: the prediction at full size.
+        seen: the observation at full size.
+        matte: the person's share of each pixel.
+        scales: number of scales.
     """
     planes = torch.cat([predicted, seen, matte[..., None]], -1).movedim(-1, 0)
     values = []
@@ -44,7 +51,15 @@ def image_over_scales(
     matte: Float[Tensor, "H W"],
     scales: int,
 ) -> Float[Tensor, ""]:
-    """L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame."""
+    """L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame.
+
+    Args:
+        mean: mean premultiplied colour and silhouette of the sub-frames.
+        plate: the background.
+        frame: the blurred frame.
+        matte: the person's share of each pixel.
+        scales: number of scales.
+    """
 
     def loss(predicted: Tensor, seen: Tensor, area: Tensor) -> Tensor:
         return image_loss(predicted, seen, area.sum())
@@ -53,7 +68,13 @@ def image_over_scales(
 
 
 def matte_over_scales(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"], scales: int) -> Float[Tensor, ""]:
-    """L_alpha, eq. (4), between a mean silhouette and the matte."""
+    """L_alpha, eq. (4), between a mean silhouette and the matte.
+
+    Args:
+        alpha: mean silhouette of the sub-frames.
+        matte: the person's share of each pixel.
+        scales: number of scales.
+    """
 
     def loss(predicted: Tensor, seen: Tensor, _: Tensor) -> Tensor:
         return matting_loss(predicted[..., 0], seen[..., 0])

@@ -22,7 +22,11 @@ def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23
 
 
 def shape_loss(betas: Float[Tensor, "K"]) -> Float[Tensor, ""]:
-    """L_beta = |beta|_2^2, eq. (7)."""
+    """L_beta = |beta|_2^2, eq. (7).
+
+    Args:
+        betas: shape coefficients.
+    """
     return (betas * betas).sum()
 
 
@@ -33,15 +37,21 @@ def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = _EPSILON
     where the fit starts. Here both gradients are zero there, and so is the loss.
 
     Args:
-        coefficients: the rows c1 .. cd of every polynomial, in any arrangement; the constants are the pose
-            itself, and pulling them to zero would pull the body into the rest pose at the camera.
+        coefficients: the rows c1 .. cd of every polynomial, in any arrangement; the constants are the pose itself, and
+            pulling them to zero would pull the body into the rest pose at the camera.
+        epsilon: keeps the gradient finite at zero.
     """
     frobenius = ((coefficients * coefficients).sum() + epsilon * epsilon).sqrt() - epsilon
     return coefficients.abs().sum() + frobenius
 
 
 def motion_loss(rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor, "T D1 4"]) -> Float[Tensor, ""]:
-    """L_C of a motion's coefficients: see `polynomial_loss`."""
+    """L_C of a motion's coefficients: see `polynomial_loss`.
+
+    Args:
+        rotation: coefficients; the constants are left out.
+        translation: coefficients; the constants are left out.
+    """
     if compiled(rotation):
         return motion_size(rotation, translation, _EPSILON)[0]
     return polynomial_loss(torch.cat([rotation[:, 1:].flatten(), translation[:, 1:].flatten()]))
@@ -59,6 +69,7 @@ def background_loss(
     Args:
         background: B, the clean plate.
         subframes: R_S R_F and R_S of every sub-frame (premultiplied colour, silhouette), in the same light.
+        epsilon: keeps the reciprocal finite.
     """
     silhouettes = subframes[..., 3]
     area_px = silhouettes.sum((1, 2))
@@ -71,8 +82,8 @@ def background_loss(
 def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
     """Mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
 
-    Not in the paper. What the picture hardly shows, the depth of a limb above all, is better known to the estimator
-    that made the first body; this term lets its opinion stand where nothing contradicts it.
+    Not in the paper. The estimator of the first body knows better what the image hardly shows, such as the depth of a
+    limb; this term keeps its estimate where nothing contradicts it.
 
     Args:
         rotations: of the joints relative to the parents (the root to the camera), the middle of the exposure last.

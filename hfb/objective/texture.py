@@ -1,4 +1,4 @@
-"""The surface texture smoothness, eq. (5): neighbours on the body, not only in the UV picture."""
+"""The texture smoothness, eq. (5), over texels that are neighbours on the body, not only in the UV map."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,11 +15,11 @@ _DIRECTIONS = ((0, 1), (1, -1), (1, 0), (1, 1))
 
 @dataclass(frozen=True)
 class TexelNeighbours:
-    """Which texels are neighbours on the body, and how flat the body is between them.
+    """Neighbours of every texel on the body, with the flatness of the body between them.
 
     Attributes:
         weights: c_kj cos(n_k, n_j) for the neighbours to the right, below left, below, and below right of each
-            texel; zero where the neighbour lies outside the picture.
+            texel; zero where the neighbour lies outside the map.
     """
 
     weights: Float[Tensor, "4 A A"]
@@ -32,6 +32,7 @@ def texel_neighbours(mesh: Mesh, rest_vertices: Float[Tensor, "V 3"], faces: Int
     covers about one texel, and the faces of diagonal neighbours often share no edge.
 
     Args:
+        mesh: faces of the body.
         rest_vertices: the body at rest [m], whose face normals n are meant.
         faces: the face each texel belongs to, -1 in the void between the charts.
     """

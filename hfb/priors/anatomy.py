@@ -101,7 +101,9 @@ def twist_swing(
     large angles. It is undefined only for a swing by exactly pi, where gradients stay finite.
 
     Args:
+        axis_angle: joints below the root [rad].
         order: per joint the rest pose's axes (0 x, 1 y, 2 z) in cyclic order, the bone's own axis first.
+        epsilon: keeps the gradient finite at zero.
 
     Returns:
         The twist angle, then the swing's rotation vector along the second and third axis [rad].
@@ -138,7 +140,11 @@ class AnatomicalPrior:
         return self.readable(axis_angle)
 
     def readable(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """The same in plain torch: what the compiled operator is tested against, and what other devices run."""
+        """The same in plain torch: what the compiled operator is tested against, and what other devices run.
+
+        Args:
+            axis_angle: joints below the root [rad].
+        """
         tables = _tables(axis_angle.dtype, axis_angle.device)
         angles = twist_swing(axis_angle, tables.order)
         _, _, mean, spread = tables.angles
@@ -147,12 +153,20 @@ class AnatomicalPrior:
         return (distance * distance + excess * excess).sum((1, 2)) / 2
 
     def limit_penalty(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """The limits' part alone: zero for every pose within the ranges of motion."""
+        """The limits' part alone: zero for every pose within the ranges of motion.
+
+        Args:
+            axis_angle: joints below the root [rad].
+        """
         tables = _tables(axis_angle.dtype, axis_angle.device)
         return (_excess(twist_swing(axis_angle, tables.order), tables) ** 2).sum((1, 2)) / 2
 
     def beyond_limits(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S 23"]:
-        """How far each joint lies outside its range of motion [rad]: the worst of its three angles."""
+        """How far each joint lies outside its range of motion [rad]: the worst of its three angles.
+
+        Args:
+            axis_angle: joints below the root [rad].
+        """
         tables = _tables(axis_angle.dtype, axis_angle.device)
         return _excess(twist_swing(axis_angle, tables.order), tables).abs().amax(-1) * radians(_LIMIT_SCALE_DEG)
 

@@ -39,7 +39,14 @@ class MixturePrior:
 def write_mixture(
     path: Path, means: Float[Array, "k 69"], covariances: Float[Array, "k 69 69"], weights: Float[Array, "k"]
 ) -> None:
-    """Write a mixture that keeps the joint limits (safetensors, single precision), whole or not at all."""
+    """Write a mixture that keeps the joint limits (safetensors, single precision), whole or not at all.
+
+    Args:
+        path: the file.
+        means: of the components.
+        covariances: of the components.
+        weights: of the components.
+    """
     arrays = {"means": means, "covariances": covariances, "weights": weights, LIMITS_KEY: np.ones(1)}
     write_bytes_atomic(path, save({name: np.ascontiguousarray(one, np.float32) for name, one in arrays.items()}))
 

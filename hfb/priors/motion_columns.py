@@ -37,14 +37,23 @@ LIMBS: dict[str, tuple[int, ...]] = {
 
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
-    """C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin."""
+    """C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin.
+
+    Args:
+        trajectory: polynomials of the motion.
+    """
     return columns_of(*trajectory.at(constant(CLOCK, trajectory.rotation.dtype, trajectory.rotation.device)))
 
 
 def columns_of(
     rotations: Float[Tensor, "T 5 24 3 3"], translations: Float[Tensor, "T 5 3"]
 ) -> Float[Tensor, "T 3 25 4"]:
-    """C of motions that are given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m]."""
+    """C of motions that are given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
+
+    Args:
+        rotations: of every joint at the instants of `CLOCK`.
+        translations: at the same instants [m].
+    """
     middle = CLOCK.index(0.5)
     R_body_camera = rotations[:, middle, 0].mT
     root = R_body_camera[:, None] @ rotations[:, :, 0]
@@ -59,7 +68,12 @@ def columns_of(
 def at_instants(
     columns: Float[Tensor, "T 3 25 4"], u: Float[Tensor, "S"]
 ) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
-    """The motion that C describes, in the body's own frame at mid-exposure: rotations and translations [m] at u."""
+    """The motion that C describes, in the body's own frame at mid-exposure: rotations and translations [m] at u.
+
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+        u: times [exposures].
+    """
     powers = (u - 0.5)[:, None] ** torch.arange(DEGREE + 1, dtype=u.dtype, device=u.device)
     curves = torch.einsum("sd,tdjc->tsjc", powers, columns)
     return quaternion_to_matrix(normalize_quaternion(curves[:, :, :JOINT_COUNT])), curves[:, :, JOINT_COUNT, :3]
@@ -72,6 +86,8 @@ def joint_places(
 
     Args:
         rest: joints of the rest pose [m].
+        rotations: of every joint in its parent's frame.
+        translations: of the body [m].
     """
     turns, places = [rotations[:, 0]], [rest[0] + translations]
     for joint in range(1, JOINT_COUNT):
@@ -82,7 +98,12 @@ def joint_places(
 
 
 def reversed_columns(columns: Float[Tensor, "T 3 25 4"], which: Bool[Tensor, "T 25"]) -> Float[Tensor, "T 3 25 4"]:
-    """C with some columns running backwards in time."""
+    """C with some columns running backwards in time.
+
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+        which: columns to reverse, per motion.
+    """
     signs = torch.where(which, -1.0, 1.0).to(columns)[:, None, :, None]
     return torch.cat([columns[:, :1], columns[:, 1:2] * signs, columns[:, 2:]], 1)
 

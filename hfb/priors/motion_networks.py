@@ -22,6 +22,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
     body: how far things moved depends on how long the shutter was open. That scale comes as two features of its own.
 
     Args:
+        columns: motion in the body's own frame, see `motion_columns`.
         rest: joints of the person's rest pose [m].
     """
     u = constant((0.0, 0.5, 1.0), columns.dtype, columns.device)
@@ -111,7 +112,12 @@ class Discriminator(nn.Module):
     def forward(
         self, columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 3"]
     ) -> tuple[Float[Tensor, "T 25"], Float[Tensor, "T 25"], Float[Tensor, "T"]]:
-        """Log odds: each column reversed; each column unrealistic otherwise; the whole body reversed."""
+        """Log odds: each column reversed; each column unrealistic otherwise; the whole body reversed.
+
+        Args:
+            columns: motion in the body's own frame, see `motion_columns`.
+            rest: joints of the rest pose [m].
+        """
         features = motion_features(columns, rest)
         both = torch.cat([features, features * self.signs])
         forwards, backwards = self.exit(self.body((both - self.mean) / self.spread)).chunk(2)
@@ -125,6 +131,10 @@ class Discriminator(nn.Module):
 
         Networks are surer than they are right about people and activities that they have not learned from: their log
         odds are divided by a temperature. The corrector G takes them as they are.
+
+        Args:
+            columns: motion in the body's own frame, see `motion_columns`.
+            rest: joints of the rest pose [m].
         """
         backwards, _, whole = self(columns, rest)
         return backwards / self.temperature[0], whole / self.temperature[1]
@@ -152,7 +162,13 @@ class Corrector(nn.Module):
     def forward(
         self, columns: Float[Tensor, "T 3 25 4"], backwards: Float[Tensor, "T 25"], unrealistic: Float[Tensor, "T 25"]
     ) -> Float[Tensor, "T 3 25 4"]:
-        """The corrected C; the indicator comes as D's log odds."""
+        """The corrected C; the indicator comes as D's log odds.
+
+        Args:
+            columns: motion in the body's own frame, see `motion_columns`.
+            backwards: log odds that each column runs backwards.
+            unrealistic: log odds that the motion is not a person's.
+        """
         seen = ((columns - self.mean) / self.spread).flatten(1)
         indicator = torch.cat([torch.sigmoid(backwards), torch.sigmoid(unrealistic)], -1)
         out = self.exit(self.body(torch.cat([seen, indicator], -1)))

@@ -48,12 +48,18 @@ class MotionPrior:
         Reversing the whole motion changes all signs. Differentiable in the trajectory.
 
         Args:
+            trajectory: polynomials of the motion.
             shaped: the person; the embedded body's mean shape when not given.
         """
         return self._judged(trajectory, shaped)[0]
 
     def whole_body_logit(self, trajectory: Trajectory, shaped: ShapedBody | None = None) -> Float[Tensor, "T"]:
-        """Log odds that the motion as a whole runs backwards, where its parts agree with each other."""
+        """Log odds that the motion as a whole runs backwards, where its parts agree with each other.
+
+        Args:
+            trajectory: polynomials of the motion.
+            shaped: the body with its shape.
+        """
         return self._judged(trajectory, shaped)[1]
 
     def _judged(self, trajectory: Trajectory, shaped: ShapedBody | None) -> tuple[Tensor, Tensor]:
@@ -71,6 +77,9 @@ class MotionPrior:
 
 def load_motion_prior(path: Path | None) -> MotionPrior:
     """The shipped prior for None, or one that `hfb train-prior` made.
+
+    Args:
+        path: a file of `hfb train-prior`; the shipped one when None.
 
     Raises:
         InputError: the file is missing, damaged, or holds something else.

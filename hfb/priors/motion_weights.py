@@ -20,7 +20,12 @@ _AGAIN = "give a file that `hfb train-prior` made, or nothing for the shipped pr
 
 
 def make_networks(sizes: NetworkSizes, dropout: float = 0.0) -> tuple[Discriminator, Corrector]:
-    """Networks of these sizes with fresh weights from torch's generator."""
+    """Networks of these sizes with fresh weights from torch's generator.
+
+    Args:
+        sizes: widths and layers.
+        dropout: share of values.
+    """
     return (
         Discriminator(sizes.discriminator_width, sizes.discriminator_depth, dropout),
         Corrector(sizes.corrector_width, sizes.corrector_depth, dropout),
@@ -28,7 +33,14 @@ def make_networks(sizes: NetworkSizes, dropout: float = 0.0) -> tuple[Discrimina
 
 
 def write_networks(path: Path, discriminator: Discriminator, corrector: Corrector, sizes: NetworkSizes) -> None:
-    """Write both, whole or not at all; the same weights make the same bytes."""
+    """Write both, whole or not at all; the same weights make the same bytes.
+
+    Args:
+        path: the file.
+        discriminator: trained.
+        corrector: trained.
+        sizes: widths and layers.
+    """
     parts = {"discriminator": discriminator, "corrector": corrector}
     tensors = {
         f"{part}.{name}": value.detach().to(torch.float16).contiguous()
@@ -40,6 +52,9 @@ def write_networks(path: Path, discriminator: Discriminator, corrector: Correcto
 
 def read_networks(path: Path) -> tuple[Discriminator, Corrector]:
     """Read what `write_networks` wrote; runs no code of the file.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file is missing, damaged, or holds something else.

@@ -101,7 +101,11 @@ class VPoserPrior:
         return (self.encode(axis_angle[:, :BODY_JOINTS]) ** 2).sum(-1)
 
     def encode(self, axis_angle: Float[Tensor, "S 21 3"]) -> Float[Tensor, "S L"]:
-        """The latent mean mu of a pose."""
+        """The latent mean mu of a pose.
+
+        Args:
+            axis_angle: joints below the root [rad].
+        """
         matrices = self._encoder[0].weight.shape[1] == 9 * BODY_JOINTS
         x = (axis_angle_to_matrix(axis_angle) if matrices else axis_angle).flatten(1)
         for layer in self._encoder:
@@ -109,7 +113,11 @@ class VPoserPrior:
         return x
 
     def decode(self, latent: Float[Tensor, "S L"]) -> Float[Tensor, "S 21 3 3"]:
-        """The pose of a latent vector, as rotation matrices."""
+        """The pose of a latent vector, as rotation matrices.
+
+        Args:
+            latent: code of every pose.
+        """
         x = latent
         for layer in self._decoder:
             x = layer(x)

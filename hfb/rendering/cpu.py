@@ -7,7 +7,7 @@ import torch
 from hfb.body.mesh import Mesh
 from hfb.geometry.camera import PinholeCamera
 from hfb.kernels.rendering.render_blocks import Setting
-from hfb.kernels.rendering.render_operators import Judge, draw, losses_of, pictures
+from hfb.kernels.rendering.render_operators import ImageLoss, draw, losses_of, pictures
 from hfb.rendering.rasterizer import NEAR_M
 from hfb.rendering.reference_dibr import dibr_constants
 from hfb.rendering.texels import corner_uv
@@ -94,16 +94,16 @@ class CpuRasterizer:
         # Not indexed: the way back of that fills a picture with zeros and copies.
         return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
 
-    def judge_mean(
+    def image_losses(
         self,
         vertices: Float[Tensor, "S V 3"],
         texture: Float[Tensor, "A A 3"],
         camera: PinholeCamera,
         mesh: Mesh,
-        judge: Judge,
+        loss: ImageLoss,
     ) -> tuple[Float[Tensor, ""], ...]:
-        """What a judge says of `render_mean`: its losses, differentiable in the vertices and the texture."""
-        return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), judge)
+        """Losses of `render_mean`, differentiable in the vertices and the texture; one autograd node for both."""
+        return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), loss)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh

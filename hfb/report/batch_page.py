@@ -10,7 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.page import Html, element, joined, page, picture, section, small_picture, table
+from hfb.report.page import page, picture_uri, small_picture
 
 CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
@@ -92,18 +92,19 @@ def batch_page(
         clips: those of this page alone. number: of the page, from 0.
         troubles: (place among all clips, clip) of those that were set aside; the first page lists them.
     """
-    head = ["clip", "", "state", *(label for label, _, _ in _FIGURES), ""]
-    rows = [row for clip in clips for row in (_row(clip), *(_row(one, clip.name) for one in clip.people))]
-    told = f"{counts.clips} clips: {counts.done} done, {counts.set_aside} set aside, {counts.waiting} waiting."
-    if counts.warned_of:
-        told += f" Of those done, {counts.warned_of} with warnings."
+    first = number == 0
+    listed = list(troubles) if first else []
     return page(
-        title if not number else f"{title}, page {number + 1}",
-        element("p", told) if not number else None,
-        _troubles(troubles) if not number else None,
-        pages := _pages(number, page_count(counts.clips)),
-        table(rows, head, "figures"),
-        pages,
+        "batch.html",
+        title if first else f"{title}, page {number + 1}",
+        number=number,
+        pages=page_count(counts.clips),
+        page_name=page_name,
+        counts=counts,
+        troubles=[_trouble(place, clip) for place, clip in listed[:_MOST_TROUBLES]],
+        more_troubles=len(listed[_MOST_TROUBLES:]),
+        labels=[label for label, _, _ in _FIGURES],
+        rows=[row for clip in clips for row in (_row(clip), *(_row(one, clip.name) for one in clip.people))],
     )
 
 
@@ -120,58 +121,29 @@ def strip_thumbnail(strip: Path) -> bytes:
     return small_picture(np.ascontiguousarray(pixels[:rows]), width_px)
 
 
-def _pages(number: int, count: int) -> Html | None:
-    """Links to all pages; None where there is one."""
-    if count == 1:
-        return None
-    links = [
-        element("b", str(other + 1)) if other == number else element("a", str(other + 1), href=page_name(other))
-        for other in range(count)
-    ]
-    return element("p", "Page ", *(part for link in links for part in (link, " ")))
+def _trouble(place: int, clip: BatchClip) -> tuple[str, str | None, str]:
+    """Name, page where that is not the first, reason."""
+    elsewhere = place // CLIPS_PER_PAGE
+    return clip.name, page_name(elsewhere) if elsewhere else None, clip.reason[:_LONGEST_REASON]
 
 
-def _troubles(troubles: Iterable[tuple[int, BatchClip]]) -> Html | None:
-    found = list(troubles)
-    if not found:
-        return None
-    items = []
-    for place, clip in found[:_MOST_TROUBLES]:
-        elsewhere = place // CLIPS_PER_PAGE
-        name = element("a", clip.name, href=page_name(elsewhere)) if elsewhere else element("b", clip.name)
-        items.append(element("li", name, ": ", clip.reason[:_LONGEST_REASON]))
-    more = len(found) - len(items)
-    last = element("p", f"{more} more are on the pages below.", class_="muted") if more else None
-    return section("Set aside", element("ul", *items), last)
-
-
-def _row(clip: BatchClip, whole: str | None = None) -> list[object]:
+def _row(clip: BatchClip, whole: str | None = None) -> dict[str, object]:
     """Of a clip; or of one of several people in it, whose ``whole`` clip has the row above."""
-    count, kind = len(clip.warnings), _CLASSES.get(clip.status, "warn")
+    count = len(clip.warnings)
     warned_of = f", {count} warning{'s' if count > 1 else ''}" if count else ""
-    state = element("span", clip.status + warned_of, class_="warn" if count else kind)
-    link = element("a", "MLflow", href=clip.link) if clip.link and clip.link.startswith("http") else ""
-    shown = joined(
-        [_picture(clip) or element("span", clip.reason[:_LONGEST_REASON], class_="said"), _warnings(clip.warnings)]
-    )
-    figures = [_figure(clip.figures.get(key), form) for _, key, form in _FIGURES]
-    return [_named(clip, whole), shown, state, *figures, link]
-
-
-def _warnings(messages: Sequence[str]) -> Html | None:
-    if not messages:
-        return None
-    shown = [element("li", message[:_LONGEST_REASON]) for message in messages[:_MOST_WARNINGS]]
-    more = len(messages) - len(shown)
-    return element("ul", *shown, element("li", f"and {more} more") if more > 0 else None, class_="said bad")
-
-
-def _named(clip: BatchClip, whole: str | None) -> Html:
-    """The clip's name, which leads to its page."""
-    name = clip.name if whole is None else f"{whole}: {clip.name}"
-    if clip.report is None:
-        return element("span", name, class_="clip")
-    return element("a", name, class_="clip", href=quote(os.fsencode(clip.report.as_posix())))
+    return {
+        "name": clip.name if whole is None else f"{whole}: {clip.name}",
+        "clip_name": clip.name,
+        "href": None if clip.report is None else quote(os.fsencode(clip.report.as_posix())),
+        "thumbnail": _thumbnail(clip),
+        "reason": clip.reason[:_LONGEST_REASON],
+        "warnings": [message[:_LONGEST_REASON] for message in clip.warnings[:_MOST_WARNINGS]],
+        "more_warnings": len(clip.warnings[_MOST_WARNINGS:]),
+        "state": clip.status + warned_of,
+        "state_class": "warn" if count else _CLASSES.get(clip.status, "warn"),
+        "figures": [_figure(clip.figures.get(key), form) for _, key, form in _FIGURES],
+        "link": clip.link if clip.link and clip.link.startswith("http") else None,
+    }
 
 
 def _figure(value: object, form: str) -> str:
@@ -181,10 +153,11 @@ def _figure(value: object, form: str) -> str:
     return format(value, form) if isinstance(value, int | float) else "-"
 
 
-def _picture(clip: BatchClip) -> Html | None:
+def _thumbnail(clip: BatchClip) -> str | None:
+    """The address that holds it."""
     if clip.thumbnail is None:
         return None
     try:
-        return picture(clip.thumbnail.read_bytes(), clip.name)
+        return picture_uri(clip.thumbnail.read_bytes())
     except (OSError, StopIteration):  # somebody tidied up: it is made again by the next run
         return None

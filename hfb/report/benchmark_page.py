@@ -12,7 +12,7 @@ from hfb.evaluation.cells import is_start
 from hfb.evaluation.table_page import UNKNOWN, interval, is_oracle, number
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.report.markdown import markdown
-from hfb.report.page import Html, element, folded, joined, page, picture, section, small_picture, table
+from hfb.report.page import page, small_picture
 
 _PLOT_PX, _LOOK_PX = 860, 640
 _MOST_LOOKS = 360
@@ -56,20 +56,20 @@ def benchmark_page(
     title = f"{summary['set']}: {summary['start']['all']['n']} cases, {len(summary['methods'])} methods"
     if beside_paper is not None:
         title = f"{_title_of(beside_paper)}: ours beside the paper"
-    shown = [path for path in plots if path.name in _PLOTS]
-    skipped = summary.get("skipped_reasons") or {}
+    shown = sorted((path for path in plots if path.name in _PLOTS), key=lambda one: list(_PLOTS).index(one.name))
+    methods = list(dict.fromkeys(str(answer.row["method"]) for answer in answers))
     return page(
+        "benchmark.html",
         title,
-        _in_short(summary),
-        section("Beside the paper", markdown(beside_paper)) if beside_paper is not None else None,
-        section("Tables", markdown(tables)),
-        section("Plots", *(_plot(path) for path in sorted(shown, key=lambda one: list(_PLOTS).index(one.name)))),
-        section("From good to bad answers", picture(small_picture(gallery, _PLOT_PX), "gallery", wide=True))
-        if gallery is not None
-        else None,
-        section("Cases", *_cases(answers)),
-        section("Left out", table(sorted(skipped.items()), ("what", "why"), "long")) if skipped else None,
-        section("How it was made", table(made_from.items(), classes="long")),
+        figures=_in_short(summary),
+        beside_paper=None if beside_paper is None else markdown(beside_paper),
+        tables=markdown(tables),
+        plots=[(_plot(path), _PLOTS[path.name]) for path in shown],
+        gallery=None if gallery is None else small_picture(gallery, _PLOT_PX),
+        methods=methods,
+        cases=_cases(answers, methods),
+        skipped=sorted((summary.get("skipped_reasons") or {}).items()),
+        made_from=made_from.items(),
     )
 
 
@@ -77,10 +77,10 @@ def _title_of(text: str) -> str:
     return text.lstrip().split("\n", 1)[0].removeprefix("# ")
 
 
-def _in_short(summary: Mapping[str, Any]) -> Html:
-    """The figures that a reader looks for first."""
+def _in_short(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The figures that a reader looks for first, each with its words."""
     cells = {name: both["all"] for name, both in summary["methods"].items() if not is_start(both["all"])}
-    items = []
+    found = []
     for name, cell in cells.items():
         ratio = cell["ratio"]
         if ratio is not None:
@@ -88,57 +88,41 @@ def _in_short(summary: Mapping[str, Any]) -> Html:
                 interval(cell["ratio_ci95"], 2, cell["n_pose"]) or f" (n {cell['n_pose']}, too few for an interval)"
             )
             words = f"{name}{' (an oracle)' if is_oracle(name) else ''}: MPJPE over the start's{between}"
-            items.append(element("li", element("b", f"{ratio:.2f}"), element("span", words)))
+            found.append((f"{ratio:.2f}", words))
     start = summary["start"]["all"]
-    items.append(
-        element("li", element("b", f"{number(start['mpjpe_mm'], 0)} mm"), element("span", "MPJPE of the start"))
-    )
-    return element("ul", *items, class_="figures-line")
+    return [*found, (f"{number(start['mpjpe_mm'], 0)} mm", "MPJPE of the start")]
 
 
-def _plot(path: Path) -> Html:
+def _plot(path: Path) -> bytes:
     """A plot that keeps a readable size and scrolls where the page is narrower."""
     pixels = read_picture_srgb(path)
     height = max(1, round(pixels.shape[0] * _PLOT_PX / pixels.shape[1]))
     small = cv2.resize(pixels, (_PLOT_PX, height), interpolation=cv2.INTER_AREA)
     done, encoded = cv2.imencode(".png", np.round(small[..., ::-1] * 255).astype(np.uint8))
     assert done, "OpenCV writes PNG"
-    caption = element("figcaption", _PLOTS[path.name])
-    return element("figure", picture(encoded.tobytes(), _PLOTS[path.name], wide=True), caption)
+    return encoded.tobytes()
 
 
-def _cases(answers: Sequence[Answer]) -> list[Html]:
-    """A table with a row per case, then the pictures of each, folded."""
+def _cases(answers: Sequence[Answer], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """Per case its row of the table, and its pictures where they are shown."""
     by_case: dict[int, list[Answer]] = {}
     for answer in answers:
         by_case.setdefault(int(answer.row["case"]), []).append(answer)
-    methods = list(dict.fromkeys(str(answer.row["method"]) for answer in answers))
     drawn = _drawn(by_case)
-    rows: list[Sequence[object]] = []
-    pictures = []
+    cases = []
     for case in sorted(by_case):
         row, told = by_case[case][0].row, {str(one.row["method"]): one.row for one in by_case[case]}
-        name = element("a", f"case {case}", href=f"#case-{case}") if case in drawn else f"case {case}"
-        figures = [_figure(told.get(method)) for method in methods]
-        rows.append(
-            [name, f"{row['blur_rate']:.2f}", number(row.get("initial_mpjpe_mm"), 0), *figures, row.get("source")]
+        cases.append(
+            {
+                "number": case,
+                "blur_rate": f"{row['blur_rate']:.2f}",
+                "start": number(row.get("initial_mpjpe_mm"), 0),
+                "figures": [_figure(told.get(method)) for method in methods],
+                "source": row.get("source"),
+                "looks": [_look(one) for one in by_case[case] if one.look is not None] if case in drawn else [],
+            }
         )
-        if case in drawn:
-            looks = [one for one in by_case[case] if one.look is not None]
-            words = f"case {case}, blur rate {row['blur_rate']:.2f}, {row.get('source') or ''}"
-            pictures.append(element("div", folded(words, *(_look(one) for one in looks)), id=f"case-{case}"))
-    note = "MPJPE [mm] of the start and of every method, in brackets the IoU; below a picture: from the start's MPJPE."
-    left = len(by_case) - len(drawn)
-    said = (
-        f"The pictures of {len(drawn)} cases are below; those of {left} others lie beside this page." if left else None
-    )
-    head = ["case", "blur rate", "start", *methods, "made from"]
-    return [
-        element("p", note, class_="muted"),
-        folded(f"all {len(by_case)} cases", table(rows, head, "figures")),
-        *([element("p", said)] if said and drawn else []),
-        joined(pictures),
-    ]
+    return cases
 
 
 def _drawn(by_case: Mapping[int, Sequence[Answer]]) -> set[int]:
@@ -158,11 +142,10 @@ def _figure(row: Mapping[str, Any] | None) -> str:
     return number(row.get("mpjpe_mm"), 0) + iou
 
 
-def _look(answer: Answer) -> Html:
+def _look(answer: Answer) -> tuple[bytes, str]:
     assert answer.look is not None
     row = answer.row
     words = str(row["method"])
     if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm") is not None:
         words += f": {row['initial_mpjpe_mm']:.0f} → {row['mpjpe_mm']:.0f} mm"
-    shown = picture(small_picture(answer.look, _LOOK_PX), words)
-    return element("figure", shown, element("figcaption", words))
+    return small_picture(answer.look, _LOOK_PX), words

@@ -6,11 +6,10 @@ Markup inside the text stays text: names of methods and folders come from users.
 from functools import cache
 
 from markdown_it import MarkdownIt
+from markupsafe import Markup
 
-from hfb.report.page import Html
 
-
-def markdown(text: str) -> Html:
+def markdown(text: str) -> Markup:
     """GitHub's markdown without links and pictures; a title (``# ...``) at its beginning is left to the page."""
     lines = text.lstrip().split("\n", 1)
     body = lines[1] if lines[0].startswith("# ") and len(lines) > 1 else text
@@ -19,7 +18,7 @@ def markdown(text: str) -> Html:
     for token in tokens:
         if token.type in ("heading_open", "heading_close"):  # the page's own sections are above them
             token.tag = f"h{int(token.tag[1]) + 1}"
-    return Html(reader.renderer.render(tokens, reader.options, {}))
+    return Markup(reader.renderer.render(tokens, reader.options, {}))
 
 
 @cache

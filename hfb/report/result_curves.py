@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hfb.errors import InputError
 from hfb.io.json_file import read_json
 from hfb.report.charts import frames_chart, loss_chart, window_chart
-from hfb.report.page import Html, element, picture, section
 
 _LABELS = {"matte_iou": "IoU with the matte", "psnr_db": "PSNR of the re-blurred frame [dB]", "mpjpe_mm": "error [mm]"}
 
@@ -59,29 +58,24 @@ def read_curves(path: Path) -> dict[str, Any]:
     return curves.model_dump()
 
 
-def curves_section(curves: Mapping[str, Any], facts: Mapping[str, Any]) -> Html | None:
-    """Losses, and how well each frame is explained; None where nothing of the kind was kept."""
+def curve_charts(curves: Mapping[str, Any], facts: Mapping[str, Any]) -> list[tuple[bytes, str]]:
+    """Return charts of the losses, and of how well each frame is explained, each with its caption."""
     shown = []
     if curves.get("losses"):
-        chart = loss_chart(curves["losses"], _iterations(facts))
-        shown.append(_figure(chart, "Every term of the objective as it is, and their weighted sum; dotted where the "
-                                    "pictures become larger."))  # fmt: skip
+        caption = (
+            "Every term of the objective as it is, and their weighted sum; dotted where the pictures become larger."
+        )
+        shown.append((loss_chart(curves["losses"], _iterations(facts)), caption))
     windows = [one["total"] for one in curves.get("windows", ()) if one.get("total")]
     if windows:
-        chart = window_chart(windows)
-        shown.append(_figure(chart, f"The weighted sum of the objective in the {len(windows)} windows of the clip."))
+        caption = f"The weighted sum of the objective in the {len(windows)} windows of the clip."
+        shown.append((window_chart(windows), caption))
     for name, pairs in sorted(curves.get("frames", {}).items()):
         values = {int(frame): float(value) for frame, value in pairs}
         if len(values) > 1:
             label = _LABELS.get(name, name)
-            shown.append(_figure(frames_chart(values, label), f"{label}, frame by frame."))
-    if not shown:
-        return None
-    return section("How the fit went", element("div", *shown, class_="columns"), id="curves")
-
-
-def _figure(chart: bytes, caption: str) -> Html:
-    return element("figure", picture(chart, caption), element("figcaption", caption))
+            shown.append((frames_chart(values, label), f"{label}, frame by frame."))
+    return shown
 
 
 def _iterations(facts: Mapping[str, Any]) -> list[int]:

@@ -8,10 +8,10 @@ from typing import Any
 from hfb.body.model import Body
 from hfb.fitting.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import Html, checked_picture, element, film, folded, joined, page, picture, section, table
-from hfb.report.result_curves import curves_section
-from hfb.report.result_speeds import advice_section, speeds_section
-from hfb.report.result_unknown import alternative_motions, alternatives_section, unknown_section
+from hfb.report.page import checked_picture, page
+from hfb.report.result_curves import curve_charts
+from hfb.report.result_speeds import advice, speeds_table
+from hfb.report.result_unknown import alternative_motions, alternatives_table, unknown_sentences
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 
 _STRIP_WIDTH_PX, _KEPT_BYTES = 2600, 1 << 20
@@ -60,95 +60,60 @@ def result_page(contents: ResultContents) -> str:
     motions = [ViewedMotion("as fitted", contents.motion)]
     if contents.alternatives is not None:
         motions += alternative_motions(contents.motion, contents.alternatives)
-    parts = [
-        _head(contents),
-        _strip(contents.strip),
-        section("The body in 3D", _told(contents), viewer(motions, contents.body, contents.texture_png), id="body"),
-        _film(contents),
-        speeds_section(contents.motion),
-        advice_section(contents.motion, contents.facts),
-        unknown_section(contents.motion, contents.body, contents.facts),
-        alternatives_section(contents.alternatives),
-        curves_section(contents.curves, contents.facts),
-        _made_from(contents),
-    ]
-    return page(contents.title, *parts, scripts=viewer_scripts())
-
-
-def _head(contents: ResultContents) -> Html:
     facts = contents.facts
-    items = [
-        element("li", element("b", format(facts[key], form) + unit), element("span", label))
+    return page(
+        "result.html",
+        contents.title,
+        figures=_figures(facts),
+        warnings=_warnings(facts),
+        remarks=_remarks(facts),
+        strip=None if contents.strip is None else checked_picture(contents.strip, _STRIP_WIDTH_PX, _KEPT_BYTES),
+        body=contents.body,
+        viewer=viewer(motions, contents.body, contents.texture_png),
+        film=contents.film,
+        film_caption=contents.film_caption,
+        speeds=speeds_table(contents.motion),
+        advice=advice(contents.motion, facts),
+        unknown=unknown_sentences(contents.motion, contents.body, facts),
+        alternatives=alternatives_table(contents.alternatives),
+        curves=curve_charts(contents.curves, facts),
+        repeat=contents.repeat,
+        link=facts["mlflow_link"] if isinstance(facts.get("mlflow_link"), str) else None,
+        made_from=_made_from(contents),
+        scripts=viewer_scripts(),
+    )
+
+
+def _figures(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [
+        (format(facts[key], form) + unit, label)
         for label, key, form, unit in _FIGURES
         if isinstance(facts.get(key), int | float)
     ]
+
+
+def _warnings(facts: Mapping[str, Any]) -> list[str]:
+    warnings = facts.get("warnings")
+    said = [one.get("message") for one in (warnings if isinstance(warnings, list) else []) if isinstance(one, Mapping)]
+    return [one for one in said if isinstance(one, str)]
+
+
+def _remarks(facts: Mapping[str, Any]) -> list[str]:
     remarks = facts.get("remarks")
     said = [facts.get("background"), *(remarks if isinstance(remarks, list) else [])]
-    lines = [element("p", f"{one}.", class_="muted") for one in said if isinstance(one, str)]
-    warnings = facts.get("warnings")
-    wrong = [one.get("message") for one in (warnings if isinstance(warnings, list) else []) if isinstance(one, Mapping)]
-    told = [element("p", f"Warning: {one}.", class_="bad") for one in wrong if isinstance(one, str)]
-    return joined([element("ul", *items, class_="figures-line"), *told, *lines])
+    return [one for one in said if isinstance(one, str)]
 
 
-def _strip(strip: Path | None) -> Html | None:
-    if strip is None:
-        return None
-    content = checked_picture(strip, _STRIP_WIDTH_PX, _KEPT_BYTES)
-    alt = "input, matte, sub-frames, re-blurred, residual, from the side"
-    return section(
-        "What was seen, and how it is explained",
-        picture(content, alt, wide=True),
-        element(
-            "p", "Input, matte, the body at instants of the exposure (blue first, orange last), the blur that its "
-            "motion makes, what that leaves unexplained, and the bodies from the side.", class_="muted",
-        ),
-        id="strip",
-    )  # fmt: skip
-
-
-def _told(contents: ResultContents) -> Html:
-    words = "Drag to look from another side; the slider goes through the sub-frames."
-    if contents.body is None:
-        words += " The body model that was fitted is not at hand, so its skeleton is shown."
-    elif contents.body.pose_directions is not None:
-        words += " The surface is shown without the model's pose correctives."
-    return element("p", words, class_="muted")
-
-
-def _film(contents: ResultContents) -> Html:
-    if contents.film is None:
-        command = "hfb export RESULT --films slowmotion"
-        return section("Slow motion", element("p", "There is no film here: ", element("code", command), " draws one."))
-    return section("Slow motion", film(contents.film, contents.film_caption), id="film")
-
-
-def _made_from(contents: ResultContents) -> Html:
-    facts, parts = contents.facts, []
-    if contents.repeat is not None:
-        parts += [element("p", "The same again, and how far it is from this:"), element("pre", contents.repeat)]
-    else:
-        parts += [element("p", "This run was not recorded in MLflow, so no command repeats it.")]
-    if isinstance(facts.get("mlflow_link"), str):
-        link = facts["mlflow_link"]
-        where = element("a", link, href=link, target="_blank", rel="noopener") if _is_page(link) else link
-        parts.append(element("p", "In MLflow: ", where))
+def _made_from(contents: ResultContents) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Tables under their headings."""
+    facts = contents.facts
     config, inputs = facts.get("config"), facts.get("inputs")
-    hashes = _flat(inputs) if isinstance(inputs, Mapping) else []
-    parts += [
-        folded("Inputs (sha256)", table(hashes, classes="long")),
-        folded("Options", table(_flat(config if isinstance(config, Mapping) else {}), classes="long")),
-        folded(
-            "Versions and machine",
-            table([("code", str(facts.get("code", "unknown"))), *contents.environment.items()], classes="long"),
-        ),
-        folded("All figures", table(_flat({k: v for k, v in facts.items() if k not in _PLACES}), classes="long")),
+    return [
+        ("Inputs (sha256)", _flat(inputs if isinstance(inputs, Mapping) else {})),
+        ("Options", _flat(config if isinstance(config, Mapping) else {})),
+        ("Versions and machine", [("code", str(facts.get("code", "unknown"))), *contents.environment.items()]),
+        ("All figures", _flat({name: value for name, value in facts.items() if name not in _PLACES})),
     ]
-    return section("Made from", *parts, id="made-from")
-
-
-def _is_page(link: str) -> bool:
-    return link.startswith(("http://", "https://"))
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:

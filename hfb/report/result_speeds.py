@@ -8,7 +8,6 @@ import numpy as np
 from hfb.motion.sampled import SampledMotion
 from hfb.report.charts import speed_chart
 from hfb.report.limb_speed import SHUTTER_SPEEDS, LimbSpeed, exposure_s, limb_speeds, shutter_for
-from hfb.report.page import Html, element, picture, section, table
 
 _WORTH_SAYING_PX = 1.5
 _FROZEN_PX, _NEARLY_PX = 1.0, 2.0
@@ -17,8 +16,8 @@ _SMALL_PX = 100
 _UNSURE_DIRECTION = 0.9
 
 
-def speeds_section(motion: SampledMotion) -> Html | None:
-    """Top speeds with their intervals and times, and the curves; None where nothing moves in time."""
+def speeds_table(motion: SampledMotion) -> dict[str, Any] | None:
+    """Return ``head`` and ``rows`` of top speeds, and the curves as ``chart``; None where nothing moves in time."""
     speeds = limb_speeds(motion)
     if not speeds:
         return None
@@ -31,11 +30,7 @@ def speeds_section(motion: SampledMotion) -> Html | None:
         ]
         for one in speeds
     ]  # fmt: skip
-    told = "Speeds in camera coordinates. 80 % of the true top speeds of made-up recordings lie in such intervals."
-    return section(
-        "How fast the limbs were", table(rows, head, "figures"), element("p", told, class_="muted"),
-        element("figure", picture(speed_chart(motion), "speed of each limb over time")), id="speeds",
-    )  # fmt: skip
+    return {"head": head, "rows": rows, "chart": speed_chart(motion)}
 
 
 def interval_text(speed: LimbSpeed) -> str:
@@ -46,12 +41,9 @@ def interval_text(speed: LimbSpeed) -> str:
     return f"{low:.1f} \u2013 {high:.1f} m/s"
 
 
-def advice_section(motion: SampledMotion, facts: Mapping[str, Any]) -> Html | None:
-    """How the next pictures could tell more; None where nothing needs saying."""
-    said = [*shutter_advice(limb_speeds(motion), exposure_s(motion)), *_other_advice(motion, facts)]
-    if not said:
-        return None
-    return section("For the next recording", element("ul", *(element("li", one) for one in said)), id="advice")
+def advice(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
+    """Return how the next pictures could tell more."""
+    return [*shutter_advice(limb_speeds(motion), exposure_s(motion)), *_other_advice(motion, facts)]
 
 
 def shutter_advice(speeds: Sequence[LimbSpeed], open_s: float) -> list[str]:

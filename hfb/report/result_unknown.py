@@ -12,7 +12,6 @@ from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import Html, element, section, table
 from hfb.report.viewer import ViewedMotion
 from hfb.typing import Array
 
@@ -25,21 +24,17 @@ _ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", 
 """What tells the direction of a single frame; several frames' own continuity is in their loss."""
 
 
-def unknown_section(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> Html:
-    """What to doubt, in sentences."""
+def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> list[str]:
+    """Return what to doubt."""
     said = []
     if isinstance(facts.get("unknown"), str):
-        said.append(str(facts["unknown"]))
-        said += _condition(facts, "directions")
-    said += _joints_said(motion, facts)
-    said += _frames_said(facts)
-    said.append(_size_said(motion, body, _told_height(facts)))
-    items = (element("li", one) for one in said)
-    return section("What the picture could not tell", element("ul", *items), id="unknown")
+        said = [str(facts["unknown"]), *_condition(facts, "directions")]
+    height = _size_said(motion, body, _told_height(facts))
+    return [*said, *_joints_said(motion, facts), *_frames_said(facts), height]
 
 
-def alternatives_section(alternatives: Alternatives | None) -> Html | None:
-    """The motions that were weighed, the likeliest first; None where none were."""
+def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]] | None:
+    """Return ``head`` and ``rows`` of the motions that were weighed, the likeliest first; None where none were."""
     if alternatives is None:
         return None
     asked = _SCORES + _ARROW if alternatives.reversed_limbs.shape[1] == 1 else _SCORES
@@ -52,15 +47,7 @@ def alternatives_section(alternatives: Alternatives | None) -> Html | None:
         ]
         for number in by_probability(alternatives)[:_SHOWN]
     ]
-    head = ["compared with the result", "probability", *(label for _, label, _ in known)]
-    return section(
-        "Directions that were weighed",
-        element(
-            "p", "A blurred picture is nearly the same if a limb moves the other way. These motions were fitted and "
-            "weighed; the viewer above shows each of them.", class_="muted",
-        ),
-        table(rows, head, "figures"), id="alternatives",
-    )  # fmt: skip
+    return {"head": ["compared with the result", "probability", *(label for _, label, _ in known)], "rows": rows}
 
 
 def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from jinja2.utils import htmlsafe_json_dumps
+from markupsafe import Markup
 
 from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES, PARENTS
@@ -19,7 +21,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion
 from hfb.interop.writers.keys import rest_joints
 from hfb.interop.writers.skin import Skin, skin_of
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import Html, data_block, data_uri, element, page_file
+from hfb.report.page import data_uri, page_file, render
 from hfb.typing import Array, Shaped
 
 _SCRIPTS = ("viewer_motion.js", "viewer_surface.js", "viewer_skeleton.js", "viewer.js")
@@ -43,7 +45,7 @@ def viewer(
     texture_png: bytes | None = None,
     label: str = "",
     group: str | None = None,
-) -> Html:
+) -> Markup:
     """The viewer; the page needs `viewer_scripts` too.
 
     Args:
@@ -61,10 +63,9 @@ def viewer(
         betas = torch.from_numpy(first.betas).to(body.template.dtype)
         content["skin"] = _packed_skin(skin_of(body, betas))
         content["texture"] = data_uri(texture_png, "image/png") if texture_png else None
-    block = data_block(content, class_="scene")
-    name = hashlib.sha256(block.encode()).hexdigest()[:8]
-    shown = element("p", "The body cannot be shown: this page needs scripts.", class_="muted fallback")
-    return element("div", shown, block, class_="viewer", id=f"viewer-{name}", data_label=label)
+    scene = htmlsafe_json_dumps(content, separators=(",", ":"), allow_nan=False)
+    name = hashlib.sha256(scene.encode()).hexdigest()[:8]
+    return render("viewer.html", name=name, label=label, scene=scene)
 
 
 def viewer_scripts() -> tuple[str, ...]:

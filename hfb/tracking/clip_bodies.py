@@ -13,7 +13,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.body.skeleton import MIRROR
-from hfb.evidence.joint_evidence import look_for_joints
+from hfb.evidence.joint_evidence import predict_joint_evidence
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import (
     axis_angle_to_matrix,
@@ -23,14 +23,14 @@ from hfb.geometry.rotations import (
     normalize_quaternion,
     quaternion_to_axis_angle,
 )
-from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine, refine_swept
+from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine, refine_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
 from hfb.typing import Array, Bool, Float, Tensor
 
-_LAY_ON = (Stage(64, 25, 0.02, shape=False),)
+_LAY_ON = (SilhouetteStage(64, 25, 0.02, shape=False),)
 _STAY = Stay(pose=0.02, root=0.1, place=0.5)
 _COMPARE_PX = 64
 _STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body at rest; what a path must gain over it
@@ -82,7 +82,8 @@ def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float
         the difference of the mean logarithms of the network's own error scales; positive where "as found" is likelier.
     """
     found, mirrored = (
-        float(look_for_joints(observation, [one], body).scale.log().mean()) for one in (first, mirrored_in_depth(first))
+        float(predict_joint_evidence(observation, [one], body).scale.log().mean())
+        for one in (first, mirrored_in_depth(first))
     )
     return mirrored - found
 

@@ -22,7 +22,7 @@ from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.initializer import Initializer, make_initializer
-from hfb.initialization.silhouette_fit import Stage, Stay, matte_level, overlap, refine_swept, silhouette
+from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine_swept, silhouette
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.io.media.video.video_reading import read_frames
 from hfb.matting.matting_protocol import Matting, shrink
@@ -81,7 +81,7 @@ def shared(one: np.ndarray, other: np.ndarray) -> float:
 def swept(first: FirstBody, matte: np.ndarray, camera: PinholeCamera, body: Body) -> float:
     """Soft IoU along the best straight path: only the path is free, and the place by a little."""
     rasterizer = make_rasterizer("coverage")
-    level, stage = matte_level(matte, camera, 80), Stage(80, 25, 0.04, shape=False)
+    level, stage = matte_level(matte, camera, 80), SilhouetteStage(80, 25, 0.04, shape=False)
     stay = Stay(pose=1e3, root=1e3, place=1e2, prior=0.0)
     values = []
     for across in (0.1, 0.6):

@@ -120,6 +120,8 @@ class FitHandle(Record):
     """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way.
 
     Attributes:
+        mattes: those that the fit's last stage was compared with, one per frame.
+        stage_seconds: wall time per stage of the schedule, in its order.
         alternatives: the other directions in which it may have run, where they were searched.
         directions: per frame P(direction right) of the body and its limbs (`hfb.fitting.alternatives`).
     """
@@ -128,9 +130,11 @@ class FitHandle(Record):
     texture: FileHandle
     texture_image: FileHandle
     history: FileHandle
+    mattes: tuple[FileHandle, ...]
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
     seconds: float
+    stage_seconds: dict[str, float]
     best_iteration: int
     loss: float
 
@@ -142,7 +146,7 @@ class ScoresHandle(FileHandle):
 
 
 _NO_CONTENT: dict[type[Record], tuple[str, ...]] = {
-    Call: ("folder",), FileHandle: ("path", "seconds"), FitHandle: ("path", "seconds"),
+    Call: ("folder",), FileHandle: ("path", "seconds"), FitHandle: ("seconds", "stage_seconds"),
 }  # fmt: skip
 """Fields that say where something lies or how long it took, and so do not count in a digest."""
 

@@ -1,6 +1,7 @@
 """How good is it: against the picture always, against the truth where it is known."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from hfb.config import FitConfig
@@ -11,7 +12,7 @@ from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
 from hfb.rendering.backends import make_rasterizer
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, ScoresHandle
-from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
+from hfb.tasks.core.scene import load_chosen_body, load_mattes, load_observation, load_texture
 from hfb.tasks.task import task
 
 
@@ -31,15 +32,17 @@ def evaluate(
 
     Args:
         clip: all frames.
-        mattes: of all frames.
+        mattes: of all frames, from before the fit: the region of interest must not depend on what was fitted. All
+            else compares with the fit's own mattes.
         first_bodies: of all frames.
-        fit: the motion.
+        fit: the motion, and the mattes it used last.
         body: the user's body model; None for the embedded one.
         truth: of a synthetic case.
         config: options of the fit.
         folder: where the scores go.
     """
-    observation, model = load_observation(clip, mattes), load_chosen_body(body)
+    observation, model = load_observation(clip, fit.mattes), load_chosen_body(body)
+    region = replace(observation, mattes=load_mattes(mattes)).region()
     rasterizer = make_rasterizer("coverage", config.rasterizer, config.threads)
     fitted, _ = load_motion(fit.motion.path)
     still = at_rest([load_first_body(first.path) for first in first_bodies], fitted, model)
@@ -47,7 +50,7 @@ def evaluate(
     scores: dict[str, float] = {}
     known = load_truth(truth.path) if truth else None
     for prefix, motion in (("initial_", still), ("", fitted)):
-        found = picture_scores(reblur(motion, texture, observation, model, rasterizer), observation)
+        found = picture_scores(reblur(motion, texture, observation, model, rasterizer), observation, region)
         if known is not None:
             found |= truth_scores(motion, known, model, rasterizer)
         scores |= {prefix + name: value for name, value in found.items()}

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from hfb.config import FitConfig
 from hfb.fitting.alternatives import direction_record, save_alternatives
-from hfb.fitting.loop import fit
+from hfb.fitting.fit import fit
 from hfb.io.atomic import write_bytes_atomic
-from hfb.io.media.images.image_io import write_png
+from hfb.io.media.images.image_io import write_matte, write_png
 from hfb.motion.motion_file import save_motion, write_arrays
 from hfb.motion.static_pose import load_first_body
 from hfb.priors.load import load_pose_prior
@@ -30,7 +30,7 @@ def fit_motion(
     seed: int,
     folder: Path,
 ) -> FitHandle:
-    """Minimise eq. (11); leaves the motion, the texture and every term's history.
+    """Minimise eq. (11); leaves the motion, the texture, the mattes it used last and every term's history.
 
     Args:
         clip: all frames.
@@ -50,7 +50,7 @@ def fit_motion(
         config,
         seed,
         load_pose_prior(priors.pose.path if priors.pose else None, priors.kind),
-        on_progress=lambda done, total, loss: progress.advance(done, total, f"loss {loss:.4f}"),
+        on_progress=progress.advance,
         motion_prior=load_motion_prior(priors.motion.path if priors.motion else None),
     )
     paths = [folder / name for name in ("motion.npz", "texture.npz", "texture.png", "history.json")]
@@ -58,6 +58,9 @@ def fit_motion(
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())
+    mattes_used = [folder / f"fitted_matte_{index}.png" for index in range(len(mattes))]
+    for path, alpha in zip(mattes_used, result.mattes, strict=True):
+        write_matte(path, alpha.numpy())
     motion, texture, texture_image, history = (FileHandle.of(path) for path in paths)
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
@@ -70,9 +73,11 @@ def fit_motion(
         texture=texture,
         texture_image=texture_image,
         history=history,
+        mattes=tuple(FileHandle.of(path) for path in mattes_used),
         alternatives=alternatives,
         directions=directions,
         seconds=result.seconds,
+        stage_seconds=result.stage_seconds,
         best_iteration=result.best_iteration,
         loss=result.loss,
     )

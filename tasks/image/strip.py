@@ -17,7 +17,6 @@ from hfb.tasks.task import task
 def strip(
     *,
     clip: ClipHandle,
-    mattes: tuple[FileHandle, ...],
     fit: FitHandle,
     body: FileHandle | None,
     config: FitConfig,
@@ -27,15 +26,14 @@ def strip(
 
     Args:
         clip: all frames.
-        mattes: of all frames.
-        fit: the motion and its texture.
+        fit: the motion, its texture and the mattes it used last.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
         folder: where the strip goes.
     """
     motion, _ = load_motion(fit.motion.path)
     picture = draw_strip(
-        load_observation(clip, mattes),
+        load_observation(clip, fit.mattes),
         motion,
         load_texture(fit.texture),
         load_chosen_body(body),

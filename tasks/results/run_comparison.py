@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from hfb.config import current_option_name
 from hfb.tasks.results.stored_runs import StoredRun
 
 _ENVIRONMENT = ("version.", "code", "platform", "processor", "device")
@@ -47,12 +48,13 @@ class RunComparison:
 
 def compare_records(runs: Sequence[StoredRun]) -> RunComparison:
     """What the store says of some runs."""
-    config = _find_differences([run.params for run in runs])
+    params = [{current_option_name(name): value for name, value in run.params.items()} for run in runs]
+    config = _find_differences(params)
     named = sorted({name for run in runs for name in run.metrics}, key=_order)
     return RunComparison(
         runs=tuple(runs),
         config=config,
-        same_options=len({name for run in runs for name in run.params}) - len(config),
+        same_options=len({name for one in params for name in one}) - len(config),
         environment=_find_differences([_environment(run) for run in runs]),
         metrics=tuple(Numbers(name, tuple(_finite(run.metrics.get(name)) for run in runs)) for name in named),
     )

@@ -62,6 +62,7 @@ def fit_record(
     }
     points |= {f"eval/{name}": {0: float(value)} for name, value in scores.scores.items()}
     points |= {f"warning/{one['code']}": {0: float(one["value"])} for one in result["warnings"]}
+    points |= {f"time/fit_{stage}_s": {0: seconds} for stage, seconds in fit.stage_seconds.items()}
     points |= {"time/fit_s": {0: fit.seconds}, "fit/best_iteration": {0: float(fit.best_iteration)}}
     files = {
         name: RecordedFile(sha256=file.sha256, folder="mattes" if name.startswith(_MATTE) else None)

@@ -44,13 +44,13 @@ class ScoreCall(Call):
 def score_frames(call: ScoreCall) -> FrameScoresHandle:
     """Score frame by frame: IoU with the matte and PSNR of the re-blurred image, always with the exact silhouette."""
     from hfb.evaluation.protocol import picture_scores, reblur
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     whole, _ = load_motion(call.motion.path)
-    texture, model = load_person(call.person.path).texture, load_chosen_body(call.body)
+    texture, model = load_identity(call.person.path).texture, load_chosen_body(call.body)
     rasterizer = make_rasterizer("coverage", call.config.rasterizer, call.config.threads)
     scores: dict[str, list[float]] = {}
     for index, number in enumerate(call.numbers):
@@ -118,7 +118,7 @@ def draw_clip(
         note: a line below the strip.
         folder: where it goes.
     """
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
@@ -128,7 +128,7 @@ def draw_clip(
     image = draw_strip(
         load_observation(clip, mattes),
         only_frames(load_motion(motion.path)[0], numbers),
-        load_person(person.path).texture,
+        load_identity(person.path).texture,
         load_chosen_body(body),
         make_rasterizer("coverage", config.rasterizer, config.threads),
         note,
@@ -146,11 +146,11 @@ def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: P
         person: who it is.
         folder: where it goes.
     """
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.io.media.images.image_io import write_png
     from hfb.photometry import linear_to_srgb
 
-    texture = load_person(person.path).texture
+    texture = load_identity(person.path).texture
     stored = linear_to_srgb(texture.clamp(0, 1)) if light == "linear" else texture.clamp(0, 1)
     write_png(folder / "texture.png", stored.numpy())
     return FileHandle.of(folder / "texture.png")

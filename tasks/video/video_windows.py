@@ -107,15 +107,15 @@ def fill_bodies(
 
 def _gpu_batch_size(call: WindowCall) -> int:
     """How many windows are one problem for a GPU."""
-    from hfb.fitting.clip.windows import windows_at_once
+    from hfb.fitting.clip.windows import window_batch_size
 
-    return windows_at_once(call.config)
+    return window_batch_size(call.config)
 
 
 def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
     """Fit windows of one clip with the same options as one problem."""
     from hfb.fitting.clip.windows import ClipWindow, WindowScene, fit_windows, save_window
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.static_pose import load_first_body
     from hfb.priors.load import load_pose_prior
     from hfb.priors.motion_prior import load_motion_prior
@@ -127,7 +127,7 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
             ClipWindow(call.frames, call.segment),
             load_observation(call.clip, call.mattes),
             [load_first_body(first.path) for first in call.firsts],
-            load_person(call.person.path) if call.person else None,
+            load_identity(call.person.path) if call.person else None,
         )
         for call in calls
     ]
@@ -136,9 +136,9 @@ def _fit_windows(calls: Sequence[WindowCall]) -> list[WindowHandle]:
         scenes,
         load_chosen_body(shared.body),
         shared.config,
-        shared.seed,
-        load_pose_prior(pose.path if pose else None, shared.priors.kind),
-        load_motion_prior(motion.path if motion else None),
+        seed=shared.seed,
+        pose_prior=load_pose_prior(pose.path if pose else None, shared.priors.kind),
+        motion_prior=load_motion_prior(motion.path if motion else None),
     )
     handles = []
     for call, found in zip(calls, fits, strict=True):
@@ -167,13 +167,13 @@ def estimate_identity(windows: tuple[WindowHandle, ...], body: FileHandle | None
         body: the user's body model; None for the embedded one.
         folder: where the person goes.
     """
-    from hfb.fitting.clip.person import agree_on_person
+    from hfb.fitting.clip.merge_identities import merge_identities
     from hfb.fitting.clip.windows import load_window
-    from hfb.fitting.clip_person import save_person
+    from hfb.fitting.identity import save_identity
     from hfb.tasks.core.scene import load_chosen_body
 
     path = folder / "person.npz"
-    save_person(path, agree_on_person([load_window(one.path) for one in windows], load_chosen_body(body)))
+    save_identity(path, merge_identities([load_window(one.path) for one in windows], load_chosen_body(body)))
     return FileHandle.of(path)
 
 
@@ -203,15 +203,15 @@ def join_clip(
 
     from hfb.fitting.clip.join import join_windows
     from hfb.fitting.clip.windows import load_window
-    from hfb.fitting.clip_person import load_person
+    from hfb.fitting.identity import load_identity
     from hfb.motion.motion_file import save_motion
     from hfb.tasks.core.scene import load_chosen_body
     from hfb.tasks.video.video_clip import load_timing
 
     model = load_chosen_body(body)
     joined = join_windows(
-        [load_window(one.path) for one in windows], model, load_person(person.path), load_timing(footage), subframes,
-        np.array(footage.K), longest_fill,
+        [load_window(one.path) for one in windows], model, load_identity(person.path), timing=load_timing(footage),
+        subframes=subframes, K=np.array(footage.K), longest_fill=longest_fill,
     )  # fmt: skip
     save_motion(folder / "motion.npz", joined.motion, model.betas_space)
     told = {

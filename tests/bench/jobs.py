@@ -19,7 +19,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.config import FitConfig, preset
-from hfb.fitting.loop import FitResult, fit
+from hfb.fitting.fit import FitResult, fit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import Scene, moving_scene
 
@@ -39,7 +39,7 @@ def with_pose_blend_shapes(body: Body) -> Body:
 
 
 def small_fit(scene: Scene, body: Body, config: FitConfig, on_progress: Callable | None = None) -> FitResult:
-    return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), on_progress)
+    return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), on_progress=on_progress)
 
 
 def default_config(iterations: int) -> FitConfig:

@@ -13,7 +13,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.model import Body
 from hfb.config import preset
-from hfb.fitting.loop import Problem, fit_all
+from hfb.fitting.fit import Problem, fit_all
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.bench import jobs
@@ -137,7 +137,7 @@ def test_fits_as_one_problem_on_a_gpu(scale: Scale, figures: Figures) -> None:
     def fits(iterations: int) -> float:
         config = jobs.default_config(iterations).model_copy(update={"rasterizer": "cuda" if gpu else "warp"})
         began = time.perf_counter()
-        results = fit_all(problems, body, config, 0, AnatomicalPrior(), room=count)
+        results = fit_all(problems, body, config, 0, AnatomicalPrior(), batch_size=count)
         assert len(results) == count
         return time.perf_counter() - began
 

@@ -8,6 +8,7 @@ import pytest
 from hfb.config import RunConfig, preset
 from hfb.errors import InputError
 from hfb.flows.cli.options import add_config_flags, run_config
+from hfb.flows.deployed import Options
 
 
 def config_of(*words: str, file: Path | None = None) -> RunConfig:
@@ -79,3 +80,43 @@ def test_the_file_is_named_too(tmp_path: Path) -> None:
         config_of(file=write(tmp_path, "[fit]\nsubframe = 3"))
     with pytest.raises(InputError, match="does not exist"):
         config_of(file=tmp_path / "none.toml")
+
+
+EARLIER = {
+    "across": ("xy_weight", "0.3"), "at_once": ("batch_size", "7"), "size_moves_away": ("keep_image_size", "false"),
+    "root_kick": ("initial_root_velocity", "0.5"), "several.image": ("multi_frame.image", "5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("earlier", EARLIER)
+def test_earlier_names_are_read_and_the_new_one_is_named(
+    earlier: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As a flag in both spellings, in a file, in a recorded run, and in the options of a deployment."""
+    new, value = EARLIER[earlier]
+    wanted = config_of(f"--fit.{new}", value)
+    caplog.clear()
+    assert config_of(f"--fit.{earlier}", value) == config_of(f"--fit.{earlier.replace('_', '-')}", value) == wanted
+    assert f"--fit.{new.replace('_', '-')}" in caplog.text
+    caplog.clear()
+    assert config_of(file=write(tmp_path, f"[fit]\n{earlier} = {value}")) == wanted
+    room, _, key = earlier.partition(".")
+    assert f"fit.{room} is now called fit.{new.partition('.')[0]}" in caplog.text
+    recorded = wanted.model_dump(mode="json")
+    present = recorded["fit"].pop(new.partition(".")[0])
+    recorded["fit"][room] = present
+    assert RunConfig.model_validate(recorded) == wanted
+    options = Options.model_validate({"fit": {room: {key: value} if key else value}})
+    assert options.config() == wanted
+
+
+def test_an_option_by_both_of_its_names_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path, "[fit]\nacross = 0.3\nxy_weight = 0.4")
+    with pytest.raises(InputError, match=r"run\.toml: fit: across and xy_weight are the same option; leave out across"):
+        config_of(file=file)
+
+
+def test_a_new_name_wins_over_the_earlier_one_of_a_weaker_place(tmp_path: Path) -> None:
+    file = write(tmp_path, "[fit]\nacross = 0.3\nroot_kick = 0.5")
+    fit = config_of("--fit.xy-weight", "0.4", file=file).fit
+    assert (fit.xy_weight, fit.initial_root_velocity) == (0.4, 0.5)

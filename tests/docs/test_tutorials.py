@@ -65,7 +65,7 @@ def test_a_calibration_by_the_book_is_read(tmp_path: Path, monkeypatch: pytest.M
     assert names["error_px"] < 0.5
     lens = clip_lens(ClipCamera(calibration=tmp_path / "camera.yml"), "clip.mp4", _SIZE[1], _SIZE[0])
     assert lens is not None
-    assert lens.K[0][0] == pytest.approx(_FOCAL_PX, rel=0.02)
+    assert lens.K[0] == pytest.approx(_FOCAL_PX, rel=0.02)
 
 
 _FOCAL_PX, _SIZE = 700.0, (640, 480)

@@ -7,13 +7,13 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.clip.windows import WindowFit, plan_windows
-from hfb.fitting.clip_person import ClipPerson
+from hfb.fitting.identity import Identity
 from hfb.geometry.rotations import axis_angle_to_matrix, axis_angle_to_quaternion
 from hfb.io.media.timing import Timing
 from hfb.motion.trajectory import Trajectory
 
 INTERVAL_S = 1 / 30
-PERSON = ClipPerson(torch.linspace(-0.5, 0.5, 10), torch.full((8, 8, 3), 0.5))
+PERSON = Identity(torch.linspace(-0.5, 0.5, 10), torch.full((8, 8, 3), 0.5))
 
 
 def timing(frames: int, shutter: float = 1.0, openings_s: np.ndarray | None = None) -> Timing:

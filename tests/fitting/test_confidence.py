@@ -81,7 +81,9 @@ def _features(case: Done) -> tuple[SampledMotion, dict[str, np.ndarray]]:
         trajectory, case.fine.body.shape(found.betas), found.betas, 6, seen.exposure_s, seen.interval_s,
         seen.camera.matrix(),
     )  # fmt: skip
-    return motion, joint_features(motion, alternatives, found, case.scene.middle, case.coarse, False)
+    return motion, joint_features(
+        motion, alternatives, found, first_bodies=case.scene.middle, coarse=case.coarse, height_told=False
+    )
 
 
 def test_radii_follow_the_kind_of_start_frame_by_frame() -> None:

@@ -20,7 +20,7 @@ K = np.diag([500.0, 500.0, 1.0])
 
 
 def joined(fits: list[WindowFit], clock: Timing, subframes: int = 8, longest_fill: int = 0) -> JoinedMotion:
-    return join_windows(fits, BODY, PERSON, clock, subframes, K, longest_fill)
+    return join_windows(fits, BODY, PERSON, timing=clock, subframes=subframes, K=K, longest_fill=longest_fill)
 
 
 def error_mm(found: np.ndarray, true: np.ndarray) -> float:

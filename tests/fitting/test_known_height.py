@@ -7,9 +7,9 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.height import as_tall, height_m
 from hfb.config import FitConfig, Stage, preset
-from hfb.fitting.clip_person import ClipPerson, as_person
 from hfb.fitting.confidence import shipped_confidence
-from hfb.fitting.loop import FitResult, fit
+from hfb.fitting.fit import FitResult, fit
+from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.scenes import moving_scene
 
@@ -27,12 +27,12 @@ def told(height: float | None, rotation: str = "quaternion") -> FitConfig:
     )  # fmt: skip
 
 
-def found(config: FitConfig, person: ClipPerson | None = None) -> FitResult:
+def found(config: FitConfig, person: Identity | None = None) -> FitResult:
     """From a first body of the true pose and place in the picture, whose size is a fifth too large."""
     scene = moving_scene(BODY, size_px=64)
     large = as_tall(torch.zeros(10), BODY, 1.2 * TRUE_M)
-    starts = [as_person(first, person.betas if person else large, BODY) for first in scene.middle]
-    return fit(scene.observation, starts, BODY, config, 0, AnatomicalPrior(), person=person)
+    starts = [rescale_first_body(first, person.betas if person else large, BODY) for first in scene.middle]
+    return fit(scene.observation, starts, BODY, config, 0, AnatomicalPrior(), identity=person)
 
 
 def tall(result: FitResult) -> float:
@@ -73,7 +73,7 @@ def test_joints_are_surer_where_the_height_is_told() -> None:
 
 
 def test_a_person_who_is_known_is_left_alone() -> None:
-    person = ClipPerson(as_tall(torch.zeros(10), BODY, 1.6), torch.full((16, 16, 3), 0.5))
+    person = Identity(as_tall(torch.zeros(10), BODY, 1.6), torch.full((16, 16, 3), 0.5))
     assert tall(found(told(TRUE_M), person)) == pytest.approx(1.6, abs=1e-4)
 
 

@@ -1,5 +1,7 @@
 """From stage to stage: nothing that was found is undone, and a stage that gains nothing ends."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from unittest.mock import Mock
 
@@ -7,12 +9,16 @@ import pytest
 import torch
 
 from hfb.body.assets import load_default_body
-from hfb.config import DirectionsConfig, FitConfig, SeveralFrames, Stage, Weights
-from hfb.fitting import comparison, descent, loop
+from hfb.config import DirectionsConfig, FitConfig, MultiFrame, Stage, Weights, preset
+from hfb.evidence import depth_fusion, joint_evidence, lifting_network
+from hfb.fitting import fit as schedule
 from hfb.fitting import joint_features as features
-from hfb.fitting.clip_person import ClipPerson
-from hfb.fitting.loop import FitResult, fit
+from hfb.fitting import refine, stages
+from hfb.fitting.fit import FitResult, fit
+from hfb.fitting.identity import Identity
 from hfb.fitting.variables import Variables
+from hfb.matting import network
+from hfb.objective.objective import Objective
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rendering.observation import Observation
 from hfb.typing import Array, Float
@@ -24,7 +30,12 @@ def run(*stages: Stage, patience: int = 0) -> tuple[FitResult, list[tuple[int, i
     body, told = load_default_body(), []
     scene = moving_scene(body, size_px=48)
     config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, patience=patience)
-    result = fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), lambda *one: told.append(one[:2]))
+
+    def on_progress(done: int, total: int, note: str) -> None:
+        if "loss" in note:
+            told.append((done, total))
+
+    result = fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), on_progress=on_progress)
     return result, told
 
 
@@ -46,14 +57,14 @@ def test_a_stage_goes_on_where_the_last_one_ended() -> None:
 
 def test_what_was_asked_before_the_descent_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gradients that somebody left when it begins."""
-    losses, settle = first_losses(1, 3, 5), loop.settle
+    losses, fit_skeleton = first_losses(1, 3, 5), schedule.fit_skeleton
 
-    def settle_and_leave(variables: Variables, *others: Any) -> None:
-        settle(variables, *others)
+    def fit_and_leave(variables: Variables, *others: Any) -> None:
+        fit_skeleton(variables, *others)
         for leaf in variables.leaves():
             leaf.grad = torch.ones_like(leaf)
 
-    monkeypatch.setattr(loop, "settle", settle_and_leave)
+    monkeypatch.setattr(schedule, "fit_skeleton", fit_and_leave)
     assert first_losses(1, 3, 5) == losses
 
 
@@ -66,7 +77,7 @@ def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> N
 
     def result(weight: float, factor: float, *stages: Stage) -> FitResult:
         config = FitConfig(
-            stages=stages, subframes=3, texture_px=16, several=SeveralFrames(image=factor),
+            stages=stages, subframes=3, texture_px=16, multi_frame=MultiFrame(image=factor),
             weights=Weights(image=weight, boundary=0), directions=DirectionsConfig(search=True, limbs=False, refits=0),
         )  # fmt: skip
         return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
@@ -85,7 +96,7 @@ def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> N
 @pytest.mark.parametrize("frames", [1, 2])
 def test_the_height_of_several_frames_has_a_factor_of_its_own(frames: int) -> None:
     def losses(height: float, factor: float) -> list[float]:
-        return first_losses(frames, 2, 2, weights=Weights(height=height), several=SeveralFrames(height=factor))
+        return first_losses(frames, 2, 2, weights=Weights(height=height), multi_frame=MultiFrame(height=factor))
 
     more = losses(0.5, 3)
     assert more == losses(0.5 if frames == 1 else 1.5, 1)
@@ -121,8 +132,8 @@ def test_the_fits_own_picture_is_looked_at_before_every_stage_of_full_size_but_a
     assert first_change(coarse, stage, stage) == 3
     assert first_change(stage, stage) == 3
     assert first_change(stage) is None
-    looks = Mock(side_effect=descent.beside_the_fit)  # the real one, counted
-    monkeypatch.setattr(descent, "beside_the_fit", looks)
+    looks = Mock(side_effect=refine.refine_evidence)  # the real one, counted
+    monkeypatch.setattr(refine, "refine_evidence", looks)
     losses(0.75, coarse, stage, stage, stage)
     assert looks.call_count == 3
 
@@ -133,24 +144,25 @@ def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
     body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=3), Stage(size_px=48, iterations=3)
     scene = moving_scene(body, size_px=48)
     given, found, ends = [], [], []
+    refine_mattes, run_stages = refine.refine_mattes, stages.run_stages
 
-    def matted_again(blurred: torch.Tensor, before: comparison.Before) -> Observation:
-        again = comparison.matted_again(blurred, before)
-        given.append(before.observation.mattes)
+    def kept_mattes(blurred: torch.Tensor, initial: refine.InitialEvidence) -> Observation:
+        again = refine_mattes(blurred, initial)
+        given.append(initial.observation.mattes)
         found.append(again.mattes)
         return again
 
-    def descend(*told: Any) -> descent.Descent:
-        ends.append(descent.descend(*told))
+    def kept_result(*told: Any) -> stages.StagesResult:
+        ends.append(run_stages(*told))
         return ends[-1]
 
     def losses(again: bool) -> list[float]:
-        stages = (stage, coarse, stage, stage)
-        config = FitConfig(stages=stages, subframes=3, texture_px=16, origin=0.5, matte_again=again)
+        schedule = (stage, coarse, stage, stage)
+        config = FitConfig(stages=schedule, subframes=3, texture_px=16, origin=0.5, matte_again=again)
         return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior()).history["total"]
 
-    monkeypatch.setattr(descent, "matted_again", matted_again)
-    monkeypatch.setattr(loop, "descend", descend)
+    monkeypatch.setattr(refine, "refine_mattes", kept_mattes)
+    monkeypatch.setattr(schedule, "run_stages", kept_result)
     without = losses(False)
     assert not given
     both = zip(without, losses(True), strict=True)
@@ -158,24 +170,80 @@ def test_before_every_such_stage_the_mattes_are_found_again_from_the_first_ones(
     assert len(given) == 2
     assert torch.equal(given[0], given[1])
     assert not torch.equal(found[1], given[1])
-    assert torch.equal(ends[-1].seen.mattes, found[-1])  # what comes after the stages sees them, too
-    assert ends[-1].seen.mattes.shape == ends[0].seen.mattes.shape
+    assert torch.equal(ends[-1].observation.mattes, found[-1])  # later steps use them, too
+    assert ends[-1].observation.mattes.shape == ends[0].observation.mattes.shape
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_fit_returns_the_mattes_of_its_last_stage(frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As large as the frames: the window's mattes in place, the initial ones around it."""
+    body, stage = load_default_body(), Stage(size_px=48, iterations=2)
+    seen, ends = moving_scene(body, size_px=64, frames=frames).observation, []
+    scene = moving_scene(body, size_px=64, frames=frames)
+    run_stages = stages.run_stages
+
+    def kept_result(*told: Any) -> stages.StagesResult:
+        ends.append(run_stages(*told))
+        return ends[-1]
+
+    def mattes(again: bool) -> torch.Tensor:
+        config = FitConfig(stages=(stage, stage), subframes=3, texture_px=16, origin=0.5, matte_again=again)
+        return fit(seen, scene.middle, body, config, 0, AnatomicalPrior()).mattes
+
+    monkeypatch.setattr(schedule, "run_stages", kept_result)
+    assert torch.equal(mattes(False), seen.mattes)
+    refined = mattes(True)
+    assert not torch.equal(refined, seen.mattes)
+    whole = replace(seen, mattes=refined).cropped(*seen.region())
+    inside = replace(seen, mattes=torch.ones_like(refined)).cropped(*seen.region()).mattes > 0
+    assert torch.equal(whole.mattes[inside], ends[-1].observation.mattes[inside])
+
+
+def test_every_network_runs_in_a_timed_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Joint, lifting, fusion and matting networks run in the evidence and refine stages and nowhere else."""
+    body, stage = load_default_body(), Stage(size_px=48, iterations=2)
+    scene, told, calls = moving_scene(body, size_px=48), [""], []
+    networks = {
+        "joint": (joint_evidence, "shipped_joint_network"), "lifting": (lifting_network, "shipped_lifting_network"),
+        "fusion": (depth_fusion, "shipped_depth_fusion"), "matting": (network, "shipped_third"),
+    }  # fmt: skip
+
+    def watch(name: str, load: Callable[[], Any]) -> Callable[[], Any]:
+        def loaded() -> Any:
+            calls.append((told[-1].split(",")[0], name))
+            return load()
+
+        return loaded
+
+    for name, (module, function) in networks.items():
+        monkeypatch.setattr(module, function, watch(name, getattr(module, function)))
+    best = preset("best").fit
+    config = best.model_copy(update={"stages": (stage, stage), "subframes": 3, "texture_px": 16, "settle": 2})
+    result = fit(
+        scene.observation, scene.middle, body, config, 0, AnatomicalPrior(),
+        on_progress=lambda done, total, note: told.append(note),
+    )  # fmt: skip
+    assert set(calls) == {("evidence", "joint"), *(("refine 2", name) for name in networks)}
+    names = ["evidence", "warm_up", "stage_1", "refine_2", "stage_2", "directions"]
+    assert list(result.stage_seconds) == names
+    assert all(seconds > 0 for seconds in result.stage_seconds.values())
+    assert 0.5 * result.seconds < sum(result.stage_seconds.values()) <= result.seconds
 
 
 def test_radii_are_told_by_the_mattes_from_before_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """A matte that was found beside the fit agrees with it in its errors: radii would be too narrow."""
     body, told = load_default_body(), []
 
-    def joint_features(*given: Any) -> dict[str, Float[Array, "R 24"]]:
-        told.append(given[4].observation.mattes)
-        return features.joint_features(*given)
+    def joint_features(*given: Any, coarse: Objective, **more: Any) -> dict[str, Float[Array, "R 24"]]:
+        told.append(coarse.observation.mattes)
+        return features.joint_features(*given, coarse=coarse, **more)
 
     scene = moving_scene(body, size_px=64, frames=2, instants=5)
     stage, search = Stage(size_px=48, iterations=2), DirectionsConfig(size_px=64)
     config = FitConfig(stages=(stage, stage), subframes=3, texture_px=16, matte_again=True, directions=search)
-    person = ClipPerson(scene.middle[0].betas, torch.full((16, 16, 3), 0.4))
-    monkeypatch.setattr(loop, "joint_features", joint_features)
-    fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), person=person)
+    person = Identity(scene.middle[0].betas, torch.full((16, 16, 3), 0.4))
+    monkeypatch.setattr(schedule, "joint_features", joint_features)
+    fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior(), identity=person)
     seen = scene.observation
     assert torch.equal(told[0], seen.cropped(*seen.region()).resized(64).mattes)
 

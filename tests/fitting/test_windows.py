@@ -12,7 +12,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, RunConfig, Stage, VideoConfig, Weights, preset
 from hfb.errors import InputError
-from hfb.fitting.clip.person import agree_on_person
+from hfb.fitting.clip.merge_identities import merge_identities
 from hfb.fitting.clip.windows import (
     ClipWindow,
     WindowFit,
@@ -25,7 +25,7 @@ from hfb.fitting.clip.windows import (
     save_window,
     window_config,
 )
-from hfb.fitting.clip_person import ClipPerson, as_person, load_person, save_person
+from hfb.fitting.identity import Identity, load_identity, rescale_first_body, save_identity
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody
@@ -36,7 +36,7 @@ from tests.scenes import moving_scene
 BODY = load_default_body()
 QUICK = FitConfig(
     subframes=3, texture_px=16, origin=0.5, stages=(Stage(size_px=32, iterations=6, learning_rate=0.002),),
-    size_moves_away=True, weights=Weights(image=1, matte=1, shape=0.01, boundary=1),
+    keep_image_size=True, weights=Weights(image=1, matte=1, shape=0.01, boundary=1),
 )  # fmt: skip
 
 
@@ -89,12 +89,12 @@ def test_configurations_of_windows() -> None:
 
 
 @cache
-def known_fit() -> tuple[list[FirstBody], ClipPerson, WindowFit]:
+def known_fit() -> tuple[list[FirstBody], Identity, WindowFit]:
     scene = moving_scene(BODY, size_px=48, frames=2, instants=5)
-    person = ClipPerson(torch.full((10,), 0.3), torch.full((16, 16, 3), 0.4))
+    person = Identity(torch.full((10,), 0.3), torch.full((16, 16, 3), 0.4))
     aside = [replace(one, translation=one.translation + torch.tensor([0.06, 0.0, 0.0])) for one in scene.middle]
     seen = WindowScene(ClipWindow((4, 5), 1), scene.observation, aside, person)
-    (found,) = fit_windows([seen], BODY, QUICK, 0, AnatomicalPrior())
+    (found,) = fit_windows([seen], BODY, QUICK, seed=0, pose_prior=AnatomicalPrior())
     return scene.middle, person, found
 
 
@@ -131,7 +131,7 @@ def test_another_shape_keeps_the_place_in_the_picture() -> None:
     first = FirstBody(
         torch.tensor([[3.1, 0, 0]] + [[0.0] * 3] * 23), torch.tensor([0.5, 0.2, 4.0]), torch.zeros(10), "x"
     )
-    other = as_person(first, torch.linspace(-2, 2, 10), BODY)
+    other = rescale_first_body(first, torch.linspace(-2, 2, 10), BODY)
 
     def seen(one: FirstBody) -> torch.Tensor:
         shaped = BODY.shape(one.betas)
@@ -148,18 +148,18 @@ def test_windows_agree_on_a_person(tmp_path: Path) -> None:
         replace(found, betas=torch.full((10,), value), texture=torch.full((32, 32, 3), value))
         for found, value in zip(window_fits(clock), (0.1, 0.2, 0.6), strict=True)
     ]
-    person = agree_on_person(fits, BODY)
+    person = merge_identities(fits, BODY)
     assert torch.allclose(person.betas, torch.full((10,), 0.3))
     assert person.texture.min() >= 0.1 - 1e-6
     assert person.texture.max() <= 0.6 + 1e-6
     assert abs(float(person.texture.mean()) - 0.3) < 0.05
-    again = agree_on_person(fits[::-1], BODY)
+    again = merge_identities(fits[::-1], BODY)
     assert torch.equal(again.betas, person.betas)
     assert torch.equal(again.texture, person.texture)
-    save_person(tmp_path / "p.npz", person)
-    assert torch.equal(load_person(tmp_path / "p.npz").texture, person.texture)
+    save_identity(tmp_path / "p.npz", person)
+    assert torch.equal(load_identity(tmp_path / "p.npz").texture, person.texture)
     with pytest.raises(ValueError, match="without a known one"):
-        agree_on_person(window_fits(clock), BODY)
+        merge_identities(window_fits(clock), BODY)
     (tmp_path / "p.npz").write_bytes(b"")
     with pytest.raises(InputError):
-        load_person(tmp_path / "p.npz")
+        load_identity(tmp_path / "p.npz")

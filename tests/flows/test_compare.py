@@ -12,6 +12,8 @@ from hfb.flows.cli.repeating import compare_text
 from hfb.flows.compare import compare_runs
 from hfb.flows.fit_image import fit_image
 from hfb.io.media.images.image_io import read_picture_srgb
+from hfb.tasks.results.run_comparison import compare_records
+from hfb.tasks.results.stored_runs import StoredRun
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.store_place import tracking_uri
 from tests.flows.test_fit_image import TINY, run
@@ -26,7 +28,10 @@ def pair(problem: Problem, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     """
     one, other = (
         TINY.model_copy(
-            update={"fit": TINY.fit.model_copy(update={"subframes": count, "root_kick": 0.1}), "seed": count}
+            update={
+                "fit": TINY.fit.model_copy(update={"subframes": count, "initial_root_velocity": 0.1}),
+                "seed": count,
+            }
         )
         for count in (2, 3)
     )
@@ -65,6 +70,18 @@ def test_two_fits(pair: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -
     assert "eval/psnr_db" in text
     assert found["sentence"] in text
     assert max(map(len, text.splitlines()[:-3])) < 120
+
+
+def test_options_by_earlier_names_are_the_same_options() -> None:
+    def stored(**params: str) -> StoredRun:
+        named = {name.replace("__", "."): value for name, value in params.items()}
+        return StoredRun("0" * 32, "run", "FINISHED", "", named, {}, {}, "")
+
+    before = stored(seed="0", fit__across="0.2", fit__several__image="33", fit__root_kick="0.1")
+    after = stored(seed="0", fit__xy_weight="0.2", fit__multi_frame__image="30", fit__initial_root_velocity="0.1")
+    found = compare_records([before, after])
+    assert found.config == (("fit.multi_frame.image", ("33", "30")),)
+    assert found.same_options == 3
 
 
 def test_three_runs(pair: tuple[dict[str, Any], dict[str, Any]], problem: Problem, tmp_path: Path) -> None:

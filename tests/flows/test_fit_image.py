@@ -1,6 +1,7 @@
 """The whole chain on a real server and a real store."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,18 @@ from hfb.body.assets import load_default_body
 from hfb.body.height import height_m
 from hfb.config import DirectionsConfig, ExportConfig, FitConfig, InitConfig, RunConfig, Stage
 from hfb.errors import InputError
+from hfb.evaluation.metrics import soft_iou
+from hfb.evaluation.protocol import reblur
 from hfb.fitting.alternatives import LIMB_NAMES, load_alternatives
 from hfb.flows.fit_image import fit_image
+from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
+from hfb.photometry import srgb_to_linear
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.observation import Observation
 from hfb.tracking.clip_bodies import mirrored_in_depth
 from tests.orchestration import Problem, example, mlflow_rows
 
@@ -69,6 +76,37 @@ def test_results_and_record(problem: Problem, store: Path, tmp_path: Path) -> No
     assert params["input.frame_0"] == result["inputs"]["frame_0"]
     artifacts = {path.name for path in (tmp_path / "mlflow-artifacts").rglob("*") if path.is_file()}
     assert {"strip.png", "motion.npz", "result.json", "config.json", "matte_0.png"} <= artifacts
+
+
+def test_the_published_matte_is_the_one_the_fit_used_last(problem: Problem, store: Path, tmp_path: Path) -> None:
+    """In the folder, in the record and in the figures; warnings compare with the matte of before the fit."""
+    out, stage = tmp_path / "out", Stage(size_px=32, iterations=2)
+    fit = TINY.fit.model_copy(update={"stages": (stage, stage), "matte_again": True})
+    result = run(problem, out, TINY.model_copy(update={"fit": fit}))
+    initial, published = read_matte(out / "intermediate" / "matte_0.png"), read_matte(out / "matte_0.png")
+    assert not np.array_equal(published, initial)
+    observation = load_observation_of(problem, published)
+    motion, body = load_motion(out / "motion.npz")[0], load_default_body()
+    blurred = reblur(motion, torch.full((16, 16, 3), 0.5), observation, body, make_rasterizer())
+    assert result["matte_iou"] == pytest.approx(soft_iou(blurred[0, ..., 3].numpy(), published), abs=1e-5)
+    recorded = list((tmp_path / "mlflow-artifacts").rglob("matte_0.png"))
+    assert [np.array_equal(read_matte(path), published) for path in recorded] == [True]
+
+    stages = ["evidence", "stage_1", "refine_2", "stage_2", "directions"]
+    assert list(result["fit_stage_seconds"]) == stages
+    assert sum(result["fit_stage_seconds"].values()) <= result["fit_seconds"] + 0.01
+    names = {name for (name,) in mlflow_rows(store, "select distinct key from metrics")}
+    assert {f"time/fit_{stage}_s" for stage in stages} <= names
+
+
+def load_observation_of(problem: Problem, matte: np.ndarray) -> Observation:
+    frame, plate = (
+        srgb_to_linear(torch.from_numpy(read_picture_srgb(path))) for path in (problem.frame, problem.background)
+    )
+    height, width = matte.shape
+    focal_px = math.hypot(height, width)
+    camera = PinholeCamera(focal_px, focal_px, width / 2, height / 2, height, width)
+    return Observation(frame[None], plate, torch.from_numpy(matte)[None], camera, 1 / 30, 1 / 30)
 
 
 def test_a_plate_that_still_shows_the_person_is_doubted(

@@ -12,7 +12,16 @@ import torch
 
 import hfb.flows.rerun
 import hfb.tasks.image.fit_motion
-from hfb.config import ExportConfig, FitConfig, InitConfig, MattingConfig, PriorConfig, RunConfig, Stage
+from hfb.config import (
+    RENAMED_FIT_OPTIONS,
+    ExportConfig,
+    FitConfig,
+    InitConfig,
+    MattingConfig,
+    PriorConfig,
+    RunConfig,
+    Stage,
+)
 from hfb.errors import InputError
 from hfb.flows.cli.cli import main
 from hfb.flows.fit_image import fit_image
@@ -34,7 +43,7 @@ from tests.small_clips import small_clip, small_config
 MOVING = RunConfig(
     seed=3,
     init=InitConfig(method="matte"),
-    fit=FitConfig(subframes=2, texture_px=16, root_kick=0.1, stages=(Stage(size_px=32, iterations=12),)),
+    fit=FitConfig(subframes=2, texture_px=16, initial_root_velocity=0.1, stages=(Stage(size_px=32, iterations=12),)),
     export=ExportConfig(films=(), report=False),
 )
 CLIP = "[camera]\nfocal_px = 140.0\n[exposure]\nfps = 25\nshutter_fraction = 0.5\n"
@@ -102,6 +111,16 @@ def test_the_same_bits_without_the_cache(made: dict[str, Any], store: Path, tmp_
     second = again(run_id)  # and once more, in another new folder
     assert Path(second["out"]).name == f"rerun-{run_id[:8]}-2"
     assert second["mlflow_run_id"] not in (run_id, verdict["mlflow_run_id"])
+
+
+def test_a_run_recorded_by_earlier_names_of_options(made: dict[str, Any], store: Path, tmp_path: Path) -> None:
+    (path,) = (tmp_path / "mlflow-artifacts").rglob(RECIPE)
+    content = json.loads(path.read_text())
+    fit = content["config"]["fit"]
+    fit |= {old: fit.pop(new) for old, new in RENAMED_FIT_OPTIONS.items()}
+    assert {"across", "several", "root_kick"} <= fit.keys()
+    path.write_text(json.dumps(content))
+    assert again(made["mlflow_run_id"])["bit_equal"]
 
 
 def test_inputs_that_were_moved_or_changed(made: dict[str, Any], store: Path, tmp_path: Path) -> None:

@@ -189,7 +189,7 @@ def test_windows_go_together_on_a_device(store: Path, tmp_path: Path) -> None:
     pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
     out = begun(tmp_path / "out")
     gentle = "--video.stages", '[{"size_px": 32, "iterations": 3, "learning_rate": 0.002}]'
-    options = "--fit.rasterizer", "warp", "--fit.at-once", "2", *gentle
+    options = "--fit.rasterizer", "warp", "--fit.batch-size", "2", *gentle
     result = run_clip(small_clip().truth.parent, out, *options, truth=small_clip().truth)
     assert (result["frames"], result["sub_frames"], result["resumed_frames"]) == (12, 36, 0)
     assert result["worst_jump_mm"] < 2

@@ -23,7 +23,7 @@ from hfb.interop.writers.mesh_files import mesh_name
 from hfb.interop.writers.skinned_glb import skinned_glb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.result_curves import curves_section, read_curves
+from hfb.report.result_curves import curve_charts, read_curves
 from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
 from hfb.tasks.batch.batch_summary import BatchSummary
@@ -155,7 +155,7 @@ RESULT_READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
         lambda path: direction_record(load_alternatives(path)[0]), lambda path: _page(alternatives=path),
     ),
     "facts": (find_named_body, lambda path: _page(facts=path), _batch),
-    "curves": (lambda path: curves_section(read_curves(path), FACTS),),
+    "curves": (lambda path: curve_charts(read_curves(path), FACTS),),
     "strip": (lambda path: _page(strip=path), _batch),
 }  # fmt: skip
 """Kind of file -> everything that opens one; each reader goes its way, whatever the others said."""

@@ -10,7 +10,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.body.skeleton import MIRROR
 from hfb.errors import InputError
-from hfb.evidence.joint_evidence import JointEvidence, look_for_joints
+from hfb.evidence.joint_evidence import JointEvidence, predict_joint_evidence
 from hfb.evidence.joint_network import CHANNELS, PICTURE_PX, JointNetwork, Window, picture_channels
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
@@ -132,10 +132,10 @@ def test_the_shipped_network_improves_a_bad_start_and_says_the_same_twice() -> N
     body = load_default_body()
     scene = moving_scene(body, size_px=192, step_m=0.1)
     start = wrong_start(scene)
-    evidence = look_for_joints(scene.observation, [start], body)
+    evidence = predict_joint_evidence(scene.observation, [start], body)
     before, after = errors_mm(evidence, scene, start)
     assert after < 0.75 * before
-    again = look_for_joints(scene.observation, [start], body)
+    again = predict_joint_evidence(scene.observation, [start], body)
     assert torch.equal(evidence.middle, again.middle)
     assert torch.equal(evidence.scale, again.scale)
     spread = evidence.spread_m(
@@ -159,8 +159,8 @@ def test_a_mirrored_scene_gives_the_mirrored_claim() -> None:
     )
     turned = start.pose[list(MIRROR)] * torch.tensor([1.0, -1, -1])
     mirrored = replace(start, pose=turned, translation=start.translation * torch.tensor([-1.0, 1, 1]))
-    one = look_for_joints(seen, [start], body)
-    other = look_for_joints(flipped, [mirrored], body)
+    one = predict_joint_evidence(seen, [start], body)
+    other = predict_joint_evidence(flipped, [mirrored], body)
     reflected = other.middle[0, list(MIRROR)] * torch.tensor([-1.0, 1, 1])
     # The embedded body is symmetric to a millimetre, and windows fall on whole pixels.
     assert float((one.middle[0] - reflected).abs().max()) < 0.03
@@ -171,17 +171,19 @@ def test_several_frames_give_the_paths_their_signs() -> None:
     body = load_default_body()
     for step_m in (0.3, -0.3):
         scene = moving_scene(body, size_px=96, frames=2, step_m=step_m)
-        evidence = look_for_joints(scene.observation, scene.middle, body)
+        evidence = predict_joint_evidence(scene.observation, scene.middle, body)
         assert (torch.sign(evidence.path[..., 0].mean(1)) == np.sign(step_m)).all()
 
 
 def test_other_pictures_are_looked_at_in_the_same_windows() -> None:
     scene = moving_scene(load_default_body(), size_px=128, frames=2)
     seen = scene.observation
-    evidence = look_for_joints(seen, scene.middle, load_default_body())
-    dark = evidence.of(replace(seen, frames_linear=0.5 * seen.frames_linear))
+    evidence = predict_joint_evidence(seen, scene.middle, load_default_body())
+    dark = evidence.predict_for(replace(seen, frames_linear=0.5 * seen.frames_linear))
     assert dark.windows == evidence.windows
     assert torch.equal(dark.start, evidence.start)
     assert 0.001 < float((dark.middle - evidence.middle).abs().mean()) < 0.1
     # A crop whose border repeats shows the windows the same pixels.
-    torch.testing.assert_close(evidence.of(seen.cropped(*seen.region())).middle, evidence.middle, atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        evidence.predict_for(seen.cropped(*seen.region())).middle, evidence.middle, atol=1e-3, rtol=0
+    )

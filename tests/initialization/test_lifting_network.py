@@ -14,7 +14,7 @@ from hfb.datasets.motions.sources import open_motions
 from hfb.datasets.network_errors import draw_pose_errors
 from hfb.evidence.joint_evidence import JointEvidence
 from hfb.evidence.joint_network import Window
-from hfb.evidence.lifting_network import lift, shipped_lifting_network
+from hfb.evidence.lifting_network import lift_depth, shipped_lifting_network
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 
@@ -51,8 +51,8 @@ def test_depth_is_nearer_than_the_guess_and_nearest_with_a_neighbour() -> None:
     seen = truth + noise
     guessed = (start - truth)[..., 2].abs().mean()
     told = seen, start, lengths, FAR
-    alone = torch.cat([lift(*(one[frame : frame + 1] for one in told)) for frame in range(60)])
-    pairs = torch.cat([lift(*(one[frame : frame + 2] for one in told)) for frame in range(0, 60, 2)])
+    alone = torch.cat([lift_depth(*(one[frame : frame + 1] for one in told)) for frame in range(60)])
+    pairs = torch.cat([lift_depth(*(one[frame : frame + 2] for one in told)) for frame in range(0, 60, 2)])
     off_alone, off_pairs = ((told - truth[..., 2]).abs().mean() for told in (alone, pairs))
     assert off_alone < 0.6 * guessed
     assert off_pairs < 0.97 * off_alone
@@ -62,30 +62,30 @@ def test_bones_of_the_right_length_tell_more() -> None:
     truth, start, lengths = people(60)
 
     def off(factor: float) -> torch.Tensor:
-        return (lift(truth, start, factor * lengths, FAR) - truth[..., 2]).abs().mean()
+        return (lift_depth(truth, start, factor * lengths, FAR) - truth[..., 2]).abs().mean()
 
     assert off(1.0) < 0.9 * min(off(0.9), off(1.1))
 
 
 def test_time_has_no_arrow_and_a_frame_alone_is_its_own_neighbour() -> None:
     given = *people(5), FAR[:5]
-    told = lift(*given)
-    torch.testing.assert_close(lift(*(one.flip(0) for one in given)).flip(0), told)
-    alone = lift(*(one[:1] for one in given))
-    torch.testing.assert_close(lift(*(one[[0, 0]] for one in given)), alone.expand(2, -1))
+    told = lift_depth(*given)
+    torch.testing.assert_close(lift_depth(*(one.flip(0) for one in given)).flip(0), told)
+    alone = lift_depth(*(one[:1] for one in given))
+    torch.testing.assert_close(lift_depth(*(one[[0, 0]] for one in given)), alone.expand(2, -1))
 
 
 def test_it_knows_neither_place_nor_size_nor_side() -> None:
     joints, start, lengths = people(8)
     rest = lengths, torch.full((8,), 0.2)
-    told = lift(joints, start, *rest)
+    told = lift_depth(joints, start, *rest)
     moved = joints + torch.tensor([0.3, -0.2, 5.0])
-    torch.testing.assert_close(lift(moved, 1.4 * start + 1, *rest), told, atol=1e-5, rtol=0)
+    torch.testing.assert_close(lift_depth(moved, 1.4 * start + 1, *rest), told, atol=1e-5, rtol=0)
     mirror = list(MIRROR)
-    turned = lift(joints[:, mirror] * ACROSS, start[:, mirror] * ACROSS, lengths[:, mirror], rest[1])
+    turned = lift_depth(joints[:, mirror] * ACROSS, start[:, mirror] * ACROSS, lengths[:, mirror], rest[1])
     torch.testing.assert_close(turned[:, mirror], told, atol=1e-5, rtol=0)
     its_own_depth = torch.tensor([1.0, 1.0, 7.0])  # is not read
-    torch.testing.assert_close(lift(joints * its_own_depth, start, *rest), told)
+    torch.testing.assert_close(lift_depth(joints * its_own_depth, start, *rest), told)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
@@ -97,11 +97,11 @@ def test_a_claims_depth_is_shared(share: float) -> None:
         windows, middle, torch.ones_like(middle), torch.zeros_like(middle), ones, start, torch.tensor(0.5), ones[0]
     )
     metres = joints * torch.tensor([1.0, 1.0, 0.5]) + torch.tensor([0.0, 0.0, 4.0])
-    told = evidence.lifted(metres, share)
+    told = evidence.lift(metres, share)
     across = torch.stack([window.to_units(one) for window, one in zip(windows, metres, strict=True)])
     perspective = windows[0].units_to_tangents()
     lengths = bones(metres) / (metres[:, :1, 2] * perspective)
-    expected = (1 - share) * middle[..., 2] + share * lift(across, start, lengths, torch.full((2,), perspective))
+    expected = (1 - share) * middle[..., 2] + share * lift_depth(across, start, lengths, torch.full((2,), perspective))
     torch.testing.assert_close(told.middle[..., 2], expected)
     assert torch.equal(told.middle[..., :2], middle[..., :2])
     assert torch.equal(told.scale, evidence.scale)

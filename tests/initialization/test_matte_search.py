@@ -16,7 +16,7 @@ from hfb.initialization.initializer import make_initializer
 from hfb.initialization.matte_search import search_by_matte
 from hfb.initialization.pose_bank import bank_rotations
 from hfb.initialization.silhouette_fit import (
-    Stage,
+    SilhouetteStage,
     Stay,
     matte_level,
     overlap,
@@ -85,7 +85,7 @@ def test_refinement_never_ends_worse() -> None:
     standing = torch.cat([torch.tensor([[torch.pi, 0.0, 0.0]]), poses[names.index("standing")]])
     start = FirstBody(standing, torch.tensor([0.1, 0.0, 3.3]), torch.zeros(10), "x")
     level = matte_level(matte, CAMERA, 64)
-    ended = refine(start, matte, CAMERA, BODY, RASTERIZER, [Stage(64, 8, 0.03)], Stay(pose=0.01))
+    ended = refine(start, matte, CAMERA, BODY, RASTERIZER, [SilhouetteStage(64, 8, 0.03)], Stay(pose=0.01))
     assert overlap(ended, level, BODY, RASTERIZER) > overlap(start, level, BODY, RASTERIZER)
     assert ended.source == "x"
 
@@ -100,7 +100,7 @@ def test_initializer_takes_tensors() -> None:
 
 def test_deterministic() -> None:
     matte, truth = blurred_matte("stride", 1.0, (0.0, 0.1, 3.2))
-    ended = [refine(truth, matte, CAMERA, BODY, RASTERIZER, [Stage(48, 6, 0.05)], Stay()) for _ in range(2)]
+    ended = [refine(truth, matte, CAMERA, BODY, RASTERIZER, [SilhouetteStage(48, 6, 0.05)], Stay()) for _ in range(2)]
     assert torch.equal(ended[0].pose, ended[1].pose)
     assert torch.equal(ended[0].betas, ended[1].betas)
 
@@ -110,7 +110,7 @@ def test_several_at_once_are_each_by_itself() -> None:
     beside = replace(truth, translation=truth.translation + torch.tensor([0.3, 0.0, 0.2]))
     lying = replace(truth, pose=torch.cat([torch.tensor([[0.0, 0.0, 1.5]]), truth.pose[1:]]))
     firsts, travels = [truth, beside, lying], torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.3, 0.0], [0.2, 0.1, 0.0]])
-    scene, stage, stay = (matte, CAMERA, BODY, RASTERIZER), Stage(40, 6, 0.05, shape=False), Stay()
+    scene, stage, stay = (matte, CAMERA, BODY, RASTERIZER), SilhouetteStage(40, 6, 0.05, shape=False), Stay()
     for one, together in zip(firsts, refine_all(firsts, None, *scene, [stage], stay)[0], strict=True):
         alone = refine(one, *scene, [stage], stay)
         assert torch.equal(together.pose, alone.pose)
@@ -128,10 +128,10 @@ def test_several_at_once_have_one_shape_and_keep_it() -> None:
     matte, truth = blurred_matte("stride", 1.0, (0.0, 0.1, 3.2))
     scene = (matte, CAMERA, BODY, RASTERIZER)
     with pytest.raises(ValueError, match="keep their shape"):
-        refine_all([truth, truth], None, *scene, [Stage(40, 2, 0.05)], Stay())
+        refine_all([truth, truth], None, *scene, [SilhouetteStage(40, 2, 0.05)], Stay())
     taller = replace(truth, betas=truth.betas + 0.1)
     with pytest.raises(ValueError, match="same betas"):
-        refine_all([truth, taller], None, *scene, [Stage(40, 2, 0.05, shape=False)], Stay())
+        refine_all([truth, taller], None, *scene, [SilhouetteStage(40, 2, 0.05, shape=False)], Stay())
 
 
 def test_an_empty_matte_is_a_sentence() -> None:

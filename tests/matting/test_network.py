@@ -19,7 +19,7 @@ from hfb.io.media.video.video_reading import average_frames, read_frames
 from hfb.matting.matte_network import CHANNELS, WIDTHS, MatteNetwork, features
 from hfb.matting.matting_protocol import KnownBackground, Matting, matte_region, shrink
 from hfb.matting.methods import make_matting
-from hfb.matting.network import BesideFit, NetworkMatting
+from hfb.matting.network import NetworkMatting, RenderConditionedMatting
 from hfb.matting.second_look import EVIDENCE_CHANNELS, colour_evidence
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS, fit_evidence
 from hfb.photometry import srgb_to_linear
@@ -212,7 +212,7 @@ def test_the_third_look_keeps_what_no_fit_can_wear_and_drops_what_it_wears_by_mi
     arm[int(np.median(rows)) - 4 : int(np.median(rows)) + 4, max(0, columns.min() - 30) : columns.min() - 4] = 1
     fitted = np.dstack([frame * body[..., None], body])
     fitted[arm > 0] = [*frame[body > 0.9].mean(0), 1.0]
-    alpha = BesideFit(frame, scene.plate, np.maximum(body, bag)).matte(fitted)
+    alpha = RenderConditionedMatting(frame, scene.plate, np.maximum(body, bag)).matte(fitted)
     assert alpha[bag > 0.9].mean() > 0.8
     assert alpha[arm > 0].mean() < 0.15
 
@@ -222,7 +222,7 @@ def test_the_third_look_leaves_out_who_was_left_out() -> None:
     scene = composite(generated_plate("clouds"), 8, 21)
     two, plate, alpha = (np.concatenate([one, one], 1) for one in (scene.frame, scene.plate, scene.alpha))
     alpha[:, scene.alpha.shape[1] :] = 0
-    found = BesideFit(two, plate, alpha).matte(np.dstack([two * alpha[..., None], alpha]))
+    found = RenderConditionedMatting(two, plate, alpha).matte(np.dstack([two * alpha[..., None], alpha]))
     assert soft_iou(found, alpha) > 0.9
     assert found[:, scene.alpha.shape[1] + 30 :].max() == 0
 
@@ -231,7 +231,9 @@ def test_where_the_third_look_sees_nobody_the_matte_stays() -> None:
     plate = generated_plate("flat")
     matte = np.zeros(plate.shape[:2], np.float32)
     matte[100:140, 100:120] = 0.9
-    assert np.array_equal(BesideFit(plate, plate, matte).matte(np.zeros((*matte.shape, 4), np.float32)), matte)
+    assert np.array_equal(
+        RenderConditionedMatting(plate, plate, matte).matte(np.zeros((*matte.shape, 4), np.float32)), matte
+    )
 
 
 def test_features_say_the_same_of_a_darker_scene() -> None:

@@ -66,7 +66,7 @@ def test_a_box_around_what_is_drawn_is_enough(box: tuple[int, int, int, int], sc
     losses, compared = target.compare(drawn.numpy().copy(), box)
     np.testing.assert_allclose(losses, [one.item() for one in values], rtol=1e-12, atol=1e-14)
     for _ in range(2):  # the way back may be gone twice
-        gradient = target.pull(compared, [3.0, 2.0])[top:bottom, left:right]
+        gradient = target.backward(compared, [3.0, 2.0])[top:bottom, left:right]
         np.testing.assert_allclose(gradient, leaf.grad[top:bottom, left:right], rtol=1e-11, atol=1e-14)
 
 

@@ -6,7 +6,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import Stage, Weights, preset
 from hfb.datasets.motions.sources import open_motions
-from hfb.fitting.loop import fit
+from hfb.fitting.fit import fit
 from hfb.geometry.rotations import in_hemisphere_of
 from hfb.motion.trajectory import Trajectory, trajectory_at_rest
 from hfb.priors.anatomy import AnatomicalPrior

@@ -7,7 +7,7 @@ import torch
 from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, preset
 from hfb.evaluation.protocol import at_rest, truth_scores
-from hfb.fitting.loop import FitResult, fit
+from hfb.fitting.fit import FitResult, fit
 from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rendering.backends import make_rasterizer

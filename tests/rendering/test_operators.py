@@ -79,7 +79,7 @@ def test_a_judge_at_hand_says_what_it_says_of_the_picture(silhouette: str, threa
             body = torch.cat([at(vertices, x_m + 0.02 * s, 0, 2.0) for s in range(5)]).requires_grad_()
             texture = smooth_texture(8).requires_grad_()
             if at_hand:
-                losses = rasterizer.judge_mean(body, texture, CAMERA, mesh, judge)
+                losses = rasterizer.image_losses(body, texture, CAMERA, mesh, judge)
             else:
                 losses = judge.losses(rasterizer.render_mean(body, texture, CAMERA, mesh))
             (2 * losses[0] + 3 * losses[1]).backward()

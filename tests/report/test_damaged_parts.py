@@ -22,7 +22,7 @@ from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.report.limb_speed import exposure_s
 from hfb.report.page import checked_picture
-from hfb.report.result_curves import curves_section, read_curves
+from hfb.report.result_curves import curve_charts, read_curves
 from hfb.report.result_facts import read_facts
 from hfb.report.slow_motion import film_instants
 from tests.fuzz.hostile import _large_png
@@ -75,7 +75,7 @@ def test_a_result_with_entries_of_other_types_is_refused(entry: dict[str, Any], 
     ],
 )  # fmt: skip
 def test_curves_of_another_kind_are_refused(entry: dict[str, Any], result: Path) -> None:
-    assert curves_section(read_curves(result / "curves.json"), FACTS) is not None
+    assert curve_charts(read_curves(result / "curves.json"), FACTS)
     rewritten(result / "curves.json", lambda content: content | entry)
     with pytest.raises(InputError, match=r"curves\.json holds no curves"):
         read_curves(result / "curves.json")
@@ -84,7 +84,7 @@ def test_curves_of_another_kind_are_refused(entry: dict[str, Any], result: Path)
 def test_stages_that_are_none_leave_the_curves(result: Path) -> None:
     curves = read_curves(result / "curves.json")
     for stages in ("x", [{"iterations": "many"}], [{"iterations": 10**9}], [{"iterations": 1}] * 1000, [3], None):
-        assert curves_section(curves, {"config": {"fit": {"stages": stages}}}) is not None
+        assert curve_charts(curves, {"config": {"fit": {"stages": stages}}})
 
 
 @pytest.mark.parametrize(

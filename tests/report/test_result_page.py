@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
@@ -14,7 +15,7 @@ from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
 from hfb.report.page import page
 from hfb.report.result_page import ResultContents, result_page
-from hfb.report.result_unknown import alternatives_section, by_probability, reversed_text, unknown_section
+from hfb.report.result_unknown import alternatives_table, by_probability, reversed_text, unknown_sentences
 from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
@@ -123,11 +124,12 @@ def test_what_it_says(report: Path) -> None:
 def test_a_height_that_was_told_is_said() -> None:
     motion = motion_of(BODY)
     unknown, told, damaged = (
-        str(unknown_section(motion, BODY, {"config": {"fit": {"height_m": height}}})) for height in (None, 1.8, NASTY)
+        " ".join(unknown_sentences(motion, BODY, {"config": {"fit": {"height_m": height}}}))
+        for height in (None, 1.8, NASTY)
     )
     assert "give it with --fit.height-m" in unknown
     assert "m tall and" in unknown
-    assert damaged == unknown == str(unknown_section(motion, BODY, {}))
+    assert damaged == unknown == " ".join(unknown_sentences(motion, BODY, {}))
     assert "height, 1.80 m, was given" in told
     assert "--fit.height-m" not in told
 
@@ -135,29 +137,29 @@ def test_a_height_that_was_told_is_said() -> None:
 def test_the_condition_of_odds_is_said_beside_them() -> None:
     motion = motion_of(BODY)
     facts = {"unknown": "UNKNOWN", "confidence": {"holds_for": "RADII", "directions": {"holds_for": "ODDS"}}}
-    said = str(unknown_section(motion, BODY, facts))
+    said = " ".join(unknown_sentences(motion, BODY, facts))
     assert said.index("UNKNOWN") < said.index("ODDS")
-    assert "ODDS" not in str(unknown_section(motion, BODY, facts | {"unknown": None}))  # nothing moved
+    assert "ODDS" not in " ".join(unknown_sentences(motion, BODY, facts | {"unknown": None}))  # nothing moved
     for damaged in (None, "x", {"directions": 3}, {"directions": {"holds_for": [1]}}):
-        assert "UNKNOWN" in str(unknown_section(motion, BODY, facts | {"confidence": damaged}))
+        assert "UNKNOWN" in unknown_sentences(motion, BODY, facts | {"confidence": damaged})
 
 
 def test_what_told_the_direction_is_shown_where_it_counted() -> None:
     found = weighed(motion_of(BODY))  # three frames: what they say of time is in their loss
     scores = found.scores | {"path": np.full(3, 0.1234), "network_backwards": np.array([0.53, 0.6, 0.88])}
-    several = alternatives_section(replace(found, scores=scores))
-    single = alternatives_section(replace(found, scores=scores, reversed_limbs=found.reversed_limbs[:, :1]))
+    several = alternatives_table(replace(found, scores=scores))
+    single = alternatives_table(replace(found, scores=scores, reversed_limbs=found.reversed_limbs[:, :1]))
     assert several is not None
     assert single is not None
-    assert "0.1234" in several
-    assert "network against it" not in several
-    assert "network against it" in single
-    assert "0.88" in single
+    assert "0.1234" in several["rows"][0]
+    assert "network against it" not in several["head"]
+    assert "network against it" in single["head"]
+    assert "0.88" in single["rows"][1]
 
 
 def test_the_body_stands_where_the_motion_says() -> None:
     motion = motion_of(BODY, frames=5, missing=(2,))
-    whole = page("x", viewer([ViewedMotion("one", motion)], BODY), scripts=viewer_scripts())
+    whole = page("base.html", "x", content=viewer([ViewedMotion("one", motion)], BODY), scripts=viewer_scripts())
     with browser() as chromium:
         tab = new_tab(chromium, 700)
         tab.set_content(whole)
@@ -201,7 +203,7 @@ def test_without_webgl_there_is_a_skeleton_and_viewers_of_a_group_move_together(
         tab = new_tab(chromium, 700)
         errors: list[str] = []
         tab.on("pageerror", lambda error: errors.append(str(error)))
-        tab.set_content(page("x", *both, scripts=viewer_scripts()))
+        tab.set_content(page("base.html", "x", content=Markup("").join(both), scripts=viewer_scripts()))
         kinds = tab.evaluate("[...document.querySelectorAll('.viewer')].map((one) => one.dataset.drawing)")
         assert kinds == ["skeleton", "skeleton"]
         assert_body_moves(tab)

@@ -59,7 +59,7 @@ def test_the_page_is_safe_and_needs_nothing_else() -> None:
     tables = [PageTable("Options", (("clip", HOSTILE, 'a"b', "1"),)), PageTable("Machine", (), "none")]
     page = run_page(["They <b>differ</b>."], tables, [RunLook("a <b>", None, picture), RunLook("c & d")], picture)
     assert "<script" not in page
-    assert "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;" in page
+    assert "&lt;script&gt;alert(&#34;1&#34;)&lt;/script&gt;" in page
     assert "a &lt;b&gt; and c &amp; d" in page
     assert "They &lt;b&gt;differ&lt;/b&gt;." in page
     assert not re.search(r"(src|href)=\"(?!data:)", page)

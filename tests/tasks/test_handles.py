@@ -31,7 +31,15 @@ def file(tmp_path: Path) -> Path:
 def fit_of(file: Path, seconds: float = 1.0, loss: float = 0.5) -> FitHandle:
     one = FileHandle.of(file)
     return FitHandle(
-        motion=one, texture=one, texture_image=one, history=one, seconds=seconds, best_iteration=3, loss=loss
+        motion=one,
+        texture=one,
+        texture_image=one,
+        history=one,
+        mattes=(one,),
+        seconds=seconds,
+        stage_seconds={"stage_1": seconds},
+        best_iteration=3,
+        loss=loss,
     )
 
 
@@ -62,7 +70,7 @@ def test_the_digest_is_of_content_alone(file: Path, tmp_path: Path) -> None:
 
 def test_every_file_is_found(file: Path) -> None:
     one = FileHandle.of(file)
-    assert len(list(files_in(fit_of(file)))) == 4
+    assert len(list(files_in(fit_of(file)))) == 5
     assert list(files_in(Inputs(frames=(one, one), background=one, body=one))) == [one] * 4
     assert list(files_in(3)) == []
     judged = JudgedHandle.of(file, motion=one)  # a file that goes with others

@@ -14,7 +14,7 @@ from hfb.evaluation.baselines.frames import one_by_one
 from hfb.evaluation.baselines.rows import row_times_s
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
-from hfb.fitting.loop import FitResult, fit
+from hfb.fitting.fit import FitResult, fit
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.sampled import SampledMotion
 from hfb.motion.static_pose import FirstBody

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from hfb.config import DirectionsConfig, FitConfig, Record, RunConfig, SeveralFrames, Stage, Weights, preset
+from hfb.config import DirectionsConfig, FitConfig, MultiFrame, Record, RunConfig, Stage, Weights, preset
 from hfb.errors import InputError
 from hfb.evaluation.baselines.chain_spec import ChainSpec, read_chains
 from hfb.io.toml_file import merged, read_toml, to_record
@@ -55,14 +55,14 @@ def _without_evidence(fit: FitConfig) -> FitConfig:
 _VARIANTS: dict[str, Callable[[FitConfig], FitConfig]] = {
     **{f"no-{weight}": _without(weight) for weight in Weights.model_fields},
     "no-pyramid": _stage_of_all,
-    "no-kick": _with(root_kick=0.0),
+    "no-kick": _with(initial_root_velocity=0.0),
     "no-evidence": _without_evidence,
     "settled": _with(stages=()),
     "no-lifting": _with(lifting=0.0),
     "no-compare": _with(compare=0.0),
     "no-fusion": _with(fuse_depth=False),
     "no-matte-again": _with(matte_again=False),
-    "no-several": _with(several=SeveralFrames()),
+    "no-several": _with(multi_frame=MultiFrame()),
     "no-directions": _with(directions=DirectionsConfig()),
     "dibr": _with(silhouette="dibr"),
     "coverage": _with(silhouette="coverage"),
@@ -203,7 +203,7 @@ def _unknown(base: str, chains: Mapping[str, ChainSpec]) -> InputError:
 def _config_of(path: Path) -> RunConfig:
     """The preset that a file names, with the file's own entries; only what a method may decide."""
     content = read_toml(path)
-    to_record(RunConfig, content, str(path))
+    content = to_record(RunConfig, content, str(path)).model_dump(exclude_unset=True)
     foreign = sorted(set(content) - {"preset", "seed", "fit", "prior"})
     if foreign:
         raise InputError(f"{path}: {foreign[0]} is the same for every method of a benchmark; leave it out of this file")

@@ -1,8 +1,8 @@
-"""Windows of one clip agree on which way every limb moved.
+"""Choose consistent directions of all limbs in the windows of a clip.
 
-A limb that runs backwards during an exposure leaves nearly the same picture. Windows that overlap must tell the same
-motion of the frame they share, and neighbouring frames must follow on one another: of all ways to run the limbs of all
-windows forwards or backwards the one with the least contradiction is taken, limb by limb, the torso first.
+A limb that is reversed during an exposure gives nearly the same image. Overlapping windows must agree in the frame that
+they share, and neighbouring frames must be continuous. Dynamic programming takes the directions with the least
+contradiction, limb by limb, the torso first.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ _STEP = 0.02
 _CLOCK = (-_STEP, 0.0, _STEP, 0.5, 1 - _STEP, 1.0, 1 + _STEP)
 _OPENING, _MIDDLE, _CLOSING = 1, 3, 5
 _TURN_M = 0.01
-"""What running a limb backwards costs against what was fitted, in metres of contradiction."""
+"""Cost of reversing a fitted limb, in metres of contradiction."""
 _VELOCITY_SHARE = 0.5
-"""Of a contradiction in velocity [m per exposure], against one in place [m]."""
+"""Weight of a contradiction in velocity [m per exposure] relative to one in place [m]."""
 
 
 @dataclass(frozen=True)
 class Turned:
-    """A limb of one frame, as one window saw it, that was run backwards."""
+    """A limb of one frame in one window that was reversed."""
 
     window: tuple[int, ...]
     frame: int
@@ -55,10 +55,11 @@ class _Nodes:
 def agree_on_directions(
     fits: Sequence[WindowFit], shaped: ShapedBody, gaps_u: Float[Array, "T"]
 ) -> tuple[list[WindowFit], tuple[Turned, ...]]:
-    """The windows with their limbs run in agreeing directions, in the order of the clip, and what was turned.
+    """Reverse limbs so that windows agree; returns the windows in the order of the clip, and what was reversed.
 
     Args:
         fits: of one clip, all with one kind, degree and origin of polynomials.
+        shaped: the clip's person.
         gaps_u: from each frame's closing shutter to the next one's opening, in exposures.
     """
     ordered = sorted(fits, key=lambda found: found.frames)
@@ -107,7 +108,7 @@ def _joints(trajectory: Trajectory, shaped: ShapedBody) -> Float[Array, "N S 24 
 def _least_contradiction(
     joints: Float[Array, "2 N S j 3"], nodes: _Nodes, gaps_u: Float[Array, "T"]
 ) -> Bool[Array, "N"]:
-    """Which nodes run backwards: dynamic programming along the clip; as fitted where both are as good."""
+    """Nodes to reverse, by dynamic programming along the clip; ties stay as fitted."""
     velocity = (joints[:, :, 2::4] - joints[:, :, 0::4]) / (2 * _STEP)  # at the opening and at the closing
     costs, came_from = np.array([0.0, _TURN_M]), []
     for node in range(1, len(nodes.frame)):

@@ -62,6 +62,7 @@ class ChainMotion:
         """The chain of windows in the order of the clip.
 
         Args:
+            ordered: windows in the order of the clip.
             gaps_u: after every frame of the clip, in exposures.
         """
         claims: dict[int, list[tuple[int, int]]] = {}
@@ -82,7 +83,11 @@ class ChainMotion:
         return replace(chain, meeting=chain._meeting(chain.rows, 1 + half, chain.rows + 1, -half))
 
     def at(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """Unit quaternions and translations [m] of every frame at its own times u, in exposures since its opening."""
+        """Unit quaternions and translations [m] of every frame at its own times u, in exposures since its opening.
+
+        Args:
+            u: times of each frame [exposures].
+        """
         rotation, path = self._blended(u)
         if self.meeting is None:
             return rotation, path
@@ -106,6 +111,8 @@ class ChainMotion:
 
         Args:
             openings_u: of every frame of the clip's shutter, in exposures.
+            clock: times of the sub-frames [exposures].
+            longest: most frames of a stretch that is bridged.
         """
         steps = np.diff(self.frames)
         rows = np.flatnonzero((steps > 1) & (steps <= longest + 1))
@@ -147,7 +154,12 @@ class ChainMotion:
         return tuple(Edge(int(self.frames[row]), *one) for row, one in zip(self.rows, numbers, strict=True))
 
     def radius_mm(self, ordered: Sequence[WindowFit], u: Float[Array, "S"]) -> Float[Array, "F S 24"] | None:
-        """The windows' own radii, blended as their motions are; None where a window has none."""
+        """The windows' own radii, blended as their motions are; None where a window has none.
+
+        Args:
+            ordered: windows in the order of the clip.
+            u: times of the sub-frames [exposures].
+        """
         radii = [found.joint_radius_mm for found in ordered]
         if any(radius is None for radius in radii):
             return None

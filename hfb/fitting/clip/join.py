@@ -20,7 +20,7 @@ from hfb.body.model import Body
 from hfb.fitting.clip.chain_directions import Turned, agree_on_directions
 from hfb.fitting.clip.chain_motion import ChainMotion, Edge
 from hfb.fitting.clip.windows import WindowFit, runs
-from hfb.fitting.clip_person import ClipPerson
+from hfb.fitting.identity import Identity
 from hfb.geometry.rotations import quaternion_to_axis_angle, quaternion_to_matrix
 from hfb.io.media.timing import Timing
 from hfb.motion.clock import subframe_clock
@@ -51,17 +51,22 @@ class JoinedMotion:
 def join_windows(
     fits: Sequence[WindowFit],
     body: Body,
-    person: ClipPerson,
+    identity: Identity,
+    *,
     timing: Timing,
     subframes: int,
     K: Float[Array, "3 3"],
     longest_fill: int = 0,
 ) -> JoinedMotion:
-    """Join the windows of a clip; the result does not depend on their order.
+    """Join the windows of a clip into one motion; their order does not matter.
 
     Args:
-        person: whose shape all windows were fitted with.
-        timing: of the whole clip. K: of the full picture [px].
+        fits: windows of one clip, in any order.
+        body: the body model.
+        identity: the one that all windows were fitted with.
+        timing: of the whole clip.
+        subframes: N, rows per frame.
+        K: of the full picture [px].
         longest_fill: stretches of at most so many frames without the person are bridged, longer ones are gaps.
 
     Raises:
@@ -69,7 +74,7 @@ def join_windows(
     """
     if not fits:
         raise ValueError("a motion is joined from windows, and there is none")
-    shaped = body.to(torch.float64).shape(person.betas.double())
+    shaped = body.to(torch.float64).shape(identity.betas.double())
     openings_u = timing.openings_s / timing.exposure_s
     gaps_u = np.maximum(np.diff(openings_u, append=openings_u[-1] + 1) - 1, 0.0)
     ordered, turned = agree_on_directions(fits, shaped, gaps_u)
@@ -92,7 +97,7 @@ def join_windows(
     times_s = (timing.openings_s[frames][:, None] + clock.numpy() * lasted[:, None]).reshape(-1)
     motion = SampledMotion(
         poses=quaternion_to_axis_angle(quaternions).flatten(1).numpy(), trans=path.numpy(),
-        betas=person.betas.double().numpy(), joints=shaped.joints_of(quaternion_to_matrix(quaternions), path).numpy(),
+        betas=identity.betas.double().numpy(), joints=shaped.joints_of(quaternion_to_matrix(quaternions), path).numpy(),
         times_s=times_s, frame_index=np.repeat(frames, subframes), K=np.asarray(K, np.float64), joint_radius_mm=radius,
     )  # fmt: skip
     seen = np.zeros(len(timing.openings_s), bool)

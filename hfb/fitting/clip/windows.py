@@ -15,8 +15,8 @@ import torch
 from hfb.body.model import Body
 from hfb.config import FitConfig, RunConfig
 from hfb.errors import InputError
-from hfb.fitting.clip_person import ClipPerson, as_person
-from hfb.fitting.loop import FitResult, Problem, fit_all
+from hfb.fitting.fit import FitResult, Problem, fit_all
+from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
 from hfb.motion.static_pose import FirstBody
@@ -27,9 +27,13 @@ from hfb.rendering.observation import Observation
 from hfb.typing import Array, Bool, Float, Tensor
 
 
-def windows_at_once(config: FitConfig) -> int:
-    """How many windows are one problem (`fit_all`): a device would be idle with one."""
-    return config.at_once if config.rasterizer in ("cuda", "warp") else 1
+def window_batch_size(config: FitConfig) -> int:
+    """Number of windows that are fitted together (`fit_all`): one alone leaves a device idle.
+
+    Args:
+        config: options of the fit.
+    """
+    return config.batch_size if config.rasterizer in ("cuda", "warp") else 1
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,10 @@ def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...
     """Cut every unbroken run of usable frames into windows of `length` frames that share one with the next.
 
     The last window of a run is shorter where the run does not divide; a lone frame is a window of its own.
+
+    Args:
+        usable: frames that can be fitted.
+        length: frames per window.
     """
     if length < 2:
         raise ValueError(f"windows of {length} frames cannot overlap: give 2 or more")
@@ -82,7 +90,11 @@ def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...
 
 
 def runs(usable: Bool[Array, "T"]) -> list[range]:
-    """The unbroken runs of true entries, in order."""
+    """The unbroken runs of true entries, in order.
+
+    Args:
+        usable: one entry per frame.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], usable, [False]]).astype(np.int8)))
     return [range(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
@@ -91,7 +103,9 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
     """Which windows settle the person: from the middle of each equal part of the clip, where most of them is seen.
 
     Args:
+        windows: of one clip.
         matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
+        count: how many are chosen at most.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
     parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
@@ -102,7 +116,11 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
 
 
 def window_config(config: RunConfig) -> FitConfig:
-    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing."""
+    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing.
+
+    Args:
+        config: options of the run.
+    """
     video, base = config.video, config.fit
     return base.model_copy(
         update={
@@ -114,7 +132,11 @@ def window_config(config: RunConfig) -> FitConfig:
 
 
 def person_config(config: RunConfig) -> FitConfig:
-    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions."""
+    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions.
+
+    Args:
+        config: options of the run.
+    """
     return config.fit.model_copy(update={"directions": config.fit.directions.model_copy(update={"search": False})})
 
 
@@ -124,35 +146,44 @@ class WindowScene:
 
     Attributes:
         observation, first_bodies: of the window's frames alone.
-        person: shape and texture to hold fixed; both are found where it is not given.
+        identity: shape and texture to hold fixed; both are fitted where it is not given.
     """
 
     window: ClipWindow
     observation: Observation
     first_bodies: Sequence[FirstBody]
-    person: ClipPerson | None = None
+    identity: Identity | None = None
 
 
 def fit_windows(
     scenes: Sequence[WindowScene],
     body: Body,
     config: FitConfig,
+    *,
     seed: int,
     pose_prior: PosePrior,
     motion_prior: MotionPrior | None = None,
 ) -> list[WindowFit]:
-    """Fit several windows of one clip: at once on a device (see `fit_all`), in turn otherwise.
+    """Fit several windows of one clip: in batches on a device (see `fit_all`), in turn otherwise.
 
-    In rooms of one size, so that no window's result depends on which others are fitted beside it.
+    Args:
+        scenes: windows with their observations, first bodies and, where known, identity.
+        body: the body model.
+        config: options of the fits.
+        seed: of everything random.
+        pose_prior: how unlikely each pose is.
+        motion_prior: how people move; the shipped one when not given.
     """
-    room = windows_at_once(config)
+    batch_size = window_batch_size(config)
     found: dict[int, WindowFit] = {}
     for kind in sorted({_kind(one) for one in scenes}):
         alike = [place for place, one in enumerate(scenes) if _kind(one) == kind]
-        for at in range(0, len(alike), room):
-            some = alike[at : at + room]
+        for at in range(0, len(alike), batch_size):
+            some = alike[at : at + batch_size]
             problems = [_problem(scenes[place], body) for place in some]
-            results = fit_all(problems, body, config, seed, pose_prior, None, motion_prior, room)
+            results = fit_all(
+                problems, body, config, seed, pose_prior, motion_prior=motion_prior, batch_size=batch_size
+            )
             found |= {
                 place: _window_fit(scenes[place], result, config)
                 for place, result in zip(some, results, strict=True)
@@ -163,14 +194,14 @@ def fit_windows(
 def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
     """Windows of one kind can be one problem."""
     seen = scene.observation
-    return len(scene.window.frames), scene.person is not None, seen.exposure_s, seen.interval_s
+    return len(scene.window.frames), scene.identity is not None, seen.exposure_s, seen.interval_s
 
 
 def _problem(scene: WindowScene, body: Body) -> Problem:
-    first_bodies, person = scene.first_bodies, scene.person
-    if person is not None:
-        first_bodies = [as_person(first, person.betas, body) for first in first_bodies]
-    return Problem(scene.observation, first_bodies, person)
+    first_bodies, identity = scene.first_bodies, scene.identity
+    if identity is not None:
+        first_bodies = [rescale_first_body(first, identity.betas, body) for first in first_bodies]
+    return Problem(scene.observation, first_bodies, identity)
 
 
 def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> WindowFit:
@@ -180,7 +211,7 @@ def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> Wind
         segment=scene.window.segment,
         trajectory=found.trajectory,
         betas=torch.from_numpy(found.motion.betas).float(),
-        texture=found.texture if scene.person is None else None,
+        texture=found.texture if scene.identity is None else None,
         joint_radius_mm=None if radius is None else radius.reshape(len(frames), config.subframes, 24),
         loss=found.loss,
         seconds=found.seconds,
@@ -189,7 +220,12 @@ def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> Wind
 
 
 def save_window(path: Path, found: WindowFit) -> None:
-    """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat."""
+    """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat.
+
+    Args:
+        path: where it is written.
+        found: the window's result.
+    """
     motion = found.trajectory
     arrays: dict[str, Array] = {
         "frames": np.array(found.frames), "segment": np.array(found.segment), "betas": found.betas.double().numpy(),
@@ -206,6 +242,9 @@ def save_window(path: Path, found: WindowFit) -> None:
 
 def load_window(path: Path) -> WindowFit:
     """Read a window's result; its ``seconds`` are 0.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: missing, damaged, or not a window's result.

@@ -57,7 +57,7 @@ class Target:
     def compare(
         self, mean: Float[Array, "H W 4"], box: tuple[int, int, int, int]
     ) -> tuple[tuple[float, float], Compared]:
-        """(L_I, L_alpha), each the mean over its scales and zero at no scale, and what `pull` needs.
+        """(L_I, L_alpha), each the mean over its scales and zero at no scale, and what `backward` needs.
 
         Args:
             mean: premultiplied colours and a silhouette, as a rasteriser returns them; written over.
@@ -88,9 +88,9 @@ class Target:
         )
         return losses, Compared(window, difference, coarse, slopes)
 
-    def pull(self, compared: Compared, by_losses: Sequence[float]) -> Float[Array, "H W 4"]:
-        """Gradient by the mean drawing, from those of L_I and L_alpha; in the box alone, elsewhere anything."""
-        gradient, asked = np.empty_like(compared.difference), np.empty_like(compared.coarse)
+    def backward(self, compared: Compared, grad_losses: Sequence[float]) -> Float[Array, "H W 4"]:
+        """Gradient by the mean image, from those of L_I and L_alpha; undefined outside of the box."""
+        gradient, coarse = np.empty_like(compared.difference), np.empty_like(compared.coarse)
         kernels.gradient_of(
             compared.difference,
             compared.coarse,
@@ -98,8 +98,8 @@ class Target:
             compared.window,
             self._table,
             compared.slopes,
-            *by_losses,
-            asked,
+            *grad_losses,
+            coarse,
             gradient,
         )
         return gradient.reshape(*self.size, 4)
@@ -110,7 +110,7 @@ class Target:
 
 
 class _Losses(torch.autograd.Function):
-    """`Target.losses` with its way back."""
+    """`Target.losses` with its backward pass."""
 
     @staticmethod
     def forward(ctx: Any, mean: Tensor, target: Target) -> tuple[Tensor, Tensor]:
@@ -122,4 +122,4 @@ class _Losses(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, by_image: Tensor, by_matte: Tensor) -> tuple[Tensor, None]:
-        return torch.from_numpy(ctx.target.pull(ctx.kept, [by_image.item(), by_matte.item()])), None
+        return torch.from_numpy(ctx.target.backward(ctx.kept, [by_image.item(), by_matte.item()])), None

@@ -33,56 +33,56 @@ class _Pictures(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, of_pictures: Tensor) -> tuple[Tensor | None, ...]:
-        return *_pulled(ctx, of_pictures.contiguous().numpy()), None
+        return *_input_gradients(ctx, of_pictures.contiguous().numpy()), None
 
 
 @runtime_checkable
-class Judge(Protocol):
-    """Says how ill a mean picture (H, W, 4) fits."""
+class ImageLoss(Protocol):
+    """Losses of a mean image (H, W, 4) with their gradient."""
 
     def compare(self, mean: Array, box: Box) -> tuple[tuple[float, ...], Any]:
-        """(losses, what `pull` needs) of a picture that is zero outside of the box; it may be written over."""
+        """(losses, values saved for `backward`) of an image that is zero outside of the box; it may be overwritten."""
         ...
 
-    def pull(self, kept: Any, by_losses: Sequence[float]) -> Array:
-        """The picture's gradient from that of the losses; only what lies in the box counts."""
+    def backward(self, saved: Any, grad_losses: Sequence[float]) -> Array:
+        """Gradient by the image; only values inside the box are used."""
         ...
 
 
-def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
-    """What a judge says of `pictures`, a mean; differentiable in the vertices and the texture.
+def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLoss) -> tuple[Tensor, ...]:
+    """Losses of `pictures`, a mean; differentiable in the vertices and the texture.
 
-    One step for autograd, not two: between two of them Python and torch take as long as a judge.
+    Rendering and losses are one autograd node: the overhead of a second one is as large as the losses' time.
     """
-    return _Judged.apply(vertices, texture, setting, judge)
+    return _RenderedLosses.apply(vertices, texture, setting, loss)
 
 
-class _Judged(torch.autograd.Function):
-    """A mean picture and what a judge says of it."""
+class _RenderedLosses(torch.autograd.Function):
+    """A rendered mean image and its losses."""
 
     @staticmethod
-    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting, judge: Judge) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLoss) -> tuple[Tensor, ...]:
         drawn, box = _drawn(ctx, vertices, texture, setting)
-        losses, ctx.kept = judge.compare(drawn[0], box)
-        ctx.judge = judge
-        return tuple(torch.from_numpy(np.asarray(loss, drawn.dtype)) for loss in losses)
+        losses, ctx.kept = loss.compare(drawn[0], box)
+        ctx.loss = loss
+        return tuple(torch.from_numpy(np.asarray(one, drawn.dtype)) for one in losses)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *by_losses: Tensor) -> tuple[Tensor | None, ...]:
-        given = ctx.judge.pull(ctx.kept, [one.item() for one in by_losses])
-        return *_pulled(ctx, given[None]), None, None
+    def backward(ctx: Any, *grad_losses: Tensor) -> tuple[Tensor | None, ...]:
+        grad_image = ctx.loss.backward(ctx.kept, [one.item() for one in grad_losses])
+        return *_input_gradients(ctx, grad_image[None]), None, None
 
 
 def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
-    """Pictures, and the box that holds all that is drawn; keeps what `_pulled` needs."""
+    """Pictures, and the box that holds all that is drawn; keeps what `_input_gradients` needs."""
     drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
     ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
     ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
     return drawn, box
 
 
-def _pulled(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
+def _input_gradients(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
     """Gradients of the vertices and of the texture, those that are wanted."""
     vertices, texture = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0

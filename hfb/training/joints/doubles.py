@@ -26,7 +26,7 @@ _AMPLITUDES, _MOTION, _BLUR_PX = (0.03, 0.4), (0.3, 1.05), (0.3, 3.0)
 _SUBFRAMES = 7
 _KEPT, _SHAPE = 0.8, 0.45
 """Of the betas' truth, and how large their errors are."""
-_NOBODY = 0.01  # of a pixel, as in hfb.fitting.comparison
+_NOBODY = 0.01  # of a pixel, as in hfb.fitting.refine
 
 
 class DoublesStudio(Studio):

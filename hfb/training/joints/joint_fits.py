@@ -14,8 +14,8 @@ from hfb.body.height import height_m
 from hfb.config import FitConfig, Stage, preset
 from hfb.datasets.network_errors import draw_turns
 from hfb.evidence.joint_network import Window, picture_channels
-from hfb.fitting.comparison import drawn, shown
-from hfb.fitting.loop import fit
+from hfb.fitting.fit import fit
+from hfb.fitting.refine import compose_blurred, render_blurred
 from hfb.fitting.variables import Variables
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody
@@ -103,13 +103,15 @@ class Gym(Studio):
 
     def _drawn(self, found: Variables, seen: Observation) -> torch.Tensor:
         """A fit's own pictures (T, H, W, 4)."""
-        return drawn(found, seen.camera, self.body, self.rasterizer, preset("best").fit.subframes)
+        return render_blurred(
+            found, seen.camera, body=self.body, rasterizer=self.rasterizer, subframes=preset("best").fit.subframes
+        )
 
     def _samples(self, watched: Watched, rng: np.random.Generator) -> list[Sample]:
         seen, shot, exposures = watched.seen, watched.shot, watched.exposures
         windows = [Window.around(matte.numpy(), seen.camera, rng.normal(0, 0.02, 3)) for matte in seen.mattes]
         firsts, found = self._fit(watched, rng)
-        again = shown(self._drawn(found, seen), seen)
+        again = compose_blurred(self._drawn(found, seen), seen)
         turns, places = found.trajectory.at(torch.tensor([0.0, 0.5, 1.0]))
         person = self.body.shape(found.betas)
         samples = []
@@ -159,7 +161,7 @@ def hasty(rng: np.random.Generator) -> FitConfig:
     config, haste = preset("best").fit, rng.uniform(*_HASTE)
     few = tuple(stage for stage in config.stages if stage.size_px < config.stages[-1].size_px)
     changed = {
-        "several": config.several.model_copy(update={"image": 1.0}),  # that of the stages left out
+        "multi_frame": config.multi_frame.model_copy(update={"image": 1.0}),  # that of the stages left out
         "compare": 0.0,
         "matte_again": False,  # as before the first stage of full size
         "subframes": _SUBFRAMES,

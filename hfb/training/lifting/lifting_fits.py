@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from hfb.evidence.joint_evidence import look_for_joints
+from hfb.evidence.joint_evidence import predict_joint_evidence
 from hfb.evidence.lifting_network import bone_lengths, lengths_in_window
-from hfb.fitting.comparison import shown
+from hfb.fitting.refine import compose_blurred
 from hfb.motion.motion_file import write_arrays
 from hfb.training.flags import add_drawing_flags
 from hfb.training.joints.blurred_people import until_found
@@ -43,8 +43,8 @@ class JointGym(Gym):
         what the joint network says about the picture, the scale of its error, and what it says about the fit's own."""
         watched = until_found(lambda: self._watched(rng, pairs=float(self.frames == 2)))
         firsts, found = self._fit(watched, rng)
-        claim = look_for_joints(watched.seen, firsts, self.body)
-        again = claim.of(shown(self._drawn(found, watched.seen), watched.seen))
+        claim = predict_joint_evidence(watched.seen, firsts, self.body)
+        again = claim.predict_for(compose_blurred(self._drawn(found, watched.seen), watched.seen))
         turns, places = found.trajectory.at(torch.tensor([0.5]))
         person, frames = self.body.shape(found.betas), []
         for number, ((first, last), start) in enumerate(zip(watched.exposures, firsts, strict=True)):

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from hfb.body.skeleton import JOINT_NAMES, MIRROR, PARENTS
-from hfb.evidence.lifting_network import as_large
+from hfb.evidence.lifting_network import match_spread
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.io.array_files import read_arrays
 
@@ -102,12 +102,12 @@ class Fitted:
         file = {name: torch.from_numpy(np.concatenate([one[name] for one in files])) for name in files[0]}
         across, start, truth = (from_pelvis(file[name]) for name in ("fitted", "starts", "joints"))
         told = (across[..., :2], start, file["fitted_lengths"], file["perspective"])
-        return Fitted(told, truth, file["unit_m"]).with_starts_as_large()
+        return Fitted(told, truth, file["unit_m"]).with_starts_match_spread()
 
-    def with_starts_as_large(self) -> "Fitted":
+    def with_starts_match_spread(self) -> "Fitted":
         """First guesses that spread as wide as the joints are seen."""
         across, start, *rest = self.told
-        large = as_large(start.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2))
+        large = match_spread(start.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2))
         return replace(self, told=(across, large, *rest))
 
     def some(self, count: int) -> "Fitted":
@@ -128,7 +128,7 @@ class Fitted:
             return seen @ turn[..., :axes, :axes] * size[:, None, None, None]
 
         told = (changed(across), changed(start), lengths * size[:, None, None], perspective / size[:, None])
-        return Fitted(told, changed(truth), self.unit_m[rows, order] / size[:, None]).with_starts_as_large()
+        return Fitted(told, changed(truth), self.unit_m[rows, order] / size[:, None]).with_starts_match_spread()
 
     def beside(self, other: "Fitted") -> "Fitted":
         """These and others."""
@@ -162,7 +162,7 @@ def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
     wrong = _SIZE * torch.randn(len(joints), 1) + (_BONE * torch.randn(len(joints), 24))[:, sides]
     lengths = people.lengths * torch.exp(levels[:, None] * wrong)
     told = (across, starts, lengths[:, None] / people.unit_m[..., None], people.perspective)
-    return Fitted(told, joints, people.unit_m).with_starts_as_large()
+    return Fitted(told, joints, people.unit_m).with_starts_match_spread()
 
 
 def augmented(bank: Bank, count: int) -> Bank:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hfb.errors import InputError
-from hfb.matting.network import BesideFit, NetworkMatting
+from hfb.matting.network import NetworkMatting, RenderConditionedMatting
 from hfb.matting.third_look import FIT_CHANNELS, SHARED_CHANNELS
 from hfb.training.matting.matte_measures import add_scene_flags, held_out_scenes, network_of
 
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
             before = matting(scene.frame, scene.plate)
         except InputError:
             continue
-        after = BesideFit(scene.frame, scene.plate, before).matte(scene.double, network)
+        after = RenderConditionedMatting(scene.frame, scene.plate, before).matte(scene.double, network)
         off = [
             float(np.abs(one - scene.alpha).sum() / scene.alpha.sum()) for one in (before, scene.double[..., 3], after)
         ]

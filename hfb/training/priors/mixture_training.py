@@ -29,7 +29,11 @@ class Mixture:
 
 
 def mirrored_poses(poses: Float[Array, "n 69"]) -> Float[Array, "n 69"]:
-    """The same poses in a mirror, left and right exchanged."""
+    """The same poses in a mirror, left and right exchanged.
+
+    Args:
+        poses: axis-angle below the root [rad].
+    """
     order = [joint - 1 for joint in MIRROR[1:]]
     return (poses.reshape(-1, 23, 3)[:, order] * [1.0, -1.0, -1.0]).reshape(-1, POSE_SIZE)
 
@@ -45,6 +49,9 @@ def train_mixture(
 
     Args:
         poses: axis-angle of joints 1 to 23 [rad].
+        spec: components and iterations.
+        seed: of everything random.
+        on_iteration: called with the iterations done and their total.
 
     Raises:
         ValueError: fewer poses than Gaussians.
@@ -69,7 +76,12 @@ def train_mixture(
 
 
 def log_densities(poses: Float[Array, "n 69"], mixture: Mixture) -> Float[Array, "n k"]:
-    """log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; their logsumexp is the pose's log likelihood."""
+    """log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; their logsumexp is the pose's log likelihood.
+
+    Args:
+        poses: axis-angle below the root [rad].
+        mixture: trained or shipped.
+    """
     columns = []
     for mean, covariance, weight in zip(mixture.means, mixture.covariances, mixture.weights, strict=True):
         lower = np.linalg.cholesky(covariance)

@@ -57,14 +57,23 @@ class Corrupted:
 
 
 def mirrored_columns(columns: Float[Tensor, "T 3 25 4"]) -> Float[Tensor, "T 3 25 4"]:
-    """The same motion in a mirror, left and right exchanged."""
+    """The same motion in a mirror, left and right exchanged.
+
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+    """
     order = [*MIRROR, JOINT_COUNT]
     signs = columns.new_tensor([[1.0, 1.0, -1.0, -1.0]] * JOINT_COUNT + [[-1.0, 1.0, 1.0, 1.0]])
     return columns[:, :, order] * signs
 
 
 def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Corrupted:
-    """Make a batch of true motions wrong."""
+    """Make a batch of true motions wrong.
+
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+        generator: of everything random.
+    """
     clean = with_errors_of_a_fit(columns, generator)
     backwards, whole = draw_reversals(len(columns), generator)
     broken, unrealistic = _unrealistic(clean, generator)
@@ -73,7 +82,12 @@ def corrupt(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> C
 
 
 def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor, "T 25"], Float[Tensor, "T"]]:
-    """Which columns run backwards, and whether all of them do (see `Corrupted`)."""
+    """Which columns run backwards, and whether all of them do (see `Corrupted`).
+
+    Args:
+        count: of motions.
+        generator: of everything random.
+    """
     limbs = torch.zeros(count, COLUMN_COUNT, dtype=torch.bool)
     for members in LIMBS.values():
         limbs[:, list(members)] = torch.rand(count, 1, generator=generator) < 0.5
@@ -88,7 +102,12 @@ def draw_reversals(count: int, generator: torch.Generator) -> tuple[Bool[Tensor,
 
 
 def with_errors_of_a_fit(columns: Float[Tensor, "T 3 25 4"], generator: torch.Generator) -> Float[Tensor, "T 3 25 4"]:
-    """True motions as fits of one blurred picture find them: poses turned, motions weaker and partly others."""
+    """True motions as fits of one blurred picture find them: poses turned, motions weaker and partly others.
+
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+        generator: of everything random.
+    """
     count = len(columns)
     turn, noise = _normals(columns, generator, count, JOINT_COUNT, 3), _normals(columns, generator, count, 2, 25, 4)
     strength, turning, going = torch.rand(3, count, 1, 1, generator=generator).to(columns)

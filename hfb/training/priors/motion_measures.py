@@ -31,6 +31,13 @@ def measure_motion_prior(
 ) -> dict[str, Any]:
     """Accuracies on true motions that are reversed on purpose, and what the correction is worth.
 
+    Args:
+        discriminator: trained.
+        corrector: trained.
+        columns: motion in the body's own frame, see `motion_columns`.
+        exposure_s: of every motion.
+        seed: of everything random.
+
     Returns:
         ``count``; ``all`` and ``by_exposure`` (a list, in the order of `EXPOSURES_S`) with
 

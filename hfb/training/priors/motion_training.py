@@ -40,6 +40,12 @@ def train_motion_prior(
 ) -> TrainedMotionPrior:
     """Train on true motions' C; every batch is mirrored and made wrong anew. The same seed gives the same weights.
 
+    Args:
+        columns: motion in the body's own frame, see `motion_columns`.
+        spec: sizes, epochs and rates.
+        seed: of everything random.
+        on_epoch: called with the epochs done and their total.
+
     Raises:
         ValueError: fewer than two motions.
         FloatingPointError: a loss is no longer a number.
@@ -86,7 +92,13 @@ def _step(optimizer: torch.optim.Optimizer, losses: dict[str, Float[Tensor, ""]]
 
 
 def set_scales(discriminator: Discriminator, corrector: Corrector, columns: Float[Tensor, "n 3 25 4"]) -> None:
-    """Means and spreads of what the networks see; first differences have mean zero, as reversal demands."""
+    """Means and spreads of what the networks see; first differences have mean zero, as reversal demands.
+
+    Args:
+        discriminator: to set.
+        corrector: to set.
+        columns: motion in the body's own frame, see `motion_columns`.
+    """
     some = columns[:: max(len(columns) // 8000, 1)]
     some = torch.cat([some, mirrored_columns(some)])
     features = motion_features(some, mean_rest_joints())
@@ -103,6 +115,11 @@ def motion_losses(discriminator: Discriminator, corrector: Corrector, batch: Cor
     """The four losses of a batch.
 
     The indicator reaches G as a given: D answers for its cross entropy alone, so that its odds stay honest ones.
+
+    Args:
+        discriminator: in training.
+        corrector: in training.
+        batch: motions.
     """
     rest = mean_rest_joints().to(batch.columns)
     backwards, unrealistic, whole = discriminator(batch.columns, rest)

@@ -13,7 +13,7 @@ from hfb.evaluation.baselines.frames import one_by_one
 from hfb.evaluation.baselines.method import Method
 from hfb.evaluation.baselines.method_spec import METHOD_NAMES, method_spec
 from hfb.evaluation.metrics import silhouette_iou
-from hfb.fitting.loop import fit
+from hfb.fitting.fit import fit
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.rendering.backends import make_rasterizer

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hfb.config import FitConfig, RunConfig, SeveralFrames, Weights, preset
+from hfb.config import FitConfig, MultiFrame, RunConfig, Weights, preset
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import METHOD_NAMES, MethodSpec, method_spec
 
@@ -42,8 +42,8 @@ def test_leaving_out_a_term_changes_its_weight_alone(base: str, weight: str) -> 
     [
         ("best-dibr", "best", {"silhouette": "dibr"}),
         ("best-axis-angle", "best", {"rotation": "axis-angle"}),
-        ("best-no-kick", "best", {"root_kick": 0.0}),
-        ("best-no-several", "best", {"several": SeveralFrames().model_dump()}),
+        ("best-no-kick", "best", {"initial_root_velocity": 0.0}),
+        ("best-no-several", "best", {"multi_frame": MultiFrame().model_dump()}),
         ("best-degree1", "best", {"degree": 1}),
         ("best-degree2", "best", {"degree": 2}),
         ("paper-coverage", "paper", {"silhouette": "coverage"}),

@@ -19,7 +19,7 @@ from hfb.evaluation.baselines.oracles import TrueMatte, TwoStageOracle
 from hfb.evaluation.metrics import mpjpe_mm
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
-from hfb.fitting.clip_person import as_person
+from hfb.fitting.identity import rescale_first_body
 from hfb.io.media.images.image_io import write_matte
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
@@ -84,7 +84,7 @@ def test_the_true_height_is_told_to_the_fit(tmp_path: Path) -> None:
     case = case_of(scene, tmp_path)
     tall = torch.zeros(10)
     tall[0] = 2.0
-    starts = [as_person(first, tall, body) for first in scene.middle]
+    starts = [rescale_first_body(first, tall, body) for first in scene.middle]
     true_m = float(height_m(body, torch.from_numpy(scene.truth.motion.betas)))
     for name in ("best-settled-no-directions", "best-frames-settled-no-directions"):
         found = make_method(method_spec(f"{name}@true-height"), body)(case, scene.observation, starts).motion

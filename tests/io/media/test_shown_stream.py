@@ -45,7 +45,7 @@ def test_the_eight_matrices(tmp_path: Path, matrix: tuple[int, int, int, int]) -
 
 
 def test_a_plate_as_players_show_it_fits(tmp_path: Path) -> None:
-    scene = np.kron(np.random.default_rng(0).integers(40, 200, (6, 8, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    scene = np.kron(np.random.default_rng(0).integers(40, 200, (3, 4, 3)), np.ones((16, 16, 1))).astype(np.uint8)
     plain = write_video(tmp_path / "plain.mp4", [scene] * 5, options={"crf": "4"})
     for matrix in MATRICES:
         footage = open_footage(with_matrix(tmp_path / "laid.mp4", plain, matrix))

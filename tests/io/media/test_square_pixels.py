@@ -74,7 +74,7 @@ def test_what_is_square_or_not_believed_stays(tmp_path: Path, aspect: Fraction) 
 
 def test_a_background_out_of_the_same_video_fits(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    scene = np.kron(rng.integers(40, 200, (12, 15, 3)), np.ones((8, 8, 1))).astype(np.uint8)
+    scene = np.kron(rng.integers(40, 200, (4, 5, 3)), np.ones((24, 24, 1))).astype(np.uint8)
     path = write_video(tmp_path / "wide.mp4", [scene] * 8, options={"crf": "4"}, aspect=Fraction(4, 3))
     stored = scene.astype(np.float32) / 255
     for source, plate in ((path, stored), (turned(tmp_path / "upright.mp4", path), np.rot90(stored, -1))):

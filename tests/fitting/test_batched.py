@@ -10,8 +10,8 @@ from hfb.body.assets import load_default_body
 from hfb.config import FitConfig, Stage, Weights, preset
 from hfb.errors import InputError
 from hfb.fitting.clip.windows import ClipWindow, WindowScene, fit_windows
-from hfb.fitting.clip_person import ClipPerson
-from hfb.fitting.loop import FitResult, Problem, fit_all
+from hfb.fitting.fit import FitResult, Problem, fit_all
+from hfb.fitting.identity import Identity
 from hfb.fitting.variables import Variables, start_variables
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.objective.objective import Objective
@@ -27,7 +27,7 @@ from tests.fitting.scenes import true_evidence
 from tests.scenes import Scene, moving_scene
 
 pytest.importorskip("warp", reason="the Warp kernels need warp-lang (pip install 'hfb[cuda]')")
-from hfb.fitting.together import Leaves, Together
+from hfb.fitting.batched_objective import BatchedObjective, BatchedVariables
 from hfb.rendering.warp import WarpRasterizer
 
 DEVICES = ["warp", *(["cuda"] if torch.cuda.is_available() else [])]
@@ -51,7 +51,7 @@ def objective_of(scene: Scene, weights: Weights, pose_prior: PosePrior, body_ble
     texels = texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, 8))
     return Objective(
         scene.observation, body, make_rasterizer(), pose_prior, weights, 4, first, texels, matte_scales=3,
-        image_scales=2, evidence=true_evidence(scene), across=0.2, motion_prior=load_motion_prior(None),
+        image_scales=2, evidence=true_evidence(scene), xy_weight=0.2, motion_prior=load_motion_prior(None),
     )  # fmt: skip
 
 
@@ -93,8 +93,8 @@ def test_terms_and_gradients_are_those_of_each_fit(
     objectives = [objective_of(scene, weights, prior, blends) for scene in seen]
     variables = [somewhere(scene, seed) for seed, scene in enumerate(seen)]
     rasterizer = rasterizer_on(device)
-    leaves = Leaves.of(variables, rasterizer.device)
-    group = Together(objectives, variables, rasterizer)
+    leaves = BatchedVariables.stack(variables, rasterizer.device)
+    group = BatchedObjective(objectives, variables, rasterizer)
     terms = group.terms(leaves)
     group.template.total(terms).sum().backward()
     for number, (objective, mine) in enumerate(zip(objectives, variables, strict=True)):
@@ -112,7 +112,7 @@ def fits(
 ) -> list[FitResult]:
     config = config.model_copy(update={"rasterizer": device, "texture_px": 8})
     problems = [Problem(scene.observation, scene.middle) for scene in seen]
-    return fit_all(problems, load_default_body(), config, 0, prior or AnatomicalPrior(), room=room)
+    return fit_all(problems, load_default_body(), config, 0, prior or AnatomicalPrior(), batch_size=room)
 
 
 SHORT = BEST.model_copy(
@@ -215,13 +215,13 @@ def test_a_device_without_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> Non
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB")
 
     monkeypatch.setattr(WarpRasterizer, "render_pictures", full)
-    with pytest.raises(InputError, match=r"too small for 3 fits at once: give a smaller --fit\.at-once"):
+    with pytest.raises(InputError, match=r"too small for 3 fits at once: give a smaller --fit\.batch-size"):
         fits("warp", SHORT, scenes(1))
 
 
 def test_windows_together_are_the_windows_alone() -> None:
-    body, person = load_default_body(), ClipPerson(torch.zeros(10), torch.full((8, 8, 3), 0.4))
-    config = SHORT.model_copy(update={"rasterizer": "warp", "texture_px": 8, "at_once": 2})
+    body, person = load_default_body(), Identity(torch.zeros(10), torch.full((8, 8, 3), 0.4))
+    config = SHORT.model_copy(update={"rasterizer": "warp", "texture_px": 8, "batch_size": 2})
     slower = [
         dataclasses.replace(one, observation=dataclasses.replace(one.observation, interval_s=0.04))
         for one in scenes(1, count=1)
@@ -230,10 +230,10 @@ def test_windows_together_are_the_windows_alone() -> None:
         WindowScene(ClipWindow(tuple(range(at, at + len(scene.middle))), 0), scene.observation, scene.middle, person)
         for at, scene in zip((0, 2, 4, 6, 7), [*scenes(2), *scenes(1, count=1), *slower], strict=True)
     ]
-    together = fit_windows(several, body, config, 0, AnatomicalPrior())
+    together = fit_windows(several, body, config, seed=0, pose_prior=AnatomicalPrior())
     assert [one.frames for one in together] == [(0, 1), (2, 3), (4, 5), (6,), (7,)]
     for scene, found in zip(several, together, strict=True):
-        (alone,) = fit_windows([scene], body, config, 0, AnatomicalPrior())
+        (alone,) = fit_windows([scene], body, config, seed=0, pose_prior=AnatomicalPrior())
         assert found.history["total"] == pytest.approx(alone.history["total"], rel=1e-4)
         assert torch.allclose(found.trajectory.rotation, alone.trajectory.rotation, rtol=1e-4, atol=1e-4)
         assert found.texture is None

@@ -1,4 +1,4 @@
-"""One person for a whole clip: shape and texture that every window holds on to."""
+"""Identity of a person in a clip: shape and texture, constant in every window."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,17 +15,27 @@ from hfb.typing import Float, Tensor
 
 
 @dataclass(frozen=True)
-class ClipPerson:
-    """Who is seen: shape coefficients of the body model in use, and a texture in linear light."""
+class Identity:
+    """Shape and texture of one person.
+
+    Attributes:
+        betas: coefficients of the body model in use.
+        texture: linear light.
+    """
 
     betas: Float[Tensor, "10"]
     texture: Float[Tensor, "A A 3"]
 
 
-def as_person(first: FirstBody, betas: Float[Tensor, "10"], body: Body) -> FirstBody:
-    """The same pose and place in the picture with another shape: who is larger stands further away.
+def rescale_first_body(first: FirstBody, betas: Float[Tensor, "10"], body: Body) -> FirstBody:
+    """Change the shape of a first body and keep its size in the image.
 
-    The pelvis keeps its direction from the camera, its distance changes by the ratio of the total bone lengths.
+    The pelvis keeps its direction from the camera; its distance changes by the ratio of the total bone lengths.
+
+    Args:
+        first: the body to change.
+        betas: its new shape coefficients.
+        body: the body model.
     """
     dtype = body.template.dtype
     before, after = (body.rest_joints(one.to(dtype)) for one in (first.betas, betas))
@@ -34,13 +44,21 @@ def as_person(first: FirstBody, betas: Float[Tensor, "10"], body: Body) -> First
     return replace(first, translation=translation.to(first.translation), betas=betas.to(first.betas).clone())
 
 
-def save_person(path: Path, person: ClipPerson) -> None:
-    """Write a person (.npz, no pickle) whole or not at all."""
-    write_arrays(path, {"betas": person.betas.double().numpy(), "texture": person.texture.float().numpy()})
+def save_identity(path: Path, identity: Identity) -> None:
+    """Write an identity (.npz, no pickle) atomically.
+
+    Args:
+        path: where it is written.
+        identity: shape and texture.
+    """
+    write_arrays(path, {"betas": identity.betas.double().numpy(), "texture": identity.texture.float().numpy()})
 
 
-def load_person(path: Path) -> ClipPerson:
-    """Read a person.
+def load_identity(path: Path) -> Identity:
+    """Read an identity.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: missing, damaged, or of other shapes.
@@ -55,4 +73,4 @@ def load_person(path: Path) -> ClipPerson:
     square = texture.ndim == 3 and texture.shape[0] == texture.shape[1] and texture.shape[2] == 3
     if betas.shape != (10,) or not square or not (np.isfinite(betas).all() and np.isfinite(texture).all()):
         raise InputError(f"{path} is not a person of hfb; delete it to have it made again")
-    return ClipPerson(torch.from_numpy(betas).float(), torch.from_numpy(texture).float())
+    return Identity(torch.from_numpy(betas).float(), torch.from_numpy(texture).float())

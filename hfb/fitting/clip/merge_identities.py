@@ -1,4 +1,4 @@
-"""Who is seen in a clip: shape and texture agreed on by a few windows that are spread over it."""
+"""Identity of the person in a clip, merged from a few windows that are spread over it."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ import torch
 
 from hfb.body.model import Body
 from hfb.fitting.clip.windows import WindowFit
-from hfb.fitting.clip_person import ClipPerson
+from hfb.fitting.identity import Identity
 from hfb.geometry.camera import PinholeCamera
 from hfb.motion.clock import subframe_clock
 from hfb.rendering.texels import fill_texture_gutter, texel_faces, visible_texels
@@ -16,30 +16,34 @@ _SEEN_FROM_PX = 256
 _INSTANTS = 3
 
 
-def agree_on_person(fits: Sequence[WindowFit], body: Body) -> ClipPerson:
-    """The mean shape, and per texel the mean colour over the windows that saw it.
+def merge_identities(fits: Sequence[WindowFit], body: Body) -> Identity:
+    """Average the shape, and each texel over the windows in which it is visible.
 
-    A texel that no window saw has the mean colour of those that were seen. The order of the windows does not matter.
+    Texels that are visible in no window get the mean colour of the others. The order of the windows does not matter.
+
+    Args:
+        fits: windows of one clip.
+        body: the body model.
 
     Raises:
-        ValueError: a window has no texture of its own, or none is given.
+        ValueError: a window was fitted with a known identity, or there is no window.
     """
     ordered = sorted(fits, key=lambda found: found.frames)
     textures = [found.texture for found in ordered if found.texture is not None]
     if not ordered or len(textures) < len(ordered):
-        raise ValueError("the person needs windows that were fitted without a known one")
+        raise ValueError("an identity is merged from windows that were fitted without a known one")
     betas = torch.stack([found.betas for found in ordered]).double().mean(0).float()
     side = textures[0].shape[0]
-    seen = torch.stack([_seen(found, body, side) for found in ordered]).float()[..., None]
+    seen = torch.stack([_find_visible(found, body, side) for found in ordered]).float()[..., None]
     stacked = torch.stack(textures)
     count = seen.sum(0)
     total = (stacked * seen).sum((0, 1, 2)) / seen.sum().clamp_min(1)
     texture = torch.where(count > 0, (stacked * seen).sum(0) / count.clamp_min(1), total)
-    return ClipPerson(betas, fill_texture_gutter(texture, texel_faces(body.mesh, side)))
+    return Identity(betas, fill_texture_gutter(texture, texel_faces(body.mesh, side)))
 
 
-def _seen(found: WindowFit, body: Body, side: int) -> Bool[Tensor, "A A"]:
-    """Texels that face the camera and are not hidden at some instant of the window."""
+def _find_visible(found: WindowFit, body: Body, side: int) -> Bool[Tensor, "A A"]:
+    """Texels that are visible at some instant of the window."""
     with torch.no_grad():
         clock = subframe_clock(_INSTANTS, found.betas.dtype)
         rotations, translations = (one.flatten(0, 1) for one in found.trajectory.at(clock))
@@ -48,7 +52,7 @@ def _seen(found: WindowFit, body: Body, side: int) -> Bool[Tensor, "A A"]:
 
 
 def _camera_for(vertices: Float[Tensor, "S V 3"]) -> PinholeCamera:
-    """A camera in the real one's place that shows the whole person: what hides what depends on the place alone."""
+    """A camera at the real one's place that shows the whole person; occlusion depends on the place alone."""
     points = vertices.flatten(0, 1)
     screen = points[:, :2] / points[:, 2:].clamp_min(1e-3)
     low, high = screen.amin(0), screen.amax(0)

@@ -9,8 +9,8 @@ from hfb.body.assets import load_default_body
 from hfb.body.height import as_tall
 from hfb.config import Weights, preset
 from hfb.fitting.reversal import limb_columns, reverse_columns
-from hfb.fitting.settle import settle
 from hfb.fitting.variables import start_variables
+from hfb.fitting.warmup import fit_skeleton
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.trajectory import Trajectory
 from hfb.objective.objective import Objective
@@ -35,7 +35,7 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     rasterizer = make_rasterizer("coverage", "cpu", 1)
     objective = Objective(
         seen, body, rasterizer, AnatomicalPrior(), config.weights, 8, first, evidence=evidence,
-        across=0.0,  # that is for pictures, of which there are none here
+        xy_weight=0.0,  # that is for pictures, of which there are none here
     )  # fmt: skip
 
     def error_mm() -> tuple[float, float]:
@@ -49,7 +49,7 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
         return float(still.norm(dim=-1).mean() * 1000), float(way.norm(dim=-1).mean() * 1000)
 
     before, way_before = error_mm()
-    settle(variables, objective, config)
+    fit_skeleton(variables, objective, config)
     after, way_after = error_mm()
     assert before > 60
     assert after < 25
@@ -65,14 +65,14 @@ def test_one_picture_leaves_the_way_open_and_several_frames_know_it_themselves(f
     forth = case.found.trajectory
     back = reverse_columns(forth, limb_columns(torch.ones(frames, 5, dtype=torch.bool)))
 
-    def path(motion: Trajectory, settling: bool) -> float | None:
-        terms = replace(objective, settling=settling).body_terms(motion, case.found.betas, shaped)
+    def path(motion: Trajectory, warm_up: bool) -> float | None:
+        terms = replace(objective, warm_up=warm_up).body_terms(motion, case.found.betas, shaped)
         return float(terms["path"]) if "path" in terms else None
 
-    right = path(forth, settling=True)
+    right = path(forth, warm_up=True)
     assert right is not None
-    assert path(back, settling=True) > 3 * right
-    assert path(back, settling=False) == (pytest.approx(right, rel=1e-4) if frames == 1 else None)
+    assert path(back, warm_up=True) > 3 * right
+    assert path(back, warm_up=False) == (pytest.approx(right, rel=1e-4) if frames == 1 else None)
 
 
 @pytest.mark.parametrize("across", [0.0, 0.2, 1.0])
@@ -84,7 +84,7 @@ def test_a_share_of_the_claim_counts_across_the_view_and_all_of_its_depth(across
 
     def term(beside: tuple[float, float, float]) -> float:
         elsewhere = replace(evidence, middle=evidence.middle + 1e4 * evidence.scale * torch.tensor(beside))
-        objective = replace(case.fine, evidence=elsewhere, weights=weights, across=across)
+        objective = replace(case.fine, evidence=elsewhere, weights=weights, xy_weight=across)
         return float(objective.body_terms(case.found.trajectory, case.found.betas, shaped)["joints"])
 
     assert term((1, 1, 0)) == pytest.approx(2e4 / 3 * across, rel=1e-2, abs=1)

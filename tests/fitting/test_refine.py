@@ -12,8 +12,8 @@ from hfb.body.height import height_m
 from hfb.config import FitConfig, preset
 from hfb.datasets.synthetic.backgrounds import room_background
 from hfb.datasets.synthetic.textures import clothes_texture
-from hfb.evidence.joint_evidence import look_for_joints
-from hfb.fitting.comparison import Before, beside_the_fit, drawn, matted_again, shown
+from hfb.evidence.joint_evidence import predict_joint_evidence
+from hfb.fitting.refine import InitialEvidence, compose_blurred, refine_evidence, refine_mattes, render_blurred
 from hfb.fitting.variables import Variables, start_variables
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.motion.static_pose import FirstBody
@@ -47,7 +47,9 @@ def objective_of(seen: Observation, first: FirstBody) -> Objective:
 
 
 def blurred_of(variables: Variables, seen: Observation) -> torch.Tensor:
-    return drawn(variables, seen.camera, BODY, make_rasterizer("coverage", "cpu", 1), 8)
+    return render_blurred(
+        variables, seen.camera, body=BODY, rasterizer=make_rasterizer("coverage", "cpu", 1), subframes=8
+    )
 
 
 def raised_arm(scene: Scene) -> FirstBody:
@@ -59,12 +61,17 @@ def raised_arm(scene: Scene) -> FirstBody:
 def test_a_fit_that_shows_the_picture_is_left_alone() -> None:
     scene = moving_scene(BODY, size_px=128)
     seen = scene.observation
-    evidence = look_for_joints(seen, scene.middle, BODY)
+    evidence = predict_joint_evidence(seen, scene.middle, BODY)
     fitted = at_rest(scene.middle[0], seen)
     blurred = blurred_of(fitted, seen)
-    there = shown(blurred, seen)
-    told = beside_the_fit(
-        evidence, evidence.of(there), fitted, objective_of(there, scene.middle[0]), blurred, sharing(0.7)
+    there = compose_blurred(blurred, seen)
+    told = refine_evidence(
+        evidence,
+        evidence.predict_for(there),
+        objective_of(there, scene.middle[0]),
+        variables=fitted,
+        blurred=blurred,
+        config=sharing(0.7),
     )
     assert torch.equal(told.middle, evidence.middle)
     torch.testing.assert_close(told.log_height, height_m(BODY, fitted.betas.detach()).log())
@@ -74,10 +81,12 @@ def test_a_fit_that_shows_the_picture_is_left_alone() -> None:
 def test_what_differs_points_at_the_picture() -> None:
     scene = moving_scene(BODY, size_px=192, step_m=0.1)
     seen, wrong = scene.observation, raised_arm(scene)
-    evidence = look_for_joints(seen, [wrong], BODY)
+    evidence = predict_joint_evidence(seen, [wrong], BODY)
     fitted = at_rest(wrong, seen)
     blurred = blurred_of(fitted, seen)
-    told = beside_the_fit(evidence, evidence, fitted, objective_of(seen, wrong), blurred, sharing(1.0))
+    told = refine_evidence(
+        evidence, evidence, objective_of(seen, wrong), variables=fitted, blurred=blurred, config=sharing(1.0)
+    )
     moved = told.middle - evidence.middle
     window, true = evidence.windows[0], at_rest(scene.middle[0], seen)
     missing = window.to_units(true.joints_at_middle(BODY)[0]) - window.to_units(fitted.joints_at_middle(BODY)[0])
@@ -88,17 +97,18 @@ def test_what_differs_points_at_the_picture() -> None:
 def test_what_differs_across_the_view_is_moved_by_its_share_and_depth_is_fused() -> None:
     scene = moving_scene(BODY, size_px=96)
     seen, wrong = scene.observation, raised_arm(scene)
-    evidence = look_for_joints(seen, [wrong], BODY)
+    evidence = predict_joint_evidence(seen, [wrong], BODY)
     fitted = at_rest(wrong, seen)
     blurred = blurred_of(fitted, seen)
     objective = objective_of(seen, wrong)
-    lifted = evidence.lifted(fitted.joints_at_middle(BODY), CONFIG.lifting)
+    lifted = evidence.lift(fitted.joints_at_middle(BODY), CONFIG.lifting)
     fused, shared = (
-        beside_the_fit(lifted, evidence, fitted, objective, blurred, config) for config in (CONFIG, SHARES)
+        refine_evidence(lifted, evidence, objective, variables=fitted, blurred=blurred, config=config)
+        for config in (CONFIG, SHARES)
     )
-    again = evidence.of(shown(blurred, seen))
+    again = evidence.predict_for(compose_blurred(blurred, seen))
     assert torch.equal(fused.middle[..., :2], shared.middle[..., :2])
-    assert torch.equal(fused.middle[..., 2], evidence.fused(again, fitted.joints_at_middle(BODY)).middle[..., 2])
+    assert torch.equal(fused.middle[..., 2], evidence.fuse(again, fitted.joints_at_middle(BODY)).middle[..., 2])
     assert not torch.equal(fused.middle[..., 2], shared.middle[..., 2])
     assert torch.equal(fused.scale, evidence.scale)
 
@@ -107,13 +117,15 @@ def test_one_frame_tells_its_height_at_the_first_comparison_alone_and_several_at
     for frames in (1, 2):
         scene = moving_scene(BODY, frames=frames, size_px=96)
         seen, first = scene.observation, scene.middle
-        evidence = look_for_joints(seen, first, BODY)
+        evidence = predict_joint_evidence(seen, first, BODY)
         smaller = replace(first[0], betas=first[0].betas - 1)
         fits = [start_variables([one] * frames, seen, CONFIG, torch.Generator()) for one in (smaller, first[0])]
         objective = replace(objective_of(seen, first[0]), evidence=evidence)
         blurred = [blurred_of(one, seen) for one in fits]
-        once = beside_the_fit(evidence, evidence, fits[0], objective, blurred[0], CONFIG)
-        twice = beside_the_fit(evidence, evidence, fits[1], replace(objective, evidence=once), blurred[1], CONFIG)
+        once = refine_evidence(evidence, evidence, objective, variables=fits[0], blurred=blurred[0], config=CONFIG)
+        twice = refine_evidence(
+            evidence, evidence, replace(objective, evidence=once), variables=fits[1], blurred=blurred[1], config=CONFIG
+        )
         assert torch.equal(twice.log_height, once.log_height) == (frames == 1)
         assert torch.equal(twice.height_scale, once.height_scale)
         assert not torch.equal(twice.middle, once.middle)
@@ -145,11 +157,11 @@ def test_a_matte_is_found_again_beside_the_fit(light: Literal["linear", "srgb"])
         aside = torch.cat([over, aside[..., 3:]], -1)
         frame, plate = linear_to_srgb(seen.frames_linear), linear_to_srgb(plate)
         seen = replace(seen, frames_linear=frame, plate_linear=plate, light=light)
-    before = Before(replace(seen, mattes=first[None]))
-    again = matted_again(aside, before)
+    before = InitialEvidence(replace(seen, mattes=first[None]))
+    again = refine_mattes(aside, before)
     off = [float((one - alpha).abs().sum() / alpha.sum()) for one in (again.mattes[0], first, aside[0, ..., 3])]
     assert off[0] < 0.7 * min(off[1:]), off
     assert torch.equal(again.frames_linear, seen.frames_linear)
-    other = matted_again(0.5 * aside, before)
+    other = refine_mattes(0.5 * aside, before)
     assert not torch.equal(other.mattes, again.mattes)
-    assert torch.equal(matted_again(aside, before).mattes, again.mattes)  # nothing of one fit's picture in the next
+    assert torch.equal(refine_mattes(aside, before).mattes, again.mattes)  # nothing of one fit's picture in the next

@@ -1,0 +1,356 @@
+"""The schedule of a fit: initial evidence, warm-up, image stages with refined evidence, directions, confidence."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, cast
+
+import torch
+
+from hfb.body.height import as_tall
+from hfb.body.model import Body
+from hfb.config import FitConfig
+from hfb.errors import InputError
+from hfb.fitting.alternatives import Alternatives
+from hfb.fitting.confidence import shipped_radius_mm
+from hfb.fitting.direction_trust import trusted
+from hfb.fitting.directions import search_directions
+from hfb.fitting.identity import Identity, rescale_first_body
+from hfb.fitting.joint_features import joint_features
+from hfb.fitting.refine import InitialEvidence, predict_initial_evidence
+from hfb.fitting.stage_clock import Progress, StageClock
+from hfb.fitting.stages import StagesResult, image_stages, run_stages
+from hfb.fitting.variables import Variables, start_variables
+from hfb.fitting.warmup import fit_skeleton
+from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.kernels.determinism import one_torch_thread
+from hfb.motion.sampled import SampledMotion, sample_motion
+from hfb.motion.static_pose import FirstBody
+from hfb.motion.trajectory import Trajectory
+from hfb.objective.objective import Objective
+from hfb.objective.texture import TexelNeighbours, texel_neighbours
+from hfb.objective.weights import base_weights
+from hfb.priors.motion_prior import MotionPrior, load_motion_prior
+from hfb.priors.pose import PosePrior
+from hfb.rendering.backends import make_rasterizer
+from hfb.rendering.observation import Observation
+from hfb.rendering.texels import fill_texture_gutter, texel_faces
+from hfb.typing import Array, Float, Tensor
+
+if TYPE_CHECKING:
+    from hfb.rendering.warp import WarpRasterizer
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted motion and how it was found.
+
+    Attributes:
+        motion: poses, translations and joints of every sub-frame.
+        texture: linear light, the atlas' gutter filled.
+        trajectory: polynomials of the best iterate, in metres.
+        mattes: those that the last stage was compared with, as large as the frames.
+        history: one value per iteration for every unweighted term and the weighted ``total``.
+        best_iteration: the iteration that was kept, counted through all stages.
+        seconds: wall time of the fit.
+        stage_seconds: wall time per stage of the schedule, in its order; of a batch, for all of its fits.
+        alternatives: other directions of the motion, where they were searched.
+        joint_features: features that the motion's ``joint_radius_mm`` was computed from.
+    """
+
+    motion: SampledMotion
+    texture: Float[Tensor, "A A 3"]
+    trajectory: Trajectory
+    mattes: Float[Tensor, "T H W"]
+    history: dict[str, list[float]]
+    best_iteration: int
+    seconds: float = 0.0
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+    alternatives: Alternatives | None = None
+    joint_features: dict[str, Float[Array, "R 24"]] = field(default_factory=dict)
+
+    @property
+    def loss(self) -> float:
+        """Weighted loss of the kept iterate; 0 without iterations."""
+        return self.history["total"][self.best_iteration] if self.history else 0.0
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The input of one fit.
+
+    Attributes:
+        observation: frames, plate and mattes.
+        first_bodies: one static body per frame.
+        identity: known shape and texture, held fixed; the first bodies must have that shape.
+    """
+
+    observation: Observation
+    first_bodies: Sequence[FirstBody]
+    identity: Identity | None = None
+
+
+def fit(
+    observation: Observation,
+    first_bodies: Sequence[FirstBody],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    *,
+    on_progress: Progress | None = None,
+    motion_prior: MotionPrior | None = None,
+    identity: Identity | None = None,
+) -> FitResult:
+    """Minimise eq. (11) over motion, shape and texture, from one static body per frame.
+
+    Args:
+        observation: frames, plate and mattes.
+        first_bodies: one static body per frame.
+        body: the body model.
+        config: options of the fit.
+        seed: of the first velocity's direction.
+        pose_prior: how unlikely each pose is.
+        on_progress: called at the beginning of every stage and after every iteration; see `Progress`.
+        motion_prior: how people move, for the directions; the shipped one when not given.
+        identity: known shape and texture, held fixed; the first bodies must have that shape.
+
+    Raises:
+        InputError: all mattes are empty.
+        FloatingPointError: the loss is not finite; the message names the first such terms.
+    """
+    problem = Problem(observation, first_bodies, identity)
+    return fit_all(
+        [problem], body, config, seed, pose_prior, on_progress=on_progress, motion_prior=motion_prior
+    )[0]  # fmt: skip
+
+
+def fit_all(
+    problems: Sequence[Problem],
+    body: Body,
+    config: FitConfig,
+    seed: int,
+    pose_prior: PosePrior,
+    *,
+    on_progress: Progress | None = None,
+    motion_prior: MotionPrior | None = None,
+    batch_size: int = 1,
+) -> list[FitResult]:
+    """Fit several problems, each as `fit` does: one after another, or on a device as one batch.
+
+    With ``config.rasterizer`` "cuda" or "warp" the stages of all fits run together, each in a square window of its
+    frames; networks and the search for directions run on the processor. All problems must have the same number of
+    frames and the same timing, and the identity known in all or none.
+
+    Args:
+        problems: observation, first bodies and, where known, identity of each.
+        body: the body model.
+        config: options of all fits.
+        seed: of the first velocity's direction.
+        pose_prior: how unlikely each pose is.
+        on_progress: as of `fit`; of a batch with the mean loss.
+        motion_prior: as of `fit`.
+        batch_size: on a device a batch is padded to this size, so that results do not depend on the other fits in it.
+
+    Raises:
+        InputError: as `fit`; or the device's memory is too small for the batch.
+        FloatingPointError: as `fit`.
+        ValueError: the problems of a batch differ in kind.
+    """
+    started = time.perf_counter()
+    schedule = _Schedule(body, config, seed, pose_prior, motion_prior or load_motion_prior(None))
+    with one_torch_thread():
+        if schedule.batched:
+            results = _fit_batch(problems, schedule, on_progress, batch_size)
+        else:
+            results = [_fit_one(one, schedule, on_progress) for one in problems]
+    return [replace(one, seconds=(time.perf_counter() - started) / len(problems)) for one in results]
+
+
+def _fit_one(problem: Problem, schedule: "_Schedule", on_progress: Progress | None) -> FitResult:
+    config = schedule.config
+    clock = StageClock(sum(stage.iterations for stage in image_stages(config)), on_progress)
+    with clock.stage("evidence"):
+        start = schedule.start(problem)
+    if config.settle > 0:
+        with clock.stage("warm_up"):
+            fit_skeleton(start.variables, start.objective, config)
+    stages = run_stages(start.variables, start.initial, start.objective, config, clock)
+    with clock.stage("directions"):
+        result = schedule.finish(start, stages)
+    return replace(result, stage_seconds=clock.seconds)
+
+
+def _fit_batch(
+    problems: Sequence[Problem], schedule: "_Schedule", on_progress: Progress | None, batch_size: int
+) -> list[FitResult]:
+    kinds = {
+        (len(one.first_bodies), one.observation.exposure_s, one.observation.interval_s, one.identity is None)
+        for one in problems
+    }
+    if len(kinds) > 1:
+        raise ValueError(f"fits of several kinds (frames, exposure, interval, nobody known): {sorted(kinds)}")
+    config = schedule.config
+    rasterizer = cast("WarpRasterizer", make_rasterizer(config.silhouette, config.rasterizer))
+    from hfb.fitting.batched import Batch, fit_skeletons, ignore_graph_warning, map_threads, run_batched_stages
+
+    clock = StageClock(sum(stage.iterations for stage in image_stages(config)), on_progress)
+    with clock.stage("evidence"):
+        starts = map_threads(schedule.start, problems)
+    batch = Batch(
+        [one.variables for one in starts], [one.initial for one in starts], [one.objective for one in starts], config,
+        rasterizer, batch_size,
+    )  # fmt: skip
+    try:
+        with ignore_graph_warning():
+            if config.settle > 0:
+                with clock.stage("warm_up"):
+                    fit_skeletons(batch)
+            stages = run_batched_stages(batch, clock)
+    except torch.OutOfMemoryError as error:
+        raise InputError(
+            f"the GPU's memory is too small for {max(batch_size, len(problems))} fits at once: give a smaller "
+            "--fit.batch-size, or take --fit.rasterizer cpu"
+        ) from error
+    with clock.stage("directions"):
+        results = map_threads(schedule.finish, starts, stages)
+    return [replace(one, stage_seconds=clock.seconds) for one in results]
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A problem before its first stage; its first bodies have the known height."""
+
+    problem: Problem
+    first_bodies: Sequence[FirstBody]
+    variables: Variables
+    initial: InitialEvidence
+    objective: Objective
+
+
+@dataclass(frozen=True)
+class _Schedule:
+    """The first and the last steps of every fit with the same options."""
+
+    body: Body
+    config: FitConfig
+    seed: int
+    pose_prior: PosePrior
+    motion_prior: MotionPrior
+
+    @property
+    def batched(self) -> bool:
+        """Whether fits run as one batch on a device."""
+        return self.config.rasterizer in ("cuda", "warp")
+
+    def start(self, problem: Problem) -> _Start:
+        """Start values, the networks' predictions, and the objective that compares with them."""
+        body, config = self.body, self.config
+        seen, first_bodies = problem.observation, problem.first_bodies
+        if len(first_bodies) != seen.mattes.shape[0]:
+            raise ValueError(f"{len(first_bodies)} first bodies for {seen.mattes.shape[0]} frames")
+        if config.height_m is not None and problem.identity is None:
+            first_bodies = [
+                rescale_first_body(one, as_tall(one.betas, body, config.height_m), body) for one in first_bodies
+            ]
+        generator = torch.Generator().manual_seed(self.seed)
+        variables = start_variables(first_bodies, seen, config, generator, problem.identity)
+        initial = predict_initial_evidence(seen, first_bodies, body, config, square=self.batched)
+        return _Start(problem, first_bodies, variables, initial, self._objective(initial, first_bodies))
+
+    def _objective(self, initial: InitialEvidence, first_bodies: Sequence[FirstBody]) -> Objective:
+        """Eq. (11) at full size; it renders on the processor."""
+        config, body = self.config, self.body
+        poses = torch.stack([one.pose for one in first_bodies]).to(initial.observation.mattes)
+        weights = base_weights(config, len(first_bodies))
+        return Objective(
+            initial.observation,
+            body,
+            make_rasterizer(
+                config.silhouette, "reference" if config.rasterizer == "reference" else "cpu", config.threads
+            ),
+            self.pose_prior,
+            weights,
+            config.subframes,
+            axis_angle_to_matrix(poses),
+            _texel_neighbours(body, config) if weights.texture > 0 else None,
+            matte_scales=config.matte_scales,
+            image_scales=config.image_scales,
+            evidence=initial.joints,
+            xy_weight=config.xy_weight,
+            motion_prior=self.motion_prior,
+        )
+
+    def finish(self, start: _Start, stages: StagesResult) -> FitResult:
+        """The best iterate as a result, with its directions searched and the radius of every joint."""
+        config, problem = self.config, start.problem
+        best = stages.best.in_metres(self.body)
+        result = self._result(best, problem.observation, stages)
+        if not stages.history or not (config.directions.search or problem.identity is not None):
+            return result
+        # The odds of directions were calibrated with the weights of before the stages of full size.
+        size_px = config.directions.size_px
+        coarse = replace(
+            stages.objective, observation=stages.observation.resized(size_px), weights=start.objective.weights
+        )
+        # Radii are calibrated with the initial mattes: refined ones share the fit's errors.
+        initial = replace(coarse, observation=start.initial.observation.resized(size_px))
+        alternatives = None
+        if config.directions.search:  # of a window of a clip the neighbours tell the directions
+            trajectory, alternatives = search_directions(best, coarse, stages.objective, config.directions)
+            best = replace(best, trajectory=trajectory)
+            chosen = alternatives.chosen
+            motion = replace(
+                result.motion, poses=alternatives.poses[chosen], trans=alternatives.trans[chosen],
+                joints=alternatives.joints[chosen],
+            )  # fmt: skip
+            result = replace(result, motion=motion, trajectory=trajectory)
+        features = joint_features(
+            result.motion,
+            alternatives,
+            best,
+            first_bodies=start.first_bodies,
+            coarse=initial,
+            height_told=config.height_m is not None,
+        )
+        sources = [first.source for first in start.first_bodies]
+        radius = shipped_radius_mm(features, result.motion.frame_index, sources)
+        if alternatives is not None:
+            alternatives = trusted(alternatives, features, sources)
+        motion = replace(result.motion, joint_radius_mm=radius)
+        return replace(result, motion=motion, joint_features=features, alternatives=alternatives)
+
+    def _result(self, best: Variables, seen: Observation, stages: StagesResult) -> FitResult:
+        body, config = self.body, self.config
+        with torch.no_grad():
+            shaped = body.shape(best.betas)
+        motion = sample_motion(
+            best.trajectory, shaped, best.betas, config.subframes, seen.exposure_s, seen.interval_s,
+            seen.camera.matrix(),
+        )  # fmt: skip
+        texture = fill_texture_gutter(best.texture, texel_faces(body.mesh, config.texture_px))
+        left, top, *_ = seen.region(square=self.batched)
+        mattes = paste_mattes(seen.mattes, stages.observation.mattes, left, top)
+        return FitResult(motion, texture, best.trajectory, mattes, stages.history, stages.best_iteration)
+
+
+def _texel_neighbours(body: Body, config: FitConfig) -> TexelNeighbours:
+    return texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, config.texture_px))
+
+
+def paste_mattes(
+    whole: Float[Tensor, "T H W"], window: Float[Tensor, "T h w"], left: int, top: int
+) -> Float[Tensor, "T H W"]:
+    """Copy of whole mattes with those of a window in place, see `Observation.cropped`.
+
+    Args:
+        whole: mattes of whole frames.
+        window: mattes of the window, which may reach outside the frames.
+        left: of the window [px].
+        top: of the window [px].
+    """
+    (height, width), (rows, columns) = whole.shape[1:], window.shape[1:]
+    pasted = whole.clone()
+    up, down, west, east = max(top, 0), min(top + rows, height), max(left, 0), min(left + columns, width)
+    pasted[:, up:down, west:east] = window[:, up - top : down - top, west - left : east - left]
+    return pasted
