@@ -15,12 +15,12 @@ LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
 CROWDED = {"hfb/report": 23}
 """Rooms with more files than that today."""
-FORMATTED_BY_HAND = 126
+FORMATTED_BY_HAND = 125
 """Statements that the formatter skips and that are no tables of numbers; the goal is 0."""
 TUPLES_OF_ANY = 0
-UNDESCRIBED = 1240
+UNDESCRIBED = 1138
 """Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
-LINES = 63_000
+LINES = 65_200
 """Of product code. The goal is 44,900, and 4,900 for `hfb.training`, which lay elsewhere when the goal was set."""
 
 SAME_NAME = {
@@ -28,7 +28,7 @@ SAME_NAME = {
     "bvh": "as above",
 }
 """Names of several modules, and why."""
-TWINS = {"benchmark_page", "comparison", "metrics", "record", "strip", "train_prior"}
+TWINS = {"benchmark_page", "metrics", "record", "strip", "train_prior"}
 """Names of several modules today that should be of one each."""
 
 

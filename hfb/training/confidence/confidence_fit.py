@@ -39,7 +39,7 @@ from hfb.fitting.direction_trust import Trust
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
 from hfb.training.flags import folder
-from hfb.training.weights import read_story
+from hfb.training.weight_files import read_story
 
 _PERSON = re.compile(r"cmu_(\d+)_")
 _COARSE = (0.0, 0.6, 0.8, 1.0)
@@ -151,12 +151,14 @@ def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKin
         _counted(said_right, DIRECTION_EDGES)
         left_out = _counted(said_right, _COARSE, show=False)
         content["trust"][kind] = asdict(trust) | {
-            "n": len(cases[kind]), "people": _people(cases[kind]), "people_held_out": left_out,
+            "n": len(cases[kind]),
+            "people": _people(cases[kind]),
+            "people_held_out": left_out,
             "new_people": {
                 name: _new(kind, trust, [case for case in new[kind] if (case.hypotheses.frames > 1) == several])
                 for name, several in (("one_frame", False), ("several_frames", True))
             },
-        }  # fmt: skip
+        }
     write(path, content)
 
 

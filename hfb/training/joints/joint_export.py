@@ -10,7 +10,7 @@ from hfb.training.flags import folder
 from hfb.training.joints.joint_bank import FURTHER_SUBJECTS, TRAINING_SUBJECTS
 from hfb.training.joints.joint_batches import Bank
 from hfb.training.joints.joint_measures import measure
-from hfb.training.weights import count_parameters, half, publish, read_story, read_weights
+from hfb.training.weight_files import count_parameters, half, publish, read_story, read_weights
 
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",

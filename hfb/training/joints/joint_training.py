@@ -16,7 +16,7 @@ from hfb.training.joints.joint_batches import Bank, Batch, Batches
 from hfb.training.joints.joint_measures import measure
 from hfb.training.muon import Muon
 from hfb.training.schedule import Schedule, cosine, tell, update_average
-from hfb.training.weights import read_weights, write_checkpoint
+from hfb.training.weight_files import read_weights, write_checkpoint
 
 _ROUND_SHARES = (0.25, 0.5, 1.0)
 _AXES = (1.2, 1.2, 0.6)

@@ -11,7 +11,7 @@ import torch
 
 from hfb.evidence.joint_network import SMALL, WIDE, JointNetwork
 from hfb.training.flags import folder
-from hfb.training.weights import read_weights, write_checkpoint
+from hfb.training.weight_files import read_weights, write_checkpoint
 
 
 def widened(small: JointNetwork, seed: int) -> JointNetwork:

@@ -18,7 +18,7 @@ from hfb.evidence.depth_fusion import DepthCues, DepthFusion, facts_both_ways
 from hfb.io.array_files import read_arrays
 from hfb.training.flags import count, file
 from hfb.training.schedule import cosine, tell, update_average
-from hfb.training.weights import count_parameters, publish
+from hfb.training.weight_files import count_parameters, publish
 
 _BATCH = 128
 _RATE, _DECAY = 2e-3, 0.1

@@ -17,7 +17,7 @@ from hfb.training.flags import add_schedule_flags, file
 from hfb.training.joints.joint_bank import FURTHER_SUBJECTS, TRAINING_SUBJECTS
 from hfb.training.lifting.lifting_people import Bank, Fitted, as_fitted, augmented
 from hfb.training.schedule import Schedule, cosine, tell, update_average
-from hfb.training.weights import count_parameters, half, publish, read_weights
+from hfb.training.weight_files import count_parameters, half, publish, read_weights
 
 _ALONE = 0.3
 _COORDINATES = (0.5, 0.5, 2.0)

@@ -10,7 +10,7 @@ from typing import Any
 from hfb.matting.matte_network import WIDTHS
 from hfb.training.flags import file, folder
 from hfb.training.matting.figure_bank import HELD_OUT_SUBJECTS
-from hfb.training.weights import half, publish, read_story, read_weights
+from hfb.training.weight_files import half, publish, read_story, read_weights
 
 _DATA = {
     "bodies": "the embedded body (CC0 assets), random betas, generated clothing",

@@ -20,7 +20,7 @@ from hfb.matting.network import NetworkMatting
 from hfb.training.flags import count, file, folder
 from hfb.training.matting.scenes import Difficulty, Scene, draw_scene
 from hfb.training.matting.training_plates import make_patterns, make_rooms, read_photos
-from hfb.training.weights import read_weights
+from hfb.training.weight_files import read_weights
 
 _RULES = Difficulty(
     size_px=256, photo_share=0.0, empty_share=0.0, scale=(0.55, 0.95), cut_share=0.0, residual_gain=0.03, hard_share=0.2

@@ -34,7 +34,7 @@ from hfb.training.matting.scenes import Difficulty, Scene, draw_scene
 from hfb.training.matting.training_plates import PATTERNS, ROOMS, make_patterns, make_rooms, read_photos
 from hfb.training.muon import Muon
 from hfb.training.schedule import Schedule, cosine, tell, update_average
-from hfb.training.weights import read_weights, write_checkpoint
+from hfb.training.weight_files import read_weights, write_checkpoint
 
 _REMEMBERED = 480
 _CLOSE = Difficulty(
