@@ -1,7 +1,7 @@
 """Levels and places of colours in decoded frames: the standard's formula (ITU-R BT.709), whatever the pixel format."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
@@ -57,8 +57,9 @@ def _frame(stored: list[Array], layout: _Layout) -> av.VideoFrame:
     height, width = stored[0].shape
     frame = av.VideoFrame(width, height, layout.name)
     frame.colorspace, frame.color_range = _BT709, _FULL if layout.full else _LIMITED
-    planes = [np.stack(stored[1:], -1).reshape(height, -1)] if layout.pairs else stored[1:]
-    for plane, values in zip(frame.planes, [stored[0], *planes], strict=True):
+    contents = [stored[0], *([np.stack(stored[1:], -1).reshape(height, -1)] if layout.pairs else stored[1:])]
+    planes: list[Any] = list(frame.planes)
+    for plane, values in zip(planes, contents, strict=True):
         samples = np.frombuffer(plane, np.uint8 if layout.bits == 8 else np.uint16).reshape(plane.height, -1)
         step_y, step_x = height // plane.height, 1 if layout.pairs else width // plane.width
         chosen = values[::step_y, ::step_x][:, : samples.shape[1]]
