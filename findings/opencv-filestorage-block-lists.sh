@@ -8,7 +8,7 @@
 set -euo pipefail
 place=$(mktemp -d); trap 'rm -rf "$place"' EXIT
 python3 -m venv "$place/venv"
-"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check opencv-python-headless==5.0.0.93 numpy==2.4.6 pyyaml
+"$place/venv/bin/pip" install --quiet --no-compile --disable-pip-version-check opencv-python-headless==5.0.0.93 numpy==2.4.6 pyyaml==6.0.3
 cd "$place"
 "$place/venv/bin/python" - <<'PY' 2>/dev/null
 import cv2

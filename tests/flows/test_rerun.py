@@ -33,7 +33,7 @@ from hfb.priors.mixture import write_mixture
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.inputs import Inputs, input_file
 from hfb.tasks.inputs.video_inputs import take_video_inputs
-from hfb.tasks.results.reload_inputs import pictures_of
+from hfb.tasks.results.reload_inputs import reload_images
 from hfb.tasks.tracking import tracking
 from hfb.tasks.tracking.hidden_options import for_pictures, hidden_options, with_options
 from hfb.tasks.tracking.recipe import RECIPE, GivenFile, Recipe
@@ -299,7 +299,7 @@ def test_options_and_places_that_held_a_secret(
         assert says in json.loads(capsys.readouterr().out)["error"]
     assert main([*again, "--option", "matting.method=known-background"]) == 0
     assert json.loads(capsys.readouterr().out)["bit_equal"]
-    with pictures_of(run_id, tmp_path) as seen:  # films need no such option
+    with reload_images(run_id, tmp_path) as seen:  # films need no such option
         np.testing.assert_allclose(seen.frame_linear(0).shape, read_picture_srgb(places["frame"]).shape)
 
 
