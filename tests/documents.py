@@ -3,6 +3,7 @@
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -46,6 +47,7 @@ def links(path: Path) -> Iterator[str]:
                 yield str(target)
 
 
+@cache
 def anchors(path: Path) -> set[str]:
     """Return the anchors of a document's headings, as forges and MyST write them."""
     tokens = _MARKDOWN.parse(path.read_text())

@@ -67,6 +67,7 @@ def test_the_bare_function_needs_no_server() -> None:
     assert matte.fn is not matte
 
 
+@pytest.mark.integration
 def test_a_worker_gets_the_function_itself() -> None:
     """By its name, as functions are sent, and without the matter around it."""
     assert pickle.loads(pickle.dumps(find_matte)) is find_matte
