@@ -63,6 +63,7 @@ def plan_rerun(
     words: str,
     inputs_folder: Path | None = None,
     out: Path | None = None,
+    *,
     workers: int = 1,
     options: Mapping[str, str] | None = None,
 ) -> Plan:

@@ -52,7 +52,7 @@ def rerun(given: argparse.Namespace) -> int:
     def load() -> Chain:
         from hfb.flows.rerun import plan_rerun, repeat
 
-        plan = plan_rerun(given.run_id, given.inputs, given.out, given.workers, options)
+        plan = plan_rerun(given.run_id, given.inputs, given.out, workers=given.workers, options=options)
         return when_ready(lambda: repeat(plan))
 
     verdict = through_prefect(given, given.out or Path("runs"), load)

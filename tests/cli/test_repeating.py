@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -45,8 +46,8 @@ def test_rerun_and_compare(
     recorded.unlink()
     real = hfb.flows.rerun.plan_rerun
 
-    def of_another(*words: object) -> hfb.flows.rerun.Plan:
-        plan = real(*words)
+    def of_another(*words: Any, **options: Any) -> hfb.flows.rerun.Plan:
+        plan = real(*words, **options)
         plan.results["motion.npz"] = "0" * 64
         return plan
 
