@@ -184,6 +184,7 @@ def test_a_second_process_compiles_nothing_and_computes_the_same(tmp_path: Path)
     folder = ours / f"hfb-{_sources()[:16]}"
     compared = folder / f"compared-{sha256(SCRIPT.encode()).hexdigest()[:8]}.txt"
     if compared.exists():
+        computed(ours)  # compiles what is not there: kernels may have been compared in another folder
         loaded, compiled, _ = computed(ours)
         assert (compiled, loaded > 10) == (0, True)
         return
