@@ -28,6 +28,7 @@ _FIXTURES = {"here": "team", "store": "integration"}
 _PROCESSES = {"os.exec", "os.fork", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"}
 _FONTS = "fc-list"  # which Matplotlib asks once per machine
 _FIRST = "test_compilation.py"  # compiles all kernels, where nobody has yet, for the tests after it
+_LAST = "test_logins.py"  # after its guesses the services look at no new login for a while
 _started: list[str] = []
 
 
@@ -57,7 +58,12 @@ def mark(items: list[pytest.Item], folder: PurePath) -> None:
         if kind not in marks:
             item.add_marker(kind)
         first[item.path] = min(order.index(kind), first.get(item.path, len(order)))
-    items.sort(key=lambda item: -1 if item.path.name == _FIRST else first.get(item.path, len(order)))
+
+    def place(item: pytest.Item) -> tuple[int, bool]:
+        name = item.path.name
+        return -1 if name == _FIRST else first.get(item.path, len(order)), name == _LAST
+
+    items.sort(key=place)
 
 
 def shared_by(nodeid: str) -> str:

@@ -92,7 +92,7 @@ def stuck(given):
             pass
 
 cli._ENDS_WITHIN_S = 0.5
-cli._parsed = lambda words: argparse.Namespace(run=stuck)
+cli._parse = lambda words: argparse.Namespace(run=stuck)
 sys.exit(cli.main([]))
 """
 
