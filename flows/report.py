@@ -62,7 +62,7 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
         if run is not None:
             facts = {**facts, "mlflow_run_id": run.run_id, "mlflow_link": run.link}
         with progress.step("report"), beside_result(folder, [REPORT]) as target:
-            write_page(parts, model, facts, versions, path=target / REPORT)
+            write_page(parts, model, facts, versions, path=target / REPORT, name=folder.resolve().name)
     path = (folder / REPORT).resolve()
     return {"report": str(path), "bytes": path.stat().st_size, "film": film is not None, "surface": model is not None}
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from hfb import __version__
 from hfb.errors import InfrastructureError, InputError, ServerLost
+from hfb.evaluation.experiment_files import experiment_file
 from hfb.flows.cli import clips, judging, models_cli, repeating, results, training
 from hfb.flows.cli.options import add_config_flags, run_config
 from hfb.flows.runtime import summary
@@ -262,6 +263,7 @@ def _benchmark(given: argparse.Namespace) -> None:
 
 
 def _reproduce(given: argparse.Namespace) -> None:
+    experiment_file(given.experiment)  # a misspelt name is told before anything is loaded
     from hfb.evaluation.experiments import find_experiment
 
     experiment = find_experiment(given.experiment)

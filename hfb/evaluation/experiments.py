@@ -10,11 +10,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hfb.config import Record
-from hfb.errors import InputError
+from hfb.evaluation.experiment_files import experiment_file
 from hfb.evaluation.table_page import UNKNOWN, blur_label, grid, interval, number
 from hfb.io.toml_file import read_toml, to_record
-
-_FILES = resources.files("hfb.evaluation") / "data"
 
 Metric = Literal["mpjpe_mm", "pa_mpjpe_mm", "iou"]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -121,20 +119,13 @@ class Experiment(Record):
         return next((row for row in self.rows if row.name == self.start), None)
 
 
-def experiment_names() -> list[str]:
-    """Return the names of the paper's tables and figures that hfb comes with."""
-    return sorted(one.name.removesuffix(".toml") for one in _FILES.iterdir() if one.name.endswith(".toml"))
-
-
 def find_experiment(name: str) -> Experiment:
     """Read one of the paper's tables or figures by its name, such as ``table1``.
 
     Raises:
         InputError: there is none of that name.
     """
-    if name not in experiment_names():
-        raise InputError(f"there is no experiment called {name}: known are {', '.join(experiment_names())}")
-    with resources.as_file(_FILES / f"{name}.toml") as path:
+    with resources.as_file(experiment_file(name)) as path:
         return load_experiment(path)
 
 

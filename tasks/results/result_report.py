@@ -123,7 +123,13 @@ def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
 
 
 def write_page(
-    parts: ReportParts, body: Body | None, facts: Mapping[str, Any], versions: Mapping[str, str], *, path: Path
+    parts: ReportParts,
+    body: Body | None,
+    facts: Mapping[str, Any],
+    versions: Mapping[str, str],
+    *,
+    path: Path,
+    name: str | None = None,
 ) -> None:
     """Put the page together; whole or not at all. Arguments and errors as in `page_text`.
 
@@ -133,10 +139,11 @@ def write_page(
         facts: the content of result.json.
         versions: of the machine that made the result.
         path: where the page goes.
+        name: of the result, where the facts do not tell; that of the page's folder when not given.
     """
     from hfb.io.atomic import write_bytes_atomic
 
-    write_bytes_atomic(path, page_text(parts, body, facts, versions, name=path.parent.name).encode())
+    write_bytes_atomic(path, page_text(parts, body, facts, versions, name=name or path.parent.name).encode())
 
 
 def page_text(

@@ -9,9 +9,9 @@ import pytest
 from hfb.datasets.blur_bins import bins_of, paper_counts
 from hfb.errors import InputError
 from hfb.evaluation.baselines.method_spec import method_spec
+from hfb.evaluation.experiment_files import experiment_names
 from hfb.evaluation.experiments import (
     beside_paper,
-    experiment_names,
     find_experiment,
     load_experiment,
     papers_ratios,
