@@ -58,7 +58,8 @@ def fit_motion(
     write_arrays(paths[1], {"texture": result.texture.numpy()})
     write_png(paths[2], observation.to_srgb(result.texture).numpy())
     write_bytes_atomic(paths[3], json.dumps(result.history).encode())
-    mattes_used = [folder / f"fitted_matte_{index}.png" for index in range(len(mattes))]
+    (folder / "fitted").mkdir(exist_ok=True)  # a tracking store names files as they are named here
+    mattes_used = [folder / "fitted" / f"matte_{index}.png" for index in range(len(mattes))]
     for path, alpha in zip(mattes_used, result.mattes, strict=True):
         write_matte(path, alpha.numpy())
     motion, texture, texture_image, history = (FileHandle.of(path) for path in paths)
