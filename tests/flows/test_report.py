@@ -15,7 +15,7 @@ from urllib.request import urlopen
 import pytest
 
 from hfb.config import ExportConfig, FitConfig, InitConfig, RunConfig, Stage
-from hfb.errors import InputError
+from hfb.errors import InputError, TemporaryError
 from hfb.flows.fit_image import fit_image
 from hfb.flows.report import make_report
 from hfb.tasks.core.handles import sha256_of
@@ -112,6 +112,9 @@ def test_the_page_is_made_again_from_what_is_left(problem: Problem, store: Path,
         (out / name).unlink()
     (out / "intermediate" / "page_film.mp4").unlink()
     (out / "intermediate" / "history.json").unlink()
+    with pytest.raises(TemporaryError, match=r"holds report.html, which is not as hfb wrote it"):
+        make_report(str(out), None)  # with result.json the record of who wrote the page is gone
+    (out / "report.html").unlink()
     bare = make_report(str(out), None)
     assert not bare["film"]
     assert "hfb export RESULT --films slowmotion" in (out / "report.html").read_text()
