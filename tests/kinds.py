@@ -85,7 +85,7 @@ def scheduling(config: pytest.Config, log: Any) -> Any:
 
 
 def _note(event: str, given: tuple[Any, ...]) -> None:
-    if event in _PROCESSES and given[0] != _FONTS:
+    if event in _PROCESSES and given[:1] != (_FONTS,):
         _started.append(f"{event} {given[:2]}")
 
 

@@ -193,7 +193,7 @@ def test_an_interrupted_repetition_goes_on(
 ) -> None:
     import hfb.flows.fit_image
 
-    def interrupted(*_: Any) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

@@ -75,7 +75,7 @@ _CLIP = ClipFrames(12, height=90, width=160)
 READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "picture": (read_picture_srgb, picture_size, recorded_exposure, read_matte),
     "sharp": (lambda path: load_sharp(Case(path.parent, 1, 1, 0.0, _SHARP), 0),),
-    "video": (_footage, _frames, _timing),
+    "video": (_footage, _frames, lambda path: _timing(path, None)),
     "clip": (read_clip, lambda path: resolve_source(path, None)),
     "options": (lambda path: to_record(RunConfig, read_toml(path), str(path)),),
     "calibration": (read_calibration, _lens),

@@ -68,6 +68,7 @@ def _in_child(results: "multiprocessing.Queue[int]") -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.integration  # forks
 @pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="no fork on this system")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_forked_child_makes_its_own_threads() -> None:
