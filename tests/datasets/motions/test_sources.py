@@ -11,6 +11,7 @@ from hfb.body.skeleton import JOINT_NAMES
 from hfb.datasets.motions.built_in.gestures import CHANNELS, GESTURES, RANGES
 from hfb.datasets.motions.built_in.procedural import ProceduralMotions
 from hfb.datasets.motions.folder import FolderMotions
+from hfb.datasets.motions.motion_clip import MotionSource
 from hfb.datasets.motions.skeletons.kinematics import joint_positions, rest_joints, to_world
 from hfb.datasets.motions.sources import open_motions, usable
 from hfb.errors import InputError
