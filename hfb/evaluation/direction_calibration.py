@@ -14,7 +14,7 @@ from hfb.evaluation.metrics import wrong_direction
 from hfb.evaluation.reliability import DIRECTION_EDGES
 from hfb.fitting.alternatives import LIMB_JOINTS, Alternatives
 from hfb.fitting.confidence import Features, StartKind
-from hfb.fitting.direction_trust import SIGNS, Trust, even_odds, power_of, signs_of, tempered
+from hfb.fitting.direction_trust import SIGNS, Trust, group_probability, power_of, signs_of, temper
 from hfb.typing import Array, Bool, Float
 
 _LIMB_WEIGHT = 0.1
@@ -34,7 +34,8 @@ class DirectionEvent:
 
     Attributes:
         person: events of a person stay together when some are held out.
-        probability: of the hypotheses, before `hfb.fitting.direction_trust`; even: `even_odds` of them.
+        probability: of the hypotheses, before `hfb.fitting.direction_trust`.
+        grouped: `group_probability` of them.
         agrees: whether each says as the result.
         right: whether the result was right. whole: about the body, not about a limb.
         body_right: P(the body is right) in this frame; NaN where it hardly moves. signs: of the frame.
@@ -43,7 +44,7 @@ class DirectionEvent:
 
     person: str
     probability: Float[Array, "A"]
-    even: Float[Array, "A"]
+    grouped: Float[Array, "A"]
     agrees: Float[Array, "A"]
     right: bool
     whole: bool
@@ -62,7 +63,7 @@ def direction_events(
     """
     joints, frames = alternatives.joints[alternatives.chosen], int(alternatives.frame_index.max()) + 1
     wrong, agrees = wrong_direction(joints, true, frames), alternatives.body_agrees()
-    sure, even = alternatives.body_right(), even_odds(agrees)
+    sure, grouped = alternatives.body_right(), group_probability(alternatives.probability, agrees)
     for frame in range(frames):
         rows = alternatives.frame_index == frame
         signs = signs_of(features, rows)
@@ -78,7 +79,7 @@ def direction_events(
         for answers, right, whole in asked:
             if np.isfinite(answers).all():
                 yield DirectionEvent(
-                    person, alternatives.probability, even, answers, bool(right), whole, sure[frame], signs, frames
+                    person, alternatives.probability, grouped, answers, bool(right), whole, sure[frame], signs, frames
                 )
 
 
@@ -97,17 +98,17 @@ class _Asked:
 
     def __init__(self, events: Sequence[DirectionEvent]) -> None:
         most = max(len(event.agrees) for event in events)
-        self._probability, self._even, self._agrees = np.zeros((3, len(events), most))
+        self._probability, self._grouped, self._agrees = np.zeros((3, len(events), most))
         for row, event in enumerate(events):
             count = len(event.agrees)
-            self._probability[row, :count], self._even[row, :count] = event.probability, event.even
+            self._probability[row, :count], self._grouped[row, :count] = event.probability, event.grouped
             self._agrees[row, :count] = event.agrees
         self._body_right = np.array([event.body_right for event in events])
         self.right = np.array([event.right for event in events], bool)
 
     def said(self, doubts: Float[Array, "n"]) -> Float[Array, "n"]:
         """P(the result is right), where evidence has to overcome these doubts."""
-        probability = tempered(self._probability, self._even, power_of(self._body_right, doubts))
+        probability = temper(self._probability, self._grouped, power_of(self._body_right, doubts))
         return np.clip((self._agrees * probability).sum(1), _CERTAIN, 1 - _CERTAIN)
 
 

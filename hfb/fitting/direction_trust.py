@@ -4,11 +4,13 @@ The odds of `hfb.fitting.direction_odds` were measured on fits that began near t
 a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with
 L the log odds that the body moved the way the result says, the probability p of every hypothesis becomes
 
-    p^k e^(1 - k),    k = max(0, 1 - doubt / L),    doubt = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
+    p P^(k - 1) / norm,    k = max(0, 1 - doubt / L),    doubt = max(0, b_0 + sum_i b_i (f_i - typical_i) / spread_i),
 
-whose f_i are signs of trouble in the fit (`SIGNS`), with b_i >= 0; e is the hypothesis' probability where nothing is
-known (`even_odds`). The coefficients were fitted to fits whose truth is known (`hfb train confidence`), for each
-kind of start, and lie in data/directions.json. Which motion is the result does not depend on them.
+whose f_i are signs of trouble in the fit (`SIGNS`), with b_i >= 0; P is the probability of all hypotheses by which the
+body moved as by this one (`group_probability`). In one frame log odds of the body become max(0, L - doubt). What the
+image tells of limbs, given the body, is kept: a limb's reversal that the image refutes stays refuted. The coefficients
+were fitted to fits whose truth is known (`hfb train confidence`), for each kind of start, and lie in
+data/directions.json. Which motion is the result does not depend on them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,23 +63,28 @@ def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
     return {name: float(features[name][rows, 1:].mean()) for name in SIGNS}
 
 
-def even_odds(agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
-    """Probabilities of hypotheses by which no direction of the body is likelier than another.
+def group_probability(probability: Float[Array, "A"], agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
+    """For each hypothesis, the probability of all by which the body moved in the same directions.
 
     Args:
+        probability: of the hypotheses.
         agrees: `Alternatives.body_agrees`.
     """
-    _, group, sizes = np.unique(np.nan_to_num(agrees, nan=1.0) > 0.5, axis=1, return_inverse=True, return_counts=True)
-    even = 1 / sizes[group.ravel()]
-    return even / even.sum()
+    _, group = np.unique(np.nan_to_num(agrees, nan=1.0) > 0.5, axis=1, return_inverse=True)
+    return np.bincount(group.ravel(), weights=probability)[group.ravel()]
 
 
-def tempered(
-    probability: Float[Array, "*n A"], even: Float[Array, "*n A"], power: Float[Array, "*n"]
+def temper(
+    probability: Float[Array, "*n A"], grouped: Float[Array, "*n A"], power: Float[Array, "*n"]
 ) -> Float[Array, "*n A"]:
-    """Between even odds (power 0) and the given ones (1); what has no even odds is no hypothesis."""
-    power = np.asarray(power)[..., None]
-    weights = np.where(even > 0, np.maximum(probability, _LEAST) ** power * even ** (1 - power), 0)
+    """Draw the odds of the body's directions to even ones; inside a group hypotheses keep their odds.
+
+    Args:
+        probability: of the hypotheses.
+        grouped: `group_probability` of them.
+        power: 0 makes the groups equally likely, 1 changes nothing.
+    """
+    weights = probability * np.maximum(grouped, _LEAST) ** (np.asarray(power)[..., None] - 1)
     return weights / weights.sum(-1, keepdims=True)
 
 
@@ -93,8 +100,8 @@ def trusted(alternatives: Alternatives, features: Features, sources: Sequence[st
         for source, one in zip(sources, rows, strict=True)
     ]
     power = np.asarray(power_of(alternatives.body_right(), np.array(doubts)).min())
-    even = even_odds(alternatives.body_agrees())
-    return replace(alternatives, probability=tempered(alternatives.probability, even, power))
+    grouped = group_probability(alternatives.probability, alternatives.body_agrees())
+    return replace(alternatives, probability=temper(alternatives.probability, grouped, power))
 
 
 @lru_cache

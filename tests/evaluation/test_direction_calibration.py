@@ -25,7 +25,7 @@ def events(doubt: float, trouble: float = 0.0, count: int = 1500) -> list[Direct
         log_odds = max(0.0, np.log(said / (1 - said)) - max(0.0, doubt + trouble * sign))
         right = bool(rng.random() < 1 / (1 + np.exp(-log_odds)))
         odds, signs = np.array([said, 1 - said]), dict(zip(SIGNS, (sign, 0.0, 0.0), strict=True))
-        found.append(DirectionEvent(str(number), odds, np.full(2, 0.5), np.array([1.0, 0.0]), right, True, said, signs))
+        found.append(DirectionEvent(str(number), odds, odds, np.array([1.0, 0.0]), right, True, said, signs))
     return found
 
 

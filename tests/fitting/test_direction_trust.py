@@ -10,11 +10,11 @@ from hfb.fitting.direction_odds import shipped_odds
 from hfb.fitting.direction_trust import (
     SIGNS,
     direction_condition,
-    even_odds,
+    group_probability,
     power_of,
     shipped_trust,
     signs_of,
-    tempered,
+    temper,
     trusted,
 )
 from tests.fitting.test_alternatives import swinging
@@ -67,17 +67,28 @@ def test_several_frames() -> None:
     said, other = (trusted(raw, one, ["matte", "matte"]) for one in (both, worse))
     np.testing.assert_allclose(said.probability, other.probability)
     agrees = np.array([[1, 0, 1, 0, 1, 1, 1], [1, 1, 0, 0, 1, 1, 1]], float)  # as found, each frame, both, three limbs
-    np.testing.assert_allclose(agrees @ even_odds(agrees), 0.5)
-    np.testing.assert_allclose(even_odds(np.array([[1.0, 1, 0, 0]])), 0.25)
+    known = np.array([0.3, 0.1, 0.15, 0.05, 0.2, 0.15, 0.05])
+    np.testing.assert_allclose(agrees @ temper(known, group_probability(known, agrees), np.array(0.0)), 0.5)
+
+
+def test_what_the_image_tells_of_limbs_is_kept() -> None:
+    """With nothing known of the body, a limb's reversal that the image refutes is as unlikely as before."""
+    known = np.array([0.4995, 0.0005, 0.4995, 0.0005])  # as fitted, a limb reversed; both backwards
+    said = temper(known, group_probability(known, np.array([[1.0, 1, 0, 0]])), np.array(0.0))
+    np.testing.assert_allclose(said, known, atol=1e-12)
+    leaning = temper(np.array([0.6, 0.1, 0.2, 0.1]), np.array([0.7, 0.7, 0.3, 0.3]), np.array(0.0))
+    np.testing.assert_allclose(leaning, [3 / 7, 0.5 / 7, 1 / 3, 1 / 6])
 
 
 def test_the_power() -> None:
     right = np.array([0.9, 0.9, 0.1, 0.6, 0.5, np.nan])  # of NaN nothing is said
     doubt = np.array([0.0, np.log(9.0) / 2, np.log(9.0) / 2, 2.0, 0.0, 2.0])
     np.testing.assert_allclose(power_of(right, doubt), [1, 0.5, 0.5, 0, 0, 1], atol=1e-9)
-    np.testing.assert_allclose(tempered(np.array([0.9, 0.1]), np.full(2, 0.5), np.array(0.0)), 0.5)
-    known = np.array([0.9, 0.1, 0.0])
-    np.testing.assert_allclose(tempered(known, np.full(3, 1 / 3), np.array(1.0)), known, atol=1e-9)
+    two = np.array([0.9, 0.1])
+    np.testing.assert_allclose(temper(two, two, np.array(0.0)), 0.5)
+    np.testing.assert_allclose(temper(two, two, np.array(1.0)), two)
+    told = temper(two, two, np.asarray(power_of(np.array(0.9), np.array(np.log(3.0)))))
+    np.testing.assert_allclose(told, [0.75, 0.25])  # of log odds log 9 the doubt log 3 is taken away
 
 
 @pytest.mark.parametrize("kind", get_args(StartKind))
