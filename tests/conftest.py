@@ -26,6 +26,7 @@ import hfb
 import tests.typechecking  # noqa: F401  (the hook finds the checker as an attribute of `tests`)
 from tests import kinds
 from tests.orchestration import RUN_FOLDER, Problem, orchestrated, tiny_problem
+from tests.shared import SHARED_DATA
 
 # Hundreds of processes start below: each would compile all of the sources, and, in a home of its own, all kernels.
 sys.dont_write_bytecode = False
@@ -90,7 +91,7 @@ def problem(tmp_path_factory: pytest.TempPathFactory) -> Problem:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real pictures beside the project; tests that need them are skipped elsewhere."""
-    folder = Path(os.environ.get("HFB_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    folder = SHARED_DATA
     if not folder.is_dir():
         pytest.skip(f"no shared data in {folder} (set HFB_SHARED_DATA)")
     return folder

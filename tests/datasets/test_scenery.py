@@ -11,8 +11,9 @@ from hfb.datasets.synthetic.scenery import TEXTURE_PX, draw_scenery, to_file_and
 from hfb.errors import InputError
 from hfb.io.media.images.image_io import write_png
 from hfb.photometry import srgb_to_linear
+from tests.shared import SHARED_DATA
 
-REAL = Path(__file__).parents[2].parent / "shared" / "data" / "backgrounds" / "polyhaven"
+REAL = SHARED_DATA / "backgrounds" / "polyhaven"
 
 
 def draw(backgrounds: Path | None, textures: Path | None = None, seed: int = 0, size_px: int = 48):

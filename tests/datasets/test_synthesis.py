@@ -29,9 +29,9 @@ from hfb.motion.clock import subframe_times_s
 from hfb.motion.static_pose import load_first_body
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
+from tests.shared import SHARED_DATA
 
-_DATA = Path(__file__).parents[2].parent / "shared" / "data"
-REAL_MOTIONS, REAL_BACKGROUNDS = _DATA / "cmu_bvh", _DATA / "backgrounds" / "polyhaven"
+REAL_MOTIONS, REAL_BACKGROUNDS = SHARED_DATA / "cmu_bvh", SHARED_DATA / "backgrounds" / "polyhaven"
 USABLE = tuple(range(8))
 SINGLE = SetSpec(set="bt-amass", seed=7, fill="even", size_px=96)
 EASY = SetSpec(set="bt-amass", seed=3, fill="even", size_px=96, easy=True)

@@ -21,8 +21,8 @@ from hfb.evaluation.warnings import (
 from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.motion.sampled import SampledMotion
 from hfb.tracking.tracks import find_tracks
+from tests.shared import SHARED_DATA
 
-SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 HEIGHT, WIDTH = 120, 200
 Change = Callable[[Look], Look]
 
@@ -190,11 +190,11 @@ def _frames(path: Path, step: int) -> Iterator[np.ndarray]:
 )
 def test_real_recordings(video: str, plate: str, step: int) -> None:
     """None of clean footage; shade over a third, a quarter more exposure and a new chair in every one."""
-    if not (SHARED / video).is_file():
-        pytest.skip(f"{SHARED / video} is not there")
-    empty = read_picture_srgb((SHARED / video).parent / plate)
+    if not (SHARED_DATA / video).is_file():
+        pytest.skip(f"{SHARED_DATA / video} is not there")
+    empty = read_picture_srgb((SHARED_DATA / video).parent / plate)
     empty = cv2.resize(empty, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    frames = list(_frames(SHARED / video, step))
+    frames = list(_frames(SHARED_DATA / video, step))
     looks = [Look(number, frame, _changed_person(frame, empty)) for number, frame in enumerate(frames)]
     assert check_light(looks, empty) is None
     assert check_static(looks, empty) is None
@@ -205,7 +205,7 @@ def test_real_recordings(video: str, plate: str, step: int) -> None:
 
 def test_the_median_of_a_real_squat_holds_her() -> None:
     """She never leaves: the median of her clip is no background."""
-    video = SHARED / "opencap_squat" / "cam0_f060-299.mp4"
+    video = SHARED_DATA / "opencap_squat" / "cam0_f060-299.mp4"
     if not video.is_file():
         pytest.skip(f"{video} is not there")
     frames = list(_frames(video, 12))

@@ -20,10 +20,11 @@ from hfb.tasks.inputs.clip_places import find_clips
 from hfb.tasks.inputs.inputs import input_file
 from tests.fuzz.hostile import _large_png
 from tests.fuzz.results import FACTS, write_result
+from tests.shared import REPORTS
 from tests.small_clips import small_config
 
 _LONG_AGO = (1_700_000_000, 1_700_000_000)
-_TAR = Path(__file__).parents[3] / "shared" / "reports" / "name_not_utf8.tar"
+_TAR = REPORTS / "name_not_utf8.tar"
 _NOT_UTF8 = os.fsdecode(b"caf\xe9_walk")
 
 

@@ -22,8 +22,8 @@ from hfb.tracking.tracks import (
     read_track_names,
     surroundings,
 )
+from tests.shared import SHARED_DATA
 
-SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 HEIGHT, WIDTH = 90, 160
 PLATE = np.full((HEIGHT, WIDTH, 3), 0.4, np.float32)
 
@@ -133,7 +133,7 @@ def test_a_fragment_does_not_take_over_the_person() -> None:
 
 def test_real_people_are_followed_whole() -> None:
     """The clip of a squat: a reflection below the feet took the person's place (4 frames of 20 missed)."""
-    folder = SHARED / "opencap_squat"
+    folder = SHARED_DATA / "opencap_squat"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     pictures = [frame for n, frame in enumerate(video(folder / "cam0_f060-299.mp4")) if n % 12 == 0]
@@ -145,7 +145,7 @@ def test_real_people_are_followed_whole() -> None:
 
 def test_real_people_in_pieces_and_above_each_other() -> None:
     """A woman whose hips hardly differ from the hedge stays whole; the man on the roof above her stays another."""
-    folder = SHARED / "sports2d_park"
+    folder = SHARED_DATA / "sports2d_park"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     plate = read_picture_srgb(folder / "plate.png")
@@ -225,7 +225,7 @@ def test_nobody_else_stands_in() -> None:
 
 def test_real_people_in_frames_of_another_exposure() -> None:
     """The park in frames that are brighter or darker than the plate: nobody in full view is a gap."""
-    folder = SHARED / "sports2d_park"
+    folder = SHARED_DATA / "sports2d_park"
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     plate, pictures = read_picture_srgb(folder / "plate.png"), []

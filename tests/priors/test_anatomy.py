@@ -1,7 +1,6 @@
 """The anatomical prior: real poses pass, impossible ones do not, and left and right are the same."""
 
 from math import pi, radians
-from pathlib import Path
 
 import pytest
 import torch
@@ -18,9 +17,10 @@ from hfb.geometry.rotations import (
 )
 from hfb.priors.anatomy import AnatomicalPrior, twist_swing
 from hfb.priors.pose import PosePrior
+from tests.shared import SHARED_DATA
 
 PRIOR = AnatomicalPrior()
-_MOCAP = Path(__file__).parents[3] / "shared" / "data" / "cmu_bvh"
+_MOCAP = SHARED_DATA / "cmu_bvh"
 
 
 def _pose(**degrees: tuple[float, float, float]) -> torch.Tensor:

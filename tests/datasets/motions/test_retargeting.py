@@ -1,7 +1,5 @@
 """Retargeting: known motions come back from skeletons of other sizes, axes and rest poses; real ones look human."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -18,8 +16,9 @@ from hfb.errors import InputError
 from hfb.geometry.quaternions import from_axis_angle, rotate, unit
 from hfb.priors.anatomy import AnatomicalPrior
 from tests.datasets.motions.skeletons import MIXAMO, Foreign, own_frames
+from tests.shared import SHARED_DATA
 
-_MOCAP = Path(__file__).parents[4] / "shared" / "data" / "cmu_bvh"
+_MOCAP = SHARED_DATA / "cmu_bvh"
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}
 _LIMB_BONES = [
     (_J[f"{side}_{a}"], _J[f"{side}_{b}"])

@@ -17,8 +17,9 @@ from hfb.datasets.motions.sources import open_motions, usable
 from hfb.errors import InputError
 from hfb.geometry.quaternions import from_axis_angle, rotate
 from hfb.priors.anatomy import AnatomicalPrior
+from tests.shared import SHARED_DATA
 
-_MOCAP = Path(__file__).parents[4] / "shared" / "data" / "cmu_bvh"
+_MOCAP = SHARED_DATA / "cmu_bvh"
 
 
 def _write_smpl(path: Path, frames: int = 4) -> None:

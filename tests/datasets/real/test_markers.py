@@ -11,6 +11,7 @@ from hfb.datasets.real.markers import Markers, body_columns, read_joints_npz, re
 from hfb.datasets.real.truth_source import truth_kind, truth_offsets_mm
 from hfb.errors import InputError
 from tests.datasets.real.videos import write_trc
+from tests.shared import SHARED_DATA
 
 _NAMES = ("RHip", "LWrist", "Neck")
 
@@ -170,7 +171,7 @@ def test_what_measured_joints_are() -> None:
     [("opencap_walk_a", 1, "markers"), ("opencap_squat", 1, "markers"), ("pose2sim_balancing", 2, "multi-view")],
 )
 def test_what_the_shared_recordings_are(recording: str, cameras: int, kind: str) -> None:
-    path = Path(__file__).parents[4] / "shared" / "data" / recording / "joints3d.npz"
+    path = SHARED_DATA / recording / "joints3d.npz"
     if not path.is_file():
         pytest.skip("the shared recordings are not here")
     assert truth_kind(read_joints_npz(path), cameras) == kind

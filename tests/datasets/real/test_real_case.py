@@ -1,7 +1,6 @@
 """Whole cases: the mean of the frames, the truth at the right instants and places, the same bits every time."""
 
 import hashlib
-import os
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +25,8 @@ from hfb.io.media.images.image_io import read_matte, read_picture_srgb
 from hfb.motion.static_pose import FirstBody
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from tests.datasets.real.videos import BODY, FPS, HEIGHT, WIDTH, figure, joints_m, write_recording
+from tests.shared import SHARED_DATA
 
-SHARED = Path(os.environ.get("HFB_SHARED_DATA", Path(__file__).parents[3] / ".." / "shared" / "data"))
 _AVERAGE = 5
 
 
@@ -189,10 +188,10 @@ def test_leaps_are_unknown_and_steady_motion_is_kept() -> None:
     assert np.isnan(without_leaps(wrong)[4]).all()
 
 
-@pytest.mark.skipif(not (SHARED / "pose2sim_balancing").is_dir(), reason="no shared data (set HFB_SHARED_DATA)")
+@pytest.mark.skipif(not (SHARED_DATA / "pose2sim_balancing").is_dir(), reason="no shared data (set HFB_SHARED_DATA)")
 def test_real_joints_lie_on_the_real_person(tmp_path: Path) -> None:
     """Both cameras; joints of thin limbs lie near the mask's edge, so not every one is inside it."""
-    spec = RealSpec(videos=SHARED / "pose2sim_balancing", average=3, size_px=384)
+    spec = RealSpec(videos=SHARED_DATA / "pose2sim_balancing", average=3, size_px=384)
     windows, refused = real_windows(spec)
     assert refused == {}
     assert {window.recording.shift for window in windows} == {-1}  # a flaw of that data, found from the pictures

@@ -17,8 +17,7 @@ from hfb.interop.readers.sniff import choose_person, read_tracks
 from tests.interop.readers import files
 from tests.interop.readers.files import COUNT, HEIGHT, WIDTH, Person
 from tests.interop.readers.test_keypoints import COCO, KNEE, as_coco, shown
-
-_REPORTS = Path(__file__).parents[4] / "shared" / "reports"
+from tests.shared import REPORTS
 
 
 def read(folder: Path, content: Any, clip: ClipPictures = ClipPictures()) -> tuple[PoseTrack, ...]:  # noqa: B008
@@ -61,9 +60,9 @@ def test_a_person_stays_that_person(tmp_path: Path, marks: Any) -> None:
 
 @pytest.mark.parametrize("name", ["alphapose_idx_list.json", "alphapose_idx_int.json"])
 def test_alphapose_as_reported(name: str) -> None:
-    if not (_REPORTS / name).is_file():
+    if not (REPORTS / name).is_file():
         pytest.skip("the shared reports are not here")
-    tracks = read_tracks([_REPORTS / name], HEIGHT, WIDTH)
+    tracks = read_tracks([REPORTS / name], HEIGHT, WIDTH)
     assert len(tracks) == 2
     for track in tracks:
         assert np.ptp(np.nanmean(track.pixels[..., 0], 1)) < 100  # on one side of the picture
@@ -203,16 +202,16 @@ def test_sam3d_without_its_focal_length(tmp_path: Path, suffix: str) -> None:
 
 
 def test_as_reported() -> None:
-    if not (_REPORTS / "wham_chunks.pkl").is_file():
+    if not (REPORTS / "wham_chunks.pkl").is_file():
         pytest.skip("the shared reports are not here")
-    tracks = read_tracks([_REPORTS / "wham_chunks.pkl"], HEIGHT, WIDTH)
+    tracks = read_tracks([REPORTS / "wham_chunks.pkl"], HEIGHT, WIDTH)
     assert len(tracks) == 1
     assert len(tracks[0]) == 20
-    named = _REPORTS / "named_from_1"
+    named = REPORTS / "named_from_1"
     own = ClipPictures(tuple(sorted(path.name for path in (named / "frames").iterdir())))
     (track,) = read_tracks([named / "alphapose-results.json"], 120, 160, own)
     assert track.frames.tolist() == list(range(6))
-    (track,) = read_tracks([_REPORTS / "sam3d_without_focal_length.npz"], HEIGHT, WIDTH)
+    (track,) = read_tracks([REPORTS / "sam3d_without_focal_length.npz"], HEIGHT, WIDTH)
     assert np.isfinite(track.K).all()
     assert track.joints is not None
     assert JOINT_NAMES[0] == "pelvis"

@@ -17,8 +17,8 @@ from hfb.io.media.images.image_io import read_matte, write_matte
 from hfb.io.media.plate import find_plate
 from hfb.tasks.core.handles import ClipHandle, FileHandle
 from hfb.tasks.image.prepare import prepare
+from tests.shared import REPORTS
 
-REPORTS = Path(__file__).parents[3] / "shared" / "reports"
 LIGHT = np.random.default_rng(0).random((21, 37, 3))
 LIGHT[0, 0] = 1
 

@@ -11,8 +11,7 @@ from hfb.errors import InputError
 from hfb.io.media.footage import open_footage
 from hfb.io.media.images.image_io import picture_size, read_picture_srgb
 from hfb.tasks.inputs.clip_places import resolve_source
-
-REPORTS = Path(__file__).parents[3] / "shared" / "reports"
+from tests.shared import REPORTS
 
 
 def thumbnail_first(path: Path, photometric: str | int = 32803) -> Path:

@@ -14,8 +14,8 @@ from hfb.io.media.plate import find_plate
 from hfb.io.media.video.video_reading import read_frames
 from tests.io.media.mp4 import with_matrix
 from tests.io.media.videos import picture, write_video
+from tests.shared import REPORTS
 
-REPORTS = Path(__file__).parents[3] / "shared" / "reports"
 MATRICES = [
     (1, 0, 0, 1), (-1, 0, 0, 1), (1, 0, 0, -1), (-1, 0, 0, -1), (0, 1, 1, 0), (0, 1, -1, 0), (0, -1, 1, 0),
     (0, -1, -1, 0),
