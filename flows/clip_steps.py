@@ -11,8 +11,9 @@ import numpy as np
 
 from hfb.config import RunConfig
 from hfb.errors import InputError
-from hfb.evaluation.warnings import ResultWarning, check_never_left
+from hfb.evaluation.warnings import ResultWarning, check_front, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
+from hfb.fitting.fronts import front_probability
 from hfb.flows.runtime.failures import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
 from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
@@ -45,12 +46,14 @@ from hfb.tasks.video.video_frames import (
 )
 from hfb.tasks.video.video_look import ScoreCall, draw_clip, judge_clip, score_frames
 from hfb.tasks.video.video_windows import (
+    MirrorCall,
     WindowCall,
     estimate_identity,
     fill_bodies,
     fit_clip_window,
     join_clip,
     mend_fronts,
+    mirror_body,
 )
 from hfb.tracking.clip_bodies import key_frames
 
@@ -105,11 +108,13 @@ class Fitted:
 
     Attributes:
         resumed: frames whose fit an earlier run had finished.
+        fronts: per segment the log odds that the first bodies as found face the right way.
     """
 
     windows: tuple[WindowHandle, ...]
     person: FileHandle
     resumed: frozenset[int] = field(default_factory=frozenset)
+    fronts: Mapping[int, float] = field(default_factory=dict)
 
 
 def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
@@ -250,6 +255,17 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
     first_fits = _require_all(fit_clip_window, first_calls, "who it is")
+    fronts = weigh_segments(first_fits)
+    bodies = _turn_bodies(scene, bodies, windows, fronts)
+    again = [
+        index
+        for index, found in zip(settling, first_fits, strict=True)
+        if found.mirrored != (fronts.get(found.segment, 0.0) < 0)
+    ]
+    if again:  # neighbours outvoted what these windows kept
+        calls = [_window_call(scene, bodies, windows[index], None, turned=True) for index in again]
+        refitted = dict(zip(again, _require_all(fit_clip_window, calls, "who it is, other front"), strict=True))
+        first_fits = [refitted.get(index, found) for index, found in zip(settling, first_fits, strict=True)]
     person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
     settled = _assign_frames(windows)
     resumed: set[int] = set()
@@ -262,7 +278,47 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         on_fitted(settled[index], outcome.result.loss)
 
     calls = [_window_call(scene, bodies, window, person) for window in windows]
-    return Fitted(tuple(_require_all(fit_clip_window, calls, "windows", fitted)), person, frozenset(resumed))
+    fits = tuple(_require_all(fit_clip_window, calls, "windows", fitted))
+    return Fitted(fits, person, frozenset(resumed), fronts)
+
+
+def weigh_segments(fits: Sequence[WindowHandle]) -> dict[int, float]:
+    """Return, per segment of a clip, the log odds that its first bodies face the right way.
+
+    People do not turn around unseen within a segment, and the bodies of one agree: what its windows say adds up.
+
+    Args:
+        fits: windows that were fitted without a person; a segment without one is left out.
+    """
+    odds: dict[int, float] = {}
+    for one in fits:
+        odds[one.segment] = odds.get(one.segment, 0.0) + one.front_log_odds
+    return odds
+
+
+def _turn_bodies(
+    scene: Scene, bodies: ClipBodiesHandle, windows: Sequence[ClipWindow], fronts: Mapping[int, float]
+) -> ClipBodiesHandle:
+    """Mirror the bodies of segments that are likelier to face the other way."""
+    numbers = sorted({frame for one in windows if fronts.get(one.segment, 0.0) < 0 for frame in one.frames})
+    if not numbers:
+        return bodies
+    calls = [
+        MirrorCall(
+            number=number,
+            still=scene.still(number),
+            matte=scene.mattes[number],
+            body=scene.inputs.body,
+            folder=scene.folder,
+            first=first,
+        )
+        for number in numbers
+        if (first := bodies.firsts[number]) is not None
+    ]
+    turned = dict(zip(numbers, _require_all(mirror_body, calls, "other front"), strict=True))
+    return bodies.model_copy(
+        update={"firsts": tuple(turned.get(number, one) for number, one in enumerate(bodies.firsts))}
+    )
 
 
 def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
@@ -312,6 +368,11 @@ def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[
         clip=clip, numbers=shown, mattes=mattes, motion=joined.motion, matte_iou=tuple(sorted(matte_iou.items())),
         body=scene.inputs.body, config=scene.config.fit,
     ).warnings  # fmt: skip
+    weighed = [window for window in fitted.windows if fitted.fronts.get(window.segment)]
+    doubtful = check_front(
+        {frame: front_probability(fitted.fronts[window.segment]) for window in weighed for frame in window.frames}
+    )
+    found = (*found, *([doubtful] if doubtful else []))
     tell(found)
     return [*scene.warnings, *found]
 
@@ -328,8 +389,13 @@ def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:
     )  # fmt: skip
 
 
-def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, person: FileHandle | None) -> WindowCall:
+def _window_call(
+    scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, person: FileHandle | None, *, turned: bool = False
+) -> WindowCall:
     config, inputs = scene.config, scene.inputs
+    of_fit = person_config(config) if person is None else window_config(config)
+    if turned:
+        of_fit = of_fit.model_copy(update={"both_fronts": False})
     clip, mattes = scene.of(window.frames)
     return WindowCall(
         clip=clip,
@@ -340,7 +406,8 @@ def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, per
         body=inputs.body,
         priors=PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior),
         person=person,
-        config=person_config(config) if person is None else window_config(config),
+        turned=turned,
+        config=of_fit,
         seed=config.seed,
         folder=scene.folder,
     )

@@ -11,7 +11,7 @@ from prefect import flow
 
 from hfb.config import RunConfig
 from hfb.datasets.example import write_example
-from hfb.evaluation.warnings import ResultWarning
+from hfb.evaluation.warnings import ResultWarning, check_front
 from hfb.fitting.alternatives import what_is_unknown
 from hfb.fitting.confidence import radius_condition
 from hfb.fitting.direction_trust import direction_condition
@@ -109,6 +109,9 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             clip=scene, numbers=tuple(numbers), mattes=mattes, motion=fitted.motion, matte_iou=(), body=body,
             config=config.fit,
         ).warnings  # fmt: skip
+        if fitted.front is not None:
+            doubtful = check_front(dict.fromkeys(numbers, fitted.front.probability))
+            found = (*found, *([doubtful] if doubtful else []))
         tell(found)
         image = strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder)
         shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
@@ -197,6 +200,7 @@ def _result(
         **{name: value if math.isfinite(value) else None for name, value in scores.scores.items()},
         "fit_seconds": round(fitted.seconds, 3),
         "fit_stage_seconds": {name: round(seconds, 3) for name, seconds in fitted.stage_seconds.items()},
+        "front": fitted.front.model_dump() if fitted.front else None,
         "directions": list(fitted.directions),
         "unknown": what_is_unknown(fitted.directions) if fitted.directions else None,
         "warnings": [one.model_dump(mode="json") for one in warnings],

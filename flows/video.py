@@ -14,6 +14,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
+from hfb.fitting.fronts import front_probability
 from hfb.flows.clip_steps import (
     Fitted,
     Scene,
@@ -152,6 +153,11 @@ def _result(
         "filled": sorted({number for number, filled in enumerate(bodies.filled) if filled} | set(joined.bridged)),
         "windows": len(fitted.windows),
         "resumed_frames": len(fitted.resumed),
+        "fronts": [
+            {"segment": segment, "probability": round(front_probability(odds), 4), "mirrored": odds < 0}
+            for segment, odds in sorted(fitted.fronts.items())
+            if odds != 0
+        ],
         **{name: _mean(values) for name, values in scores.items()},
         "confidence": radius_condition([first.source for first in bodies.firsts if first is not None]),
         "worst_jump_mm": joined.worst_jump_mm,

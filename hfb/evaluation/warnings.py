@@ -52,6 +52,9 @@ class ResultWarning(Record):
     message: str
 
 
+_SURE_FRONT = 0.8
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
     """One frame as it was seen and as it is explained.
@@ -119,6 +122,25 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
     )  # fmt: skip
+
+
+def check_front(probability: Mapping[int, float]) -> ResultWarning | None:
+    """Return a warning where two fits, one per way the person may face, explain the frames about as well.
+
+    Args:
+        probability: of the front that was kept, by frame; of frames whose front was never in doubt none.
+    """
+    low = {frame: value for frame, value in sorted(probability.items()) if value < _SURE_FRONT}
+    if not low:
+        return None
+    worst = min(low.values())
+    return _warning(
+        "front",
+        worst,
+        low,
+        f"which way the person faces is unsure ({worst:.0%} for the way shown) in {_frames(low)}: give a better start "
+        "(`hfb models fetch`, or another system's result with --init FILE), or a frame with less blur",
+    )
 
 
 def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:

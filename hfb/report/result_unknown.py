@@ -51,21 +51,27 @@ def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]
 
 
 def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:
-    """The others, the likeliest first, for the viewer."""
+    """Return the others for the viewer, the likeliest first, then the one that faces the other way.
+
+    Args:
+        motion: the result.
+        alternatives: what else was fitted.
+    """
     chosen = alternatives.reversed_limbs[alternatives.chosen]
-    return [
-        ViewedMotion(
-            f"{reversed_text(alternatives.reversed_limbs[number], chosen)} "
-            f"({100 * alternatives.probability[number]:.0f} %)",
-            replace(
-                motion,
-                poses=alternatives.poses[number],
-                trans=alternatives.trans[number],
-                joints=alternatives.joints[number],
-            ),
+    named = {
+        f"{reversed_text(alternatives.reversed_limbs[number], chosen)} ({100 * alternatives.probability[number]:.0f} %)": (
+            alternatives.poses[number],
+            alternatives.trans[number],
+            alternatives.joints[number],
         )
         for number in by_probability(alternatives)[:_SHOWN]
         if number != alternatives.chosen
+    }
+    if (front := alternatives.other_front) is not None:
+        named[f"facing the other way ({100 * front.probability:.0f} %)"] = front.poses, front.trans, front.joints
+    return [
+        ViewedMotion(name, replace(motion, poses=poses, trans=trans, joints=joints))
+        for name, (poses, trans, joints) in named.items()
     ]
 
 

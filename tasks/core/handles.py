@@ -101,7 +101,7 @@ class FirstBodyHandle(FileHandle):
     """The static body of one frame.
 
     Attributes:
-        doubt: of a search, see `hfb.tracking.clip_bodies.front_doubt`; 0 where it was not asked for.
+        doubt: of a search, see `hfb.initialization.fronts.front_doubts`; 0 where it was not asked for.
     """
 
     source: str
@@ -116,6 +116,18 @@ class PriorsHandle(Record):
     motion: FileHandle | None
 
 
+class FrontRecord(Record):
+    """Which way the person faces, where both ways were fitted.
+
+    Attributes:
+        probability: of the front that was kept.
+        mirrored: the first bodies were found facing the other way.
+    """
+
+    probability: float
+    mirrored: bool
+
+
 class FitHandle(Record):
     """A fitted motion, its texture (arrays and a picture to look at) and the losses on the way.
 
@@ -124,6 +136,7 @@ class FitHandle(Record):
         stage_seconds: wall time per stage of the schedule, in its order.
         alternatives: the other directions in which it may have run, where they were searched.
         directions: per frame P(direction right) of the body and its limbs (`hfb.fitting.alternatives`).
+        front: None where it was never in doubt.
     """
 
     motion: FileHandle
@@ -133,6 +146,7 @@ class FitHandle(Record):
     mattes: tuple[FileHandle, ...]
     alternatives: FileHandle | None = None
     directions: tuple[dict[str, dict[str, float | None]], ...] = ()
+    front: FrontRecord | None = None
     seconds: float
     stage_seconds: dict[str, float]
     best_iteration: int

@@ -150,6 +150,8 @@ class WindowHandle(FileHandle):
     frames: tuple[int, ...]
     segment: int
     loss: float
+    mirrored: bool = False
+    front_log_odds: float = 0.0
 
 
 class JoinedHandle(Record):

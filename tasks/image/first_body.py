@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from hfb.config import InitConfig
+from hfb.initialization.fronts import front_doubts
 from hfb.initialization.initializer import make_initializer
 from hfb.motion.static_pose import load_first_body, save_first_body
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation
 from hfb.tasks.inputs.given_networks import with_pose_network
 from hfb.tasks.task import task
-from hfb.tracking.clip_bodies import front_doubt
 
 
 @task("first body")
@@ -41,7 +41,7 @@ def first_body(
     found = make_initializer(with_pose_network(config, networks))(
         seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model
     )
-    doubt = front_doubt(seen, found, model) if len(clip.frames) > 1 else 0.0
+    doubt = float(front_doubts(seen, [found], model)[0]) if len(clip.frames) > 1 else 0.0
     path = folder / f"first_body_{index}.npz"
     save_first_body(path, found)
     return FirstBodyHandle.of(path, source=found.source, doubt=doubt)

@@ -109,16 +109,16 @@ def find_matte(call: MatteCall) -> MatteHandle:
 @task("first bodies", where="cluster")
 def find_key_body(call: KeyBodyCall) -> BodyFound:
     """Estimate the first body of a key frame."""
+    from hfb.initialization.fronts import front_doubts
     from hfb.initialization.initializer import make_initializer
     from hfb.tasks.core.scene import load_chosen_body, load_observation
-    from hfb.tracking.clip_bodies import front_doubt
 
     check_networks(call.config, call.networks)
     initializer = make_initializer(with_pose_network(call.config, call.networks))
     seen, model = load_observation(call.still, (call.matte,)), load_chosen_body(call.body)
     try:
         found = initializer(seen.frames_linear[0], seen.plate_linear, seen.mattes[0], seen.camera, model)
-        doubt = front_doubt(seen, found, model)
+        doubt = float(front_doubts(seen, [found], model)[0])
     except InputError as error:
         return BodyFound(first=None, reason=str(error))
     return BodyFound(first=write_body(call.folder / f"key_body_{call.number:06d}.npz", found, doubt))
