@@ -18,7 +18,7 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
-from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
+from hfb.tasks.benchmark.benchmark_report import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
 from hfb.tasks.benchmark.cases import (
     CaseHandle,

@@ -20,10 +20,10 @@ from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import small_picture
-from hfb.report.run_page import PageTable, RunLook, run_page
-from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.images.several_motions import draw_motions, png_bytes, stack_pictures
+from hfb.report.pages.page import small_picture
+from hfb.report.pages.run_page import PageTable, RunLook, run_page
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records

@@ -25,9 +25,9 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.image.evaluate import evaluate
 from hfb.tasks.image.first_body import first_body, given_body
 from hfb.tasks.image.fit_motion import fit_motion
+from hfb.tasks.image.fit_strip import strip
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
-from hfb.tasks.image.strip import strip
 from hfb.tasks.inputs.given_networks import tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
 from hfb.tasks.results.exports import ShotHandle, export_motion
@@ -35,7 +35,7 @@ from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_f
 from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.record import fit_record, record
+from hfb.tasks.tracking.fit_record import fit_record, record
 from hfb.tasks.tracking.run_record import keep_for_later
 from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts

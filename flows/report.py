@@ -14,7 +14,7 @@ from hfb.interop.writers.export_names import CURVES, FILM_NAMES, PAGE_FILM, REPO
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.motion.motion_file import load_motion
-from hfb.report.result_facts import read_facts
+from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result

@@ -64,7 +64,7 @@ def judge_case(call: JudgeCall) -> JudgedHandle:
     from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import save_motion
     from hfb.motion.static_pose import load_first_body
-    from hfb.report.comparison import draw_comparison
+    from hfb.report.images.comparison import draw_comparison
 
     ready, spec = call.ready, call.method
     folder = call.folder / spec.name / f"case_{ready.case.number:04d}"

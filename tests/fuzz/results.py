@@ -23,9 +23,9 @@ from hfb.interop.writers.mesh_files import mesh_name
 from hfb.interop.writers.skinned_glb import skinned_glb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.result_curves import curve_charts, read_curves
-from hfb.report.result_facts import read_facts
-from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
+from hfb.report.films.slow_motion import film_instants, overlay_rate, picture_count
+from hfb.report.pages.result_curves import curve_charts, read_curves
+from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.batch.batch_summary import BatchSummary
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.results.resolve_result import find_named_body

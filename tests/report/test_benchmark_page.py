@@ -8,9 +8,9 @@ import pytest
 
 from hfb.evaluation.tables import summarize, table_markdown
 from hfb.io.media.images.image_io import write_png
-from hfb.report import benchmark_page as pages
-from hfb.report.benchmark_page import Answer, benchmark_page
-from hfb.report.markdown import markdown
+from hfb.report.pages import benchmark_page as pages
+from hfb.report.pages.benchmark_page import Answer, benchmark_page
+from hfb.report.pages.markdown import markdown
 from tests.browser import browser, opened
 
 METHOD, SOURCE = "mine <b>", '<script>alert(1)</script>.bvh & "more"'

@@ -20,11 +20,11 @@ from hfb.interop.writers.joint_tables import csv_text
 from hfb.interop.writers.keys import even_keys
 from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.motion.motion_file import load_motion, save_motion
-from hfb.report.limb_speed import exposure_s
-from hfb.report.page import checked_picture
-from hfb.report.result_curves import curve_charts, read_curves
-from hfb.report.result_facts import read_facts
-from hfb.report.slow_motion import film_instants
+from hfb.report.films.slow_motion import film_instants
+from hfb.report.pages.limb_speed import exposure_s
+from hfb.report.pages.page import checked_picture
+from hfb.report.pages.result_curves import curve_charts, read_curves
+from hfb.report.pages.result_facts import read_facts
 from tests.fuzz.hostile import _large_png
 from tests.fuzz.results import CURVES, FACTS, whole_motion, write_result
 

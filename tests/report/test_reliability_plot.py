@@ -8,7 +8,7 @@ from PIL import Image
 from hfb.evaluation.cells import by_method
 from hfb.evaluation.reliability import LEVELS, WITHIN
 from hfb.evaluation.tables import summarize
-from hfb.report.reliability_plot import reliability
+from hfb.report.plots.reliability_plot import reliability
 
 BLUE = (0x00, 0x72, 0xB2)
 

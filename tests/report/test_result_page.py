@@ -13,10 +13,10 @@ from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import page
-from hfb.report.result_page import ResultContents, result_page
-from hfb.report.result_unknown import alternatives_table, by_probability, reversed_text, unknown_sentences
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.pages.page import page
+from hfb.report.pages.result_page import ResultContents, result_page
+from hfb.report.pages.result_unknown import alternatives_table, by_probability, reversed_text, unknown_sentences
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
 

@@ -1,6 +1,6 @@
-"""Make hfb/report/data/limb_speed.json from benchmarks whose truth is known: how far a limb's top speed may be off.
+"""Fit the error factors of a limb's top speed to benchmarks with known truth; writes limb_speed.json.
 
-hfb train limb-speeds --singles BENCHMARK --several BENCHMARK --method best --out hfb/report/data
+hfb train limb-speeds --singles BENCHMARK --several BENCHMARK --method best --out hfb/report/pages/data
 """
 
 import argparse
@@ -14,7 +14,7 @@ from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
-from hfb.report.limb_speed import LIMB_ENDS, sureness_m_s
+from hfb.report.pages.limb_speed import LIMB_ENDS, sureness_m_s
 from hfb.training.flags import folder
 
 _SHARE = 0.8

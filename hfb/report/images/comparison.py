@@ -7,7 +7,7 @@ import torch
 from hfb.evaluation.prediction import Prediction
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.report.strip import captioned
+from hfb.report.images.strip import captioned
 from hfb.typing import Array, Float
 
 _CELL_PX = 144

@@ -16,7 +16,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.report.shading import shade_bodies, side_view, time_colours
+from hfb.report.images.shading import shade_bodies, side_view, time_colours
 from hfb.typing import Array, Float, Tensor
 
 _CELL_HEIGHT_PX, _LARGEST_WIDTH_PX = 256, 384

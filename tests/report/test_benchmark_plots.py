@@ -8,7 +8,7 @@ from PIL import Image
 
 from hfb.evaluation.cells import by_method
 from hfb.evaluation.tables import summarize
-from hfb.report.plots import error_by_joint, ratio_by_blur, write_plots
+from hfb.report.plots.benchmark_plots import error_by_joint, ratio_by_blur, write_plots
 
 BINS = [(0.05, 0.2), (0.2, 0.4), (0.4, 1.1)]
 BLUE, VERMILLION, GRAY = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0x66, 0x66, 0x66)

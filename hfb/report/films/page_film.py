@@ -10,7 +10,7 @@ import numpy as np
 
 from hfb.geometry.camera import PinholeCamera
 from hfb.motion.sampled import SampledMotion
-from hfb.report.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
+from hfb.report.films.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
 from hfb.typing import Array, Float
 
 _PANEL_PX = (340, 316)  # height and width that a panel of two may have, captions and margins left out
@@ -31,7 +31,7 @@ def page_picture_count(motion: SampledMotion) -> int:
 
 
 def page_pictures(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
-    """Its pictures, `hfb.report.slow_motion.FILM_FPS` per second."""
+    """Its pictures, `hfb.report.films.slow_motion.FILM_FPS` per second."""
     slow = page_slow_factor(shot.motion)
     yield from paired_pictures(around_person(shot), film_instants(shot.motion, slow), slow, _PANEL_PX)
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.report.charts import speed_chart
-from hfb.report.limb_speed import SHUTTER_SPEEDS, LimbSpeed, exposure_s, limb_speeds, shutter_for
+from hfb.report.pages.charts import speed_chart
+from hfb.report.pages.limb_speed import SHUTTER_SPEEDS, LimbSpeed, exposure_s, limb_speeds, shutter_for
 
 _WORTH_SAYING_PX = 1.5
 _FROZEN_PX, _NEARLY_PX = 1.0, 2.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from hfb.report.page import page
+from hfb.report.pages.page import page
 
 RUN_CLASSES = ("one", "two", "three", "four")
 
@@ -31,7 +31,7 @@ class RunLook:
     """What there is to see of a run.
 
     Attributes:
-        viewer: see `hfb.report.viewer`. picture: its own picture of what it found, PNG or JPEG.
+        viewer: see `hfb.report.pages.viewer`. picture: its own picture of what it found, PNG or JPEG.
     """
 
     name: str

@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 
 from hfb.errors import InputError
-from hfb.tasks.batch.metrics import VARIABLE, serve_metrics
+from hfb.tasks.batch.prometheus_metrics import VARIABLE, serve_metrics
 from hfb.tasks.telemetry import progress
 from hfb.tasks.workers.workers import run_local, workers
 from tests.small_clips import run_clip, small_clip

@@ -8,11 +8,11 @@ from typing import Any
 from hfb.body.model import Body
 from hfb.fitting.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import checked_picture, page
-from hfb.report.result_curves import curve_charts
-from hfb.report.result_speeds import advice, speeds_table
-from hfb.report.result_unknown import alternative_motions, alternatives_table, unknown_sentences
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.pages.page import checked_picture, page
+from hfb.report.pages.result_curves import curve_charts
+from hfb.report.pages.result_speeds import advice, speeds_table
+from hfb.report.pages.result_unknown import alternative_motions, alternatives_table, unknown_sentences
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 
 _STRIP_WIDTH_PX, _KEPT_BYTES = 2600, 1 << 20
 _MOST_ROWS, _LONGEST_WORDS = 5000, 2000

@@ -21,7 +21,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion
 from hfb.interop.writers.keys import rest_joints
 from hfb.interop.writers.skin import Skin, skin_of
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import data_uri, page_file, render
+from hfb.report.pages.page import data_uri, page_file, render
 from hfb.typing import Array, Shaped
 
 _SCRIPTS = ("viewer_motion.js", "viewer_surface.js", "viewer_skeleton.js", "viewer.js")
@@ -69,7 +69,7 @@ def viewer(
 
 
 def viewer_scripts() -> tuple[str, ...]:
-    """What makes every viewer of a page work; see `hfb.report.page.page`."""
+    """What makes every viewer of a page work; see `hfb.report.pages.page.page`."""
     return tuple(page_file(name) for name in _SCRIPTS)
 
 

@@ -23,9 +23,9 @@ from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
 from hfb.rendering.formation import compose
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.report.shading import shade_bodies, time_colours
-from hfb.report.strip import captioned
-from hfb.report.time_line import draw_time_line
+from hfb.report.films.time_line import draw_time_line
+from hfb.report.images.shading import shade_bodies, time_colours
+from hfb.report.images.strip import captioned
 from hfb.typing import Array, Float, Tensor
 
 FILM_FPS = 30

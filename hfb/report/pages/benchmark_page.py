@@ -11,8 +11,8 @@ import numpy as np
 from hfb.evaluation.cells import is_start
 from hfb.evaluation.table_page import UNKNOWN, interval, is_oracle, number
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.markdown import markdown
-from hfb.report.page import page, small_picture
+from hfb.report.pages.markdown import markdown
+from hfb.report.pages.page import page, small_picture
 
 _PLOT_PX, _LOOK_PX = 860, 640
 _MOST_LOOKS = 360

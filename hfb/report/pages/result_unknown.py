@@ -12,7 +12,7 @@ from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.viewer import ViewedMotion
+from hfb.report.pages.viewer import ViewedMotion
 from hfb.typing import Array
 
 _SHOWN = 12

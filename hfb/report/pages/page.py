@@ -113,4 +113,4 @@ def _environment() -> Environment:
 
 
 def _file(folder: str, name: str) -> str:
-    return (files("hfb.report") / folder / name).read_text(encoding="utf-8")
+    return (files("hfb.report.pages") / folder / name).read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.page import page, picture_uri, small_picture
+from hfb.report.pages.page import page, picture_uri, small_picture
 
 CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
@@ -32,7 +32,7 @@ class BatchClip:
     Attributes:
         status: ``done``, ``set aside`` or anything else that says what it waits for.
         reason: of a clip that is not done.
-        figures: the content of its result.json, as far as there is one (`hfb.report.result_facts`).
+        figures: the content of its result.json, as far as there is one (`hfb.report.pages.result_facts`).
         thumbnail: the file of its small picture (`strip_thumbnail`).
         report: its own page, from the folder of this one. link: its page in MLflow.
         people: of a clip of several people, what became of each.

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hfb.errors import InputError
 from hfb.io.json_file import read_json
-from hfb.report.charts import frames_chart, loss_chart, window_chart
+from hfb.report.pages.charts import frames_chart, loss_chart, window_chart
 
 _LABELS = {"matte_iou": "IoU with the matte", "psnr_db": "PSNR of the re-blurred frame [dB]", "mpjpe_mm": "error [mm]"}
 

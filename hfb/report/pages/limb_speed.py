@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import page_file
+from hfb.report.pages.page import page_file
 from hfb.typing import Array, Float
 
 LIMB_ENDS: Mapping[str, int] = {
