@@ -13,7 +13,7 @@ from hfb.body.skeleton import BONES
 from hfb.evaluation.motion_difference import MotionDifference
 from hfb.motion.sampled import SampledMotion
 from hfb.report.images.strip import captioned
-from hfb.report.plots.benchmark_plots.plot_style import FAINT_GRAY, GRAY
+from hfb.report.plots.plot_style import FAINT_GRAY, GRAY
 from hfb.typing import Array, Float, Int
 
 RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -7,7 +7,7 @@ import numpy as np
 
 from hfb.motion.sampled import SampledMotion
 from hfb.report.pages.limb_speed import LIMB_ENDS, instant_speeds
-from hfb.report.plots.benchmark_plots.plot_style import GRAY, png, sheet
+from hfb.report.plots.plot_style import GRAY, png, sheet
 from hfb.typing import Array
 
 _INCHES = (7.0, 3.6)

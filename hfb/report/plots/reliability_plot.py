@@ -8,7 +8,7 @@ from pandas import DataFrame
 
 from hfb.evaluation.intervals import mean_ci95
 from hfb.evaluation.reliability import LEVELS, WITHIN, direction_groups
-from hfb.report.plots.benchmark_plots.plot_style import GRAY, png, sheet, styles
+from hfb.report.plots.plot_style import GRAY, png, sheet, styles
 
 _SMALLEST_MARK, _MARK_PER_CASE = 12.0, 5.0
 
