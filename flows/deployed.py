@@ -214,10 +214,22 @@ def benchmark(
         if places.is_limited():
             places.check_programs("chains", chains)
         given = argparse.Namespace(
-            set=set, count=count, methods=",".join(methods), start=start, seed=seed, motions=motions, videos=videos,
-            average=average, body=body, fill=fill, chains=chains, backgrounds=None, textures=None, size=None,
+            set=set,
+            count=count,
+            methods=",".join(methods),
+            start=start,
+            seed=seed,
+            motions=motions,
+            videos=videos,
+            average=average,
+            body=body,
+            fill=fill,
+            chains=chains,
+            backgrounds=None,
+            textures=None,
+            size=None,
             easy=False,
-        )  # fmt: skip
+        )
         plan = judging.plan_of(given, frames)
         if places.is_limited():
             for spec in plan.methods:

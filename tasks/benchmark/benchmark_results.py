@@ -79,9 +79,7 @@ def tabulate(
     write_bytes_atomic(paths[2], table_markdown(summary, notes).encode())
     plots = write_plots(rows, summary, folder)
     cases, written, table = (FileHandle.of(path) for path in paths)
-    return ResultsHandle(
-        cases=cases, summary=written, table=table, plots=tuple(FileHandle.of(path) for path in plots)
-    )  # fmt: skip
+    return ResultsHandle(cases=cases, summary=written, table=table, plots=tuple(FileHandle.of(path) for path in plots))
 
 
 @task("gallery")

@@ -121,9 +121,12 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: 
 
     inputs = recipe_inputs(Inputs, recipe, places, run)
     clip = prepare.fn(
-        frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
+        frames=inputs.frames,
+        background=inputs.background,
+        clip=inputs.clip,
+        camera=config.camera,
         exposure=config.exposure,
-    )  # fmt: skip
+    )
     return SeenImages(
         load_camera(clip),
         load_image(clip.background, clip),

@@ -59,9 +59,12 @@ def draw_motions(
             axes.set_axis_off()
     _distances(figure.add_subplot(grid[2, :]), differences, colours[1:])
     figure.legend(
-        handles=_legend([name for name, _ in motions], colours), loc="outside upper center",
-        ncols=min(3, len(motions)), frameon=False, fontsize=10,
-    )  # fmt: skip
+        handles=_legend([name for name, _ in motions], colours),
+        loc="outside upper center",
+        ncols=min(3, len(motions)),
+        frameon=False,
+        fontsize=10,
+    )
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].astype(np.float32) / np.float32(255)
 

@@ -19,9 +19,14 @@ _LONGEST_REASON = 600
 _MOST_WARNINGS = 10
 _CLASSES = {"done": "good", "set aside": "bad"}
 _FIGURES = (
-    ("frames", "frames", "d"), ("sub-frames", "sub_frames", "d"), ("gaps", "gaps", ""), ("IoU", "matte_iou", ".3f"),
-    ("PSNR [dB]", "psnr_db", ".1f"), ("MPJPE [mm]", "mpjpe_mm", ".1f"), ("seconds", "seconds", ".0f"),
-)  # fmt: skip
+    ("frames", "frames", "d"),
+    ("sub-frames", "sub_frames", "d"),
+    ("gaps", "gaps", ""),
+    ("IoU", "matte_iou", ".3f"),
+    ("PSNR [dB]", "psnr_db", ".1f"),
+    ("MPJPE [mm]", "mpjpe_mm", ".1f"),
+    ("seconds", "seconds", ".0f"),
+)
 _MOST_GAPS = 20
 
 

@@ -16,8 +16,13 @@ from hfb.report.pages.page import page_file
 from hfb.typing import Array, Float
 
 LIMB_ENDS: Mapping[str, int] = {
-    "left wrist": 20, "right wrist": 21, "left ankle": 7, "right ankle": 8, "head": 15, "whole body": 0,
-}  # fmt: skip
+    "left wrist": 20,
+    "right wrist": 21,
+    "left ankle": 7,
+    "right ankle": 8,
+    "head": 15,
+    "whole body": 0,
+}
 """The joint that stands for each limb; the pelvis for the whole body."""
 
 SHUTTER_SPEEDS = (30, 60, 125, 250, 500, 1000, 2000, 4000, 8000)

@@ -21,8 +21,11 @@ from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.typing import Array, Float
 
 _KINDS = (
-    (b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"<svg", "image/svg+xml"), (b"<?xml", "image/svg+xml"),
-)  # fmt: skip
+    (b"\x89PNG", "image/png"),
+    (b"\xff\xd8", "image/jpeg"),
+    (b"<svg", "image/svg+xml"),
+    (b"<?xml", "image/svg+xml"),
+)
 _SHOWN_BY_BROWSERS = (b"\x89PNG", b"\xff\xd8")
 _JPEG_QUALITY = 85
 
@@ -39,9 +42,13 @@ def page(template: str, title: str, *, scripts: Sequence[str] = (), **values: ob
     assert not any("</script" in script.lower() for script in scripts), "a script cannot hold its own end"
     hashes = ["sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     document = render(
-        template, title=title, style=Markup(page_file("page.css")), scripts=[Markup(one) for one in scripts],
-        hashes=hashes, **values,
-    )  # fmt: skip
+        template,
+        title=title,
+        style=Markup(page_file("page.css")),
+        scripts=[Markup(one) for one in scripts],
+        hashes=hashes,
+        **values,
+    )
     return document.encode("utf-8", "backslashreplace").decode()  # a file's name may have bytes that are no text
 
 
@@ -105,9 +112,13 @@ def page_file(name: str) -> str:
 @cache
 def _environment() -> Environment:
     made = Environment(
-        loader=FunctionLoader(lambda name: _file("templates", name)), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, finalize=lambda value: "" if value is None else value,
-    )  # fmt: skip
+        loader=FunctionLoader(lambda name: _file("templates", name)),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: "" if value is None else value,
+    )
     made.filters |= {"picture_uri": picture_uri, "film_uri": lambda content: data_uri(content, "video/mp4")}
     return made
 

@@ -17,11 +17,15 @@ from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 _STRIP_WIDTH_PX, _KEPT_BYTES = 2600, 1 << 20
 _MOST_ROWS, _LONGEST_WORDS = 5000, 2000
 _FIGURES = (
-    ("IoU with the matte", "matte_iou", ".3f", ""), ("picture explained", "psnr_db", ".1f", " dB PSNR"),
-    ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"), ("IoU with the truth", "iou", ".3f", ""),
-    ("frames", "frames", "d", ""), ("sub-frames", "sub_frames", "d", ""),
-    ("fit", "fit_seconds", ".1f", " s"), ("whole run", "seconds", ".0f", " s"),
-)  # fmt: skip
+    ("IoU with the matte", "matte_iou", ".3f", ""),
+    ("picture explained", "psnr_db", ".1f", " dB PSNR"),
+    ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"),
+    ("IoU with the truth", "iou", ".3f", ""),
+    ("frames", "frames", "d", ""),
+    ("sub-frames", "sub_frames", "d", ""),
+    ("fit", "fit_seconds", ".1f", " s"),
+    ("whole run", "seconds", ".0f", " s"),
+)
 _PLACES = frozenset(
     {"config", "inputs", "directions", "unknown", "mlflow_link", "mlflow_run_id", "out", "strip", "report", "code"}
 )

@@ -25,11 +25,16 @@ def speeds_table(motion: SampledMotion) -> dict[str, Any] | None:
     head = ["", "top speed", "80 % interval", "at", *(["frame"] if several else []), "mean", "smear"]
     rows = [
         [
-            one.limb, f"{one.peak_m_s:.1f} m/s", interval_text(one), f"{1000 * one.peak_s:.0f} ms",
-            *([str(one.frame)] if several else []), f"{one.mean_m_s:.1f} m/s", f"{one.smear_px:.0f} px",
+            one.limb,
+            f"{one.peak_m_s:.1f} m/s",
+            interval_text(one),
+            f"{1000 * one.peak_s:.0f} ms",
+            *([str(one.frame)] if several else []),
+            f"{one.mean_m_s:.1f} m/s",
+            f"{one.smear_px:.0f} px",
         ]
         for one in speeds
-    ]  # fmt: skip
+    ]
     return {"head": head, "rows": rows, "chart": speed_chart(motion)}
 
 

@@ -17,9 +17,15 @@ from hfb.typing import Array
 
 _SHOWN = 12
 _LEAST_SURE, _MOST_SURE = 4, 3
-_SCORES = (("loss", "weighted loss", ".3f"), ("excess", "worse by", ".3f"), ("image", "image", ".2e"),
-           ("matte", "matte", ".4f"), ("joints", "joints", ".4f"), ("path", "path", ".4f"),
-           ("motion", "motion", ".3f"))  # fmt: skip
+_SCORES = (
+    ("loss", "weighted loss", ".3f"),
+    ("excess", "worse by", ".3f"),
+    ("image", "image", ".2e"),
+    ("matte", "matte", ".4f"),
+    ("joints", "joints", ".4f"),
+    ("path", "path", ".4f"),
+    ("motion", "motion", ".3f"),
+)
 _ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", "network against it", ".2f"))
 """What tells the direction of a single frame; several frames' own continuity is in their loss."""
 

@@ -56,9 +56,12 @@ def viewer(
     """
     first = motions[0].motion
     content: dict[str, Any] = {
-        "names": list(JOINT_NAMES), "parents": list(PARENTS), "label": label, "group": group,
+        "names": list(JOINT_NAMES),
+        "parents": list(PARENTS),
+        "label": label,
+        "group": group,
         "motions": [_packed(one) for one in motions],
-    }  # fmt: skip
+    }
     if body is not None:
         betas = torch.from_numpy(first.betas).to(body.template.dtype)
         content["skin"] = _packed_skin(skin_of(body, betas))

@@ -20,9 +20,21 @@ _POINTS_SHOWN = 0.98
 """Share of the cases that the vertical axis of the error plot must hold; the others are counted in a corner."""
 
 _CHAINS = (
-    "spine1", "spine2", "spine3", "neck", "head", "collar", "shoulder", "elbow", "wrist", "hand",
-    "hip", "knee", "ankle", "foot",
-)  # fmt: skip
+    "spine1",
+    "spine2",
+    "spine3",
+    "neck",
+    "head",
+    "collar",
+    "shoulder",
+    "elbow",
+    "wrist",
+    "hand",
+    "hip",
+    "knee",
+    "ankle",
+    "foot",
+)
 """Joints along the body, from the pelvis (whose error is zero by definition) outwards, left and right as one."""
 
 
