@@ -35,9 +35,14 @@ def made_page(folder: Path, **more: str) -> str:
     summary = summarize(told, "bt-amass", 6, {"bad.bvh": "<u>no motion</u>"}, 3, [(0.0, 0.35), (0.35, 1.0)])
     answers = [Answer(row, folder / "look.png" if row["method"] == METHOD else None) for row in told]
     return benchmark_page(
-        summary, table_markdown(summary, ("motions: <em>",)), [folder / "ratio_by_blur.png"], folder / "gallery.png",
-        answers, {"spec.motions": "<img src=x>"}, **more,
-    )  # fmt: skip
+        summary,
+        table_markdown(summary, ("motions: <em>",)),
+        [folder / "ratio_by_blur.png"],
+        folder / "gallery.png",
+        answers,
+        {"spec.motions": "<img src=x>"},
+        **more,
+    )
 
 
 def test_everything_is_there_and_is_text(tmp_path: Path) -> None:

@@ -43,14 +43,34 @@ def test_every_text_and_attribute_is_escaped() -> None:
     table = {"title": NASTY, "rows": [(NASTY, NASTY, NASTY, None)], "empty": ""}
     look = {"name": NASTY, "viewer": None, "picture": b"\x89PNG"}
     whole = page(
-        "runs.html", NASTY, sentences=[NASTY], tables=[table], looks=[look, look], viewers=[], overlay=None,
+        "runs.html",
+        NASTY,
+        sentences=[NASTY],
+        tables=[table],
+        looks=[look, look],
+        viewers=[],
+        overlay=None,
         colours=[NASTY],
-    )  # fmt: skip
+    )
     body = _Read(whole.partition("<body>")[2])
     assert set(body.tags) <= {
-        "main", "h1", "h2", "p", "div", "table", "thead", "tbody", "tr", "th", "td", "section", "img", "figure",
-        "figcaption", "b",
-    }  # fmt: skip
+        "main",
+        "h1",
+        "h2",
+        "p",
+        "div",
+        "table",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "section",
+        "img",
+        "figure",
+        "figcaption",
+        "b",
+    }
     assert "<script" not in whole
     assert "<img src=//" not in whole
     assert {("class", NASTY), ("alt", f"what {NASTY} found")} <= body.attributes

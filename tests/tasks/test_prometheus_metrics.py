@@ -76,9 +76,10 @@ def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     program = tmp_path / "nvidia-smi"
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     for told, found in (
-        ("echo '0, 25, 100'; echo '1, 0, 3'", {"0": (0.25, 100.0), "1": (0.0, 3.0)}), ("exit 9", {}),
+        ("echo '0, 25, 100'; echo '1, 0, 3'", {"0": (0.25, 100.0), "1": (0.0, 3.0)}),
+        ("exit 9", {}),
         ("echo '0, [N/A], 3'", {}),
-    ):  # fmt: skip
+    ):
         program.write_text(f"#!/bin/sh\n{told}\n")
         program.chmod(0o755)
         with serve_metrics():
