@@ -1,4 +1,4 @@
-"""report.html: one result on one page that opens anywhere, from the pictures to the command that repeats it."""
+"""report.html: one result as one self-contained page."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,14 +33,16 @@ _PLACES = frozenset(
 
 @dataclass(frozen=True)
 class ResultContents:
-    """What a result's page is made of; whatever is not there is left out of it, or said to be missing.
+    """Contents of a result's page; missing parts are left out of the page or marked as missing.
 
     Attributes:
         facts: the content of result.json.
-        motion, body: body None where a user's model is not at hand: a skeleton is shown then.
-        strip: the file of the paper's strip of pictures.
+        motion: fitted motion.
+        body: None where a user's model is not available; the page then shows a skeleton.
+        strip: file of the image strip.
         curves: the content of curves.json.
-        film: an H.264 film that browsers play, at most 640 px wide, with what it shows.
+        film: an H.264 film at most 640 px wide.
+        film_caption: what the film shows.
         environment: versions and machine by name.
         repeat: the command that repeats the run; None where it was not recorded.
     """
@@ -60,7 +62,11 @@ class ResultContents:
 
 
 def result_page(contents: ResultContents) -> str:
-    """The page; everything that comes from names, options and files is escaped."""
+    """Render the page; everything that comes from names, options and files is escaped.
+
+    Args:
+        contents: all parts.
+    """
     motions = [ViewedMotion("as fitted", contents.motion)]
     if contents.alternatives is not None:
         motions += alternative_motions(contents.motion, contents.alternatives)

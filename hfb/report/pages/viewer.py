@@ -1,7 +1,7 @@
-"""A motion to be turned and looked at in a page: the skinned body in WebGL2, a skeleton where there is none.
+"""Interactive 3D viewer of a motion in a page: skinned body in WebGL2, or a skeleton without a body model.
 
-A page holds the rest pose once and, per sub-frame, rotations (16 bits), a place and how sure each joint is: some 200
-bytes, so that a clip of minutes stays small. Rotations are off by 3e-5 at most, joints by less than half a millimetre.
+A page holds the rest pose once and per sub-frame the rotations (16 bits), translation and joint radii, about 200 bytes:
+a clip of minutes stays small. Rotations are off by 3e-5 at most, joints by less than 0.5 mm.
 """
 
 import base64
@@ -33,7 +33,7 @@ _RADIUS_STEP_MM = 0.1
 
 @dataclass(frozen=True)
 class ViewedMotion:
-    """A motion under the name by which it is chosen."""
+    """A motion and its name in the viewer's menu."""
 
     name: str
     motion: SampledMotion
@@ -46,13 +46,14 @@ def viewer(
     label: str = "",
     group: str | None = None,
 ) -> Markup:
-    """The viewer; the page needs `viewer_scripts` too.
+    """Return the viewer's markup; the page needs `viewer_scripts` too.
 
     Args:
-        motions: of one person, the first is shown; a menu chooses among several.
-        body: the model that they were fitted with; without one there is a skeleton only.
-        label: written into the picture.
-        group: viewers of one group share the time and the side from which they look.
+        motions: of one person; the first is shown, a menu offers the others.
+        body: the model they were fitted with; None for a skeleton.
+        texture_png: the body's texture, a PNG file.
+        label: text drawn into the view.
+        group: viewers of one group share time and viewpoint.
     """
     first = motions[0].motion
     content: dict[str, Any] = {
@@ -72,7 +73,7 @@ def viewer(
 
 
 def viewer_scripts() -> tuple[str, ...]:
-    """What makes every viewer of a page work; see `hfb.report.pages.page.page`."""
+    """Return the scripts that all viewers of a page need; see `hfb.report.pages.page.page`."""
     return tuple(page_file(name) for name in _SCRIPTS)
 
 
