@@ -74,8 +74,14 @@ class Alternatives:
         return self.agrees(self.joints - self.joints[:, :, :1], tuple(range(24)))
 
     def agrees(self, joints: Float[Array, "A R 24 3"], chosen: tuple[int, ...]) -> Float[Array, "T A"]:
-        """Per frame the motions in which these joints' paths are nearer to the result's than to the result's run
-        backwards; a tie counts half. NaN where they hardly moved."""
+        """Return per frame and motion whether some joints follow the result's path rather than its reverse.
+
+        A tie counts half. NaN where the joints hardly moved.
+
+        Args:
+            joints: of every motion [m].
+            chosen: numbers of the joints to compare.
+        """
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)
         for frame in range(len(out)):
             paths = joints[:, self.frame_index == frame][:, :, list(chosen)]

@@ -52,7 +52,12 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
 
 
 def quiet_noise(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """Standard deviation of frame - plate in linear light, by the pixels that differ least."""
+    """Estimate the standard deviation of frame - plate in linear light, from the pixels that differ least.
+
+    Args:
+        frame_srgb: in [0, 1].
+        plate_srgb: in [0, 1], in the frame's exposure.
+    """
     level = np.maximum(frame_srgb, plate_srgb)
     slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
     return np.asarray(_quiet_sigma(frame_srgb, plate_srgb) * slope, np.float32)
@@ -94,7 +99,11 @@ class MatteNetwork(nn.Module):
         self.exit = nn.Conv2d(widths[0], 2, 3, padding=1)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> Float[Tensor, "B 2 H W"]:
-        """Logit of alpha, and the logarithm of how wrong it may be; any size from 16 px."""
+        """Return the logit of alpha, and the logarithm of its error scale; any size from 16 px.
+
+        Args:
+            picture: features of frame and plate.
+        """
         now = self.entry(picture)
         finer = [now]
         for down in self.down:
