@@ -25,7 +25,8 @@ def make_atlas(
     """(uv, uv_faces) in [0, 1], v = 0 at the top row.
 
     Args:
-        vertices: T-pose [m]. weights: skinning weights, which tell the limb of each vertex.
+        vertices: T-pose [m].
+        weights: skinning weights, which tell the limb of each vertex.
     """
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     edge_faces = edges_of(faces)[1]

@@ -53,8 +53,11 @@ def simulated_starts(
     misplaced until it has the IoU. Where motion and shape alone are further off than that, the error is larger.
 
     Args:
-        truth: its betas count in the body's own space. frames: rows of the truth belong to frames 0 .. frames - 1.
-        blur_rate: of the case. body: what the fit will use. camera: of the truth's silhouettes.
+        truth: its betas count in the body's own space.
+        frames: rows of the truth belong to frames 0 .. frames - 1.
+        blur_rate: of the case.
+        body: what the fit will use.
+        camera: of the truth's silhouettes.
         rng: the only source of chance; the same state gives the same bodies.
     """
     wanted = _draw_wanted(blur_rate, frames, rng)

@@ -58,7 +58,8 @@ def fit_confidence(
     """The likeliest coefficients of the log-linear radius and exponent of the Weibull law, with a weak pull.
 
     Args:
-        names: the features to use. exponent: of the law, where it is known already.
+        names: the features to use.
+        exponent: of the law, where it is known already.
         prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]

@@ -27,7 +27,8 @@ def joint_row(
     """What a row says of one case's radii, over all joints but the pelvis, about which all is measured.
 
     Args:
-        radius_mm: the radii that hold half of the errors. exponent: of the law that gives the other probabilities.
+        radius_mm: the radii that hold half of the errors.
+        exponent: of the law that gives the other probabilities.
         true: the true joints at the same instants [m].
     """
     errors, radii = errors_mm(joints, true)[:, 1:], radius_mm[:, 1:]

@@ -43,10 +43,11 @@ class LiftingNetwork(nn.Module):
         """Joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
 
         Args:
-            across: x and y from the pelvis in the units of each frame's window
-                (`hfb.evidence.joint_network.Window`); where there is one frame alone it is its own neighbour.
+            across: x and y from the pelvis in the units of each frame's window (`hfb.evidence.joint_network.Window`);
+                where there is one frame alone it is its own neighbour.
             start: first guesses in the same units, which seem as large (`match_spread`).
-            lengths: of bones in the same units (`lengths_in_window`). perspective: `Window.units_to_tangents`.
+            lengths: of bones in the same units (`lengths_in_window`).
+            perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
         joints = torch.cat([across, bones, start, deep], -1)
@@ -96,7 +97,8 @@ def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tenso
     """Lengths of bones in units of windows, an input of `LiftingNetwork`.
 
     Args:
-        joints: camera coordinates [m]. perspective: `Window.units_to_tangents`.
+        joints: camera coordinates [m].
+        perspective: `Window.units_to_tangents`.
     """
     return bone_lengths(joints) / (joints[..., 0, 2] * perspective)[..., None]
 
@@ -123,8 +125,10 @@ def lift_depth(
     The mean of the predictions for each frame with the one before and the one after, and for their mirror images.
 
     Args:
-        joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
-        lengths, perspective: as of `LiftingNetwork`.
+        joints: in the units of their windows; only x and y are looked at.
+        start: what the fit began from.
+        lengths: as of `LiftingNetwork`.
+        perspective: as of `LiftingNetwork`.
     """
     across, first = ((one - one[:, :1]).detach().float() for one in (joints[..., :2], start))
     first = match_spread(first, across)

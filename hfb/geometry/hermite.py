@@ -50,7 +50,8 @@ class Meeting:
         """What to add on one side so that both meet half-way, in value and derivative.
 
         Args:
-            away: time to the meeting, in exposures. side: 0 for the earlier motion.
+            away: time to the meeting, in exposures.
+            side: 0 for the earlier motion.
             reach: from there on nothing is added.
         """
         s = (1 - away / reach).clamp(0, 1)
@@ -69,7 +70,8 @@ class Meeting:
         """The cubic from the earlier motion's end to the later one's beginning.
 
         Args:
-            share: of the way in time, 0 to 1. span: how long it lasts, in exposures.
+            share: of the way in time, 0 to 1.
+            span: how long it lasts, in exposures.
         """
         s = share
         lasts = span[:, None]

@@ -42,7 +42,8 @@ def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> 
     The translation is NaN where the system says nothing about a camera: see `on_matte`.
 
     Args:
-        track: with poses (`with_poses`). camera: of the clip.
+        track: with poses (`with_poses`).
+        camera: of the clip.
         body: the model that is fitted; betas count only where they are this model's.
 
     Raises:
@@ -141,7 +142,8 @@ def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], bod
     0 where the system did not see them in that frame, or knows no camera.
 
     Args:
-        track: with poses or joints. frame: the system's number of the matte's picture.
+        track: with poses or joints.
+        frame: the system's number of the matte's picture.
     """
     row = np.flatnonzero(track.frames == frame)
     if not row.size or track.K is None:

@@ -27,7 +27,8 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
     """What the network sees: both pictures, their difference in units of the noise, their ratio, and texture.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
 
     Returns:
         frame and plate in sRGB (6); signed logarithm of the difference over the noise (3); logarithm of the ratio of

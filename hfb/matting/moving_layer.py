@@ -148,8 +148,10 @@ def explained_matte(
     way is long. About a second, the same on every run.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        alpha: a network's matte. doubt: the logarithm of its expected error.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        alpha: a network's matte.
+        doubt: the logarithm of its expected error.
     """
     given = frame_linear, plate_linear, alpha, doubt
     scene, area = _Scene.of(given, _SMALL), _SMALL

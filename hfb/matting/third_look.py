@@ -30,7 +30,8 @@ def fit_evidence(
     """What the third network sees of a fit.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
         fitted: the fit's blurred picture, premultiplied linear light and alpha.
 
     Returns:

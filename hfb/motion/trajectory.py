@@ -67,7 +67,8 @@ class Trajectory:
         """The same motion as seen of a person `factor` times as large, and as far away; ``quaternion`` alone.
 
         Args:
-            pelvis, new_pelvis: in the rest pose of the person before and after: SMPL's root turns about it [m].
+            pelvis: in the rest pose of the person before and after: SMPL's root turns about it [m].
+            new_pelvis: in the rest pose of the person before and after: SMPL's root turns about it [m].
         """
         path = self.translation[..., :3] * factor
         constants = path[:, :1] + factor * pelvis - new_pelvis

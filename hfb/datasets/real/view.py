@@ -83,7 +83,8 @@ def make_view(
     """The window around a person's box.
 
     Args:
-        box: of the person in all frames of the case. full: the camera of the undistorted full picture.
+        box: of the person in all frames of the case.
+        full: the camera of the undistorted full picture.
         size_px: longer side of the case's pictures; a smaller window is not enlarged.
         body: where the person may be, in a small full picture; None for everywhere.
 

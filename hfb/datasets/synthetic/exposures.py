@@ -62,8 +62,9 @@ class Shutter:
         """The clock of a possible exposure.
 
         Args:
-            gap: between exposures, in units of an exposure. motion_px: greatest speed of a joint [px per exposure];
-                it moves at most two pixels from instant to instant, as far as 71 instants allow.
+            gap: between exposures, in units of an exposure.
+            motion_px: greatest speed of a joint [px per exposure]; it moves at most two pixels from instant to instant,
+                as far as 71 instants allow.
         """
         exposure_s = self.exposures_s[exposure]
         gap_s = gap * exposure_s

@@ -70,7 +70,8 @@ def candidates(
     with it nearly in proportion.
 
     Args:
-        load: a motion by its number. usable: the numbers to draw from.
+        load: a motion by its number.
+        usable: the numbers to draw from.
         dressed: the person who makes the motion, on a mesh that is quick to draw.
         any_length: draw the exposure time too and take what blur comes of it.
     """

@@ -51,7 +51,8 @@ def draw_scenery(
     """A random background and a person who stands in its light.
 
     Args:
-        backgrounds, textures: folders of pictures, searched with their subfolders; generated where not given.
+        backgrounds: folders of pictures, searched with their subfolders; generated where not given.
+        textures: folders of pictures, searched with their subfolders; generated where not given.
         body: whose texture coordinates the texture is for.
 
     Raises:

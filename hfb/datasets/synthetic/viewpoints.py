@@ -77,7 +77,8 @@ def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], siz
     """The camera of a view at the distance, and aimed so, that all points lie in its square picture as the view says.
 
     Args:
-        front: unit, horizontal. points: on the person's surface, over the whole time that is seen [m, world].
+        front: unit, horizontal.
+        points: on the person's surface, over the whole time that is seen [m, world].
     """
     away = Rotation.from_euler("y", view.azimuth_deg, degrees=True).apply(front)
     elevation, roll = np.deg2rad((view.elevation_deg, view.roll_deg))

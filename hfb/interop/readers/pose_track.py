@@ -123,7 +123,8 @@ def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int
     """(height, width) [px] of what a system saw whose camera looks through the middle of the picture.
 
     Args:
-        K: its cameras, NaN where unknown. size: of the frames, which is meant where the other is nearly the same.
+        K: its cameras, NaN where unknown.
+        size: of the frames, which is meant where the other is nearly the same.
     """
     centres = K[:, [1, 0], 2]
     centres = centres[np.isfinite(centres).all(1)]

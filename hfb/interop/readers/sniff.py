@@ -49,7 +49,8 @@ def read_tracks(
 
     Args:
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
-        height, width: of the pictures [px], for systems that do not say.
+        height: of the pictures [px], for systems that do not say.
+        width: of the pictures [px], for systems that do not say.
         clip: the names of the pictures, for systems that go by names.
 
     Raises:

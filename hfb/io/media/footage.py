@@ -151,11 +151,13 @@ def open_footage(
 
     Args:
         source: a video, a folder of pictures (in the natural order of their names), or pictures in the given order.
-        start, stop: range of frames of the file, `stop` exclusive. start_s, stop_s: the same in seconds, on the file's
-            clock from its first frame.
+        start: range of frames of the file, `stop` exclusive.
+        stop: range of frames of the file, `stop` exclusive.
+        start_s: the same in seconds, on the file's clock from its first frame.
+        stop_s: the same in seconds, on the file's clock from its first frame.
         average: so many neighbouring frames become one, averaged in linear light.
-        transfer: how the file stores light. fps: of pictures, which have no clock; wins over a video's own rate:
-            its times are scaled.
+        transfer: how the file stores light.
+        fps: of pictures, which have no clock; wins over a video's own rate: its times are scaled.
         scan: ``progressive``: frames are whole pictures, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 

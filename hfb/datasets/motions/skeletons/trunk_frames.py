@@ -27,9 +27,10 @@ def trunk_offsets(
     """(what takes SMPL's axes into each joint's frame, by `pelvis`, `chest`, `head`; what the motion contradicted).
 
     Args:
-        rotations, places: of every joint, in a world with y up.
-        at_rest: what the rest pose says. trusted: whether it is an upright person, or of a
-            skeleton that is known.
+        rotations: of every joint, in a world with y up.
+        places: of every joint, in a world with y up.
+        at_rest: what the rest pose says.
+        trusted: whether it is an upright person, or of a skeleton that is known.
     """
     sides = ("left", "right")
     hips, shoulders = ([places[:, joints.limbs[f"{side}_{part}"]] for side in sides] for part in ("hip", "shoulder"))

@@ -26,7 +26,8 @@ def find_up(
     """The coordinate axis of the file's world that points up.
 
     Args:
-        places: of every joint in the file's world. rest_up: the axis along which the trunk points at rest.
+        places: of every joint in the file's world.
+        rest_up: the axis along which the trunk points at rest.
         is_pose: whether the rest pose is an upright person.
 
     Raises:

@@ -55,7 +55,10 @@ def undistortion_maps(
     """For each pixel of a pinhole's picture, where (x, y) in the stored picture its light lies.
 
     Args:
-        K, distortion: of the stored picture, in OpenCV's convention. new_K: of the pinhole. size: (width, height).
+        K: of the stored picture, in OpenCV's convention.
+        distortion: of the stored picture, in OpenCV's convention.
+        new_K: of the pinhole.
+        size: (width, height).
     """
     initialize = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
     x, y = initialize(K, distortion, np.eye(3), new_K, size, cv2.CV_32FC1)

@@ -137,7 +137,8 @@ def is_fisheye(entries: Mapping[str, Any], coefficients: Float[Array, "n"], wher
     """Whether coefficients are those of OpenCV's fisheye model; else they are of its standard model.
 
     Args:
-        entries: of one camera in its file. where: begins an error.
+        entries: of one camera in its file.
+        where: begins an error.
 
     Raises:
         InputError: they are of a model that is neither; the text names it.

@@ -26,7 +26,8 @@ def even_times(times_s: Float[Array, "t"], fps: float, tick_s: float) -> Float[A
     Matroska and ASF count milliseconds: 60 frames per second are 17, 16, 17 ms apart.
 
     Args:
-        fps: as the file states it. tick_s: the clock's resolution.
+        fps: as the file states it.
+        tick_s: the clock's resolution.
     """
     even = times_s[:1] + np.arange(len(times_s)) / fps
     apart = float(np.abs(times_s - even).max(initial=0.0))

@@ -26,7 +26,8 @@ def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NO
     """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned and stretched as players show them.
 
     Args:
-        path: the video's, for the message. aspect: see `pixel_aspect`.
+        path: the video's, for the message.
+        aspect: see `pixel_aspect`.
         stated: the colours that the container states; see `hfb.io.media.video.video_colours.stated_colours`.
 
     Raises:

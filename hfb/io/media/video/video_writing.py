@@ -32,7 +32,8 @@ class VideoWriter:
         Args:
             fps: pictures per second; None where every picture says when it is to be shown.
             comment: kept in the file.
-            to_look_at: a third of the work, for what nobody measures. small: the same, and a third of the bytes.
+            to_look_at: a third of the work, for what nobody measures.
+            small: the same, and a third of the bytes.
         """
         self._path = path
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
