@@ -31,6 +31,10 @@ def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDiffere
 
     A motion with other sub-frames is read between its own, along straight lines within each frame's exposure; both
     clocks run from the opening of a frame's shutter to its end.
+
+    Args:
+        one: the motion whose instants are used.
+        other: the motion that is compared with it.
     """
     frames = [int(frame) for frame in np.intersect1d(one.frame_index, other.frame_index)]
     chosen = np.concatenate([one.rows_of(frame) for frame in frames] or [np.zeros(0, np.int64)])

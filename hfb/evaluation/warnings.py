@@ -72,10 +72,12 @@ def find_warnings(
     motion: SampledMotion,
     matte_iou: Mapping[int, float],
 ) -> tuple[ResultWarning, ...]:
-    """All checks on one result.
+    """Run all checks on one result.
 
     Args:
         looks: frames of it, a few spread over a long clip; a few hundred pixels are enough.
+        plate_srgb: background plate in the looks' size.
+        motion: of the result, camera coordinates.
         matte_iou: per frame, of the fitted body.
     """
     found = (
@@ -86,7 +88,11 @@ def find_warnings(
 
 
 def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
-    """The body covers what the matte shows."""
+    """Check that the body covers the matte.
+
+    Args:
+        matte_iou: of the fitted body, by frame.
+    """
     low = {frame: value for frame, value in sorted(matte_iou.items()) if value < LEAST_MATTE_IOU}
     if not low:
         return None
@@ -100,7 +106,11 @@ def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
 
 
 def check_spin(motion: SampledMotion) -> ResultWarning | None:
-    """The trunk does not turn farther between neighbouring frames than a person can."""
+    """Check that the trunk does not turn faster between neighbouring frames than a person can.
+
+    Args:
+        motion: of the result, camera coordinates.
+    """
     numbers = np.unique(motion.frame_index)
     middles = [motion.rows_of(int(number)) for number in numbers]
     rows = np.array([one[len(one) // 2] for one in middles])
@@ -122,7 +132,11 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
 
 
 def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:
-    """No large piece of the matte is far from the fitted body."""
+    """Check that no large piece of the matte is far from the fitted body.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+    """
     shares = {look.number: _left_over_share(look.matte, look.alpha) for look in looks if look.alpha is not None}
     high = {frame: share for frame, share in shares.items() if share > _MOST_LEFT_OVER}
     if not high:
@@ -136,7 +150,12 @@ def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:
 
 
 def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
-    """The scene is as bright as in its plate, but for where the person is."""
+    """Check that the scene is as bright as its plate, except where the person is.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+        plate_srgb: background plate in the looks' size.
+    """
     plate = _places(plate_srgb)
     shares: dict[int, float] = {}
     for look in looks:
@@ -161,7 +180,12 @@ def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Res
 
 
 def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
-    """Nothing but the person differs from the plate in all frames without moving."""
+    """Check that nothing but the person differs from the plate in all frames without moving.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+        plate_srgb: background plate in the looks' size.
+    """
     if len(looks) < _STATIC_LOOKS:
         return None
     empty = shrink(plate_srgb, _STATIC_PX)

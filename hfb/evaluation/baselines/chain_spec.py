@@ -116,7 +116,10 @@ class ChainSpec(Record):
 
 
 def read_chains(path: Path) -> dict[str, ChainSpec]:
-    """The methods of a chains file, their paths made absolute.
+    """Read the methods of a chains file; relative paths are resolved against its folder.
+
+    Args:
+        path: a chains.toml, a table per method.
 
     Raises:
         InputError: no such file, no TOML, or a table with an unknown or impossible entry.

@@ -39,7 +39,11 @@ class HumanFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def told(self, height_m: float) -> "HumanFromBlur":
-        """The same method, which knows how tall the person is."""
+        """Return the same method with the person's height fixed.
+
+        Args:
+            height_m: of the person, soles to crown.
+        """
         other = copy.copy(self)
         fit = self._config.fit.model_copy(update={"height_m": height_m})
         other._config = self._config.model_copy(update={"fit": fit})
