@@ -65,12 +65,19 @@ class Case:
 
 
 def case_name(number: int) -> str:
-    """The folder's name of a case."""
+    """Return the folder's name of a case.
+
+    Args:
+        number: of the case, from 1.
+    """
     return f"case_{number:04d}"
 
 
 def load_case(folder: Path) -> Case:
     """Open a case folder.
+
+    Args:
+        folder: of the case.
 
     Raises:
         InputError: no case lies there.

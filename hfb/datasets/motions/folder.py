@@ -57,7 +57,11 @@ class FolderMotions:
         return [name for name, _ in self._found]
 
     def load(self, index: int) -> MotionClip:
-        """Read one of them; see `MotionSource`."""
+        """Read one motion; see `MotionSource`.
+
+        Args:
+            index: of `names`.
+        """
         name, paths = self._found[index]
         return _load(name, paths)
 

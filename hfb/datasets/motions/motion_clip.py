@@ -35,7 +35,10 @@ class MotionSource(Protocol):
         ...
 
     def load(self, index: int) -> MotionClip:
-        """Read one of them.
+        """Read one motion.
+
+        Args:
+            index: of `names`.
 
         Raises:
             InputError: the file is damaged, of an unknown layout, shorter than two frames or not finite.

@@ -61,7 +61,11 @@ class Recording:
         return len(read_calibration(self.calibration)) if self.calibration else 0
 
     def row_of(self, frame: int) -> int:
-        """The number that a frame of the video has on the joints' clock."""
+        """Return the number of a frame of the video on the joints' clock.
+
+        Args:
+            frame: number in the video.
+        """
         camera = self.camera()
         return frame + self.shift + (camera.first_frame if camera else 0)
 
@@ -71,10 +75,13 @@ class Recording:
 
 
 def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
-    """The files that belong to a video, as far as names tell, and what is amiss in one sentence each.
+    """Find the files that belong to a video by their names; return them and a sentence per problem.
 
     Searched: the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project. Where
     several .trc files lie there the filtered one counts; whether it has y up is not decided here.
+
+    Args:
+        footage: the video.
 
     Raises:
         InputError: a calibration or a joint file that cannot be read, or a picture size that is not the video's.
@@ -101,7 +108,11 @@ def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
 
 
 def find_plate(footage: Footage) -> Path | None:
-    """``<name>_plate.png`` with the longest name that the video's begins with, else ``plate.png``, else None."""
+    """Return ``<name>_plate.png`` with the longest name that the video's begins with, else ``plate.png``, else None.
+
+    Args:
+        footage: the video.
+    """
     found: list[tuple[int, Path]] = []
     for path in _matching(footage.path.parent, ("*",)):
         named = _PLATE.fullmatch(path.name)
@@ -154,7 +165,12 @@ def _check_markers(recording: Recording, footage: Footage) -> None:
 
 
 def changed(picture: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Bool[Array, "H W"]:
-    """Where a stored picture clearly differs from the stored plate: coarse, for checks only."""
+    """Return where a stored image clearly differs from the stored plate: coarse, for checks only.
+
+    Args:
+        picture: as stored in [0, 1].
+        plate: as stored in [0, 1].
+    """
     difference = np.abs(picture - plate).max(-1)
     usual = float(np.median(difference))
     return np.asarray(cv2.blur(difference, (3, 3)) > max(0.06, 3 * usual))

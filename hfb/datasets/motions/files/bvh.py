@@ -72,6 +72,9 @@ class _Joint:
 def read_bvh(path: Path) -> BvhMotion:
     """Read one file.
 
+    Args:
+        path: the .bvh file.
+
     Raises:
         InputError: not a BVH file, cut off, or damaged; the text names the line.
     """

@@ -51,7 +51,11 @@ class Limb:
         return np.cos(angle) * carried + np.sin(angle) * sideways
 
     def bends_backward(self, expected: Float[Array, "F 3"]) -> bool:
-        """Whether it bends the way that no joint can, over the clip as a whole; `expected` is the anatomical axis."""
+        """Return whether the hinge bends the impossible way, over the clip as a whole.
+
+        Args:
+            expected: anatomical axis of the hinge.
+        """
         across = np.cross(self.upper, self.lower)
         seen = self._mean_in_frame(across * np.linalg.norm(across, axis=-1, keepdims=True))
         return bool(seen @ self._mean_in_frame(expected) < _BACKWARD)
@@ -78,7 +82,14 @@ class Limb:
 def align_frame(
     bone: Float[Array, "F 3"], hinge: Float[Array, "F 3"], rest_bone: Float[Array, "3"], rest_hinge: Float[Array, "3"]
 ) -> Float[Array, "F 4"]:
-    """The rotation that takes a bone at rest to its direction, and its hinge as near as that allows."""
+    """Return the rotation that takes a bone from rest to its direction, and its hinge as near as that allows.
+
+    Args:
+        bone: direction of the bone.
+        hinge: axis of the hinge.
+        rest_bone: direction of the bone at rest.
+        rest_hinge: axis of the hinge at rest.
+    """
     return multiply(_frame(bone, hinge), conjugate(_frame(unit(rest_bone), rest_hinge)))
 
 
