@@ -86,7 +86,11 @@ def networks_folder() -> Path:
 
 
 def network_path(network: NetworkFile) -> Path | None:
-    """The file if it lies there undamaged, else None."""
+    """Return the file's path if it is there undamaged, else None.
+
+    Args:
+        network: name, size and digest of the file.
+    """
     path = networks_folder() / network.name
     try:
         return path if path.stat().st_size == network.size and sha256_of(path) == network.sha256 else None
@@ -131,6 +135,10 @@ def list_networks() -> list[NetworkStatus]:
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file's content. Raises OSError."""
+    """Return the sha256 of a file's content. Raises OSError.
+
+    Args:
+        path: of the file.
+    """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

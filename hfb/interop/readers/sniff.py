@@ -97,9 +97,11 @@ def _holds_nothing(content: Any) -> bool:
 def choose_person(
     tracks: Sequence[PoseTrack], person: str | None, shown: Callable[[PoseTrack], float] | None = None
 ) -> PoseTrack:
-    """The named one, else the one who is shown most, else the one seen in most frames.
+    """Return the named person, else the one with the largest `shown`, else the one seen in most frames.
 
     Args:
+        tracks: of one result.
+        person: name, or None.
         shown: how much of a person the pictures show.
 
     Raises:

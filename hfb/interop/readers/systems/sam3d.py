@@ -42,7 +42,13 @@ class _Seen:
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a saved estimate, numbered as they come; None where it is something else."""
+    """Read the persons of a saved estimate, numbered in order; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     frames = _frames(content)
     if sum(len(people) for *_, people in frames) > MAX_PEOPLE:
         raise InputError(f"it holds people more than {MAX_PEOPLE} times")
