@@ -72,11 +72,19 @@ class Footage:
         return len(self.times_s)
 
     def through(self, lens: Lens | None) -> "Footage":
-        """The same footage with a lens' distortion taken out of every frame."""
+        """Return the footage with a lens' distortion removed from every frame.
+
+        Args:
+            lens: to remove; None for none.
+        """
         return replace(self, lens=lens)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames from `start` up to `stop` in [0, 1], encoded as `transfer` says, one after another.
+        """Yield frames from `start` up to `stop` in [0, 1], encoded as `transfer` says.
+
+        Args:
+            start: first frame.
+            stop: frame after the last one; None for all.
 
         Raises:
             InputError: the range is not within the footage, or the file is no longer what it was.
@@ -96,7 +104,11 @@ class Footage:
             yield mean if self.transfer == "linear" else linear_to_srgb(mean).astype(np.float32)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
-        """Some frames, given in ascending order, as `frames` has them; cheaper than one call each."""
+        """Yield some frames as `frames` does; cheaper than one call each.
+
+        Args:
+            numbers: of the frames, ascending.
+        """
         if self.index is None or self.average > 1:
             for number in numbers:
                 yield from self.frames(number, number + 1)
@@ -120,7 +132,11 @@ class Footage:
             raise InputError(f"{self.source}: gives fewer frames than when it was opened; was it replaced or cut off?")
 
     def developed(self, stored: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-        """A picture as the camera stored it, encoded and undistorted like the frames: for a plate from a file."""
+        """Encode and undistort a stored image like the frames: for a plate from a file.
+
+        Args:
+            stored: as the camera stored it, in [0, 1].
+        """
         frame = as_srgb(stored, self.stored)
         return frame if self.lens is None else self.lens.undistorted(frame)
 
