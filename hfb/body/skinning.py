@@ -1,5 +1,7 @@
-"""Joints along their chains and linear blend skinning in readable torch: what the compiled operators are tested
-against, and what runs where tensors are not in the processor's memory."""
+"""Joints along their chains and linear blend skinning in readable torch.
+
+The compiled operators are tested against these functions, which also run where tensors are not in the CPU's memory.
+"""
 
 from functools import lru_cache
 
@@ -52,7 +54,7 @@ def place_joints(
 
 
 def _product(left: Float[Tensor, "*n r k"], right: Float[Tensor, "*n k c"]) -> Float[Tensor, "*n r c"]:
-    """left @ right, of small matrices: a device's matrix products are made for large ones."""
+    """Return left @ right for small matrices: a device's matrix products are made for large ones."""
     return (left[..., :, :, None] * right[..., None, :, :]).sum(-2)
 
 

@@ -269,7 +269,7 @@ def _lognormal_above(mean: float, spread: float, floor: float, draw: float) -> f
 
 
 def _normal_below(mean: float, spread: float, ceiling: float, draw: float) -> float:
-    """mu + spread * draw or the ceiling if that is lower, mu such that the mean over all draws is the given one.
+    """Return mu + spread * draw or the ceiling if that is lower, mu such that the mean over all draws is the given one.
 
     E min(c, X) = mu - s (d Phi(d) + phi(d)) with d = (mu - c) / s.
     """

@@ -331,7 +331,7 @@ def _float64(values: Array) -> Array:
 def _aligned_residual(
     predicted: Array, truth: Array, centre: Sequence[int] = (_PELVIS,), counted: Array | None = None
 ) -> Array:
-    """predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
+    """Return predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
 
     The rotation is the best one for the counted joints; the residual of others means nothing.
     """

@@ -61,7 +61,7 @@ def _beside(one: SampledMotion, other: SampledMotion, frame: int) -> Float[Array
 
 
 def _shares(times_s: Float[Array, "S"]) -> Float[Array, "S"]:
-    """u in [0, 1] over the exposure."""
+    """Return u in [0, 1] over the exposure."""
     length_s = times_s[-1] - times_s[0]
     return (times_s - times_s[0]) / length_s if length_s > 0 else np.zeros(len(times_s))
 

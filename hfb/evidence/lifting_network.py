@@ -65,10 +65,13 @@ def _left_for_depth(
     lengths: Float[Tensor, "N 2 24"],
     perspective: Float[Tensor, "N 2"],
 ) -> Float[Tensor, "N 2 24"]:
-    """Extent of each bone in depth; negative where it is longer across the view than in space.
+    """Return the extent of each bone in depth; negative where it is longer across the view than in space.
 
     Args:
+        bones: x and y of the bones' vectors, in window units.
         middle: depth of the bones' middles; bones beyond the pelvis look smaller.
+        lengths: of the bones, in window units.
+        perspective: `Window.units_to_tangents`.
     """
     seen = bones.norm(dim=-1) * (1 + perspective[..., None] * middle)
     square = lengths.square() - seen.square()

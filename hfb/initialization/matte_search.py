@@ -123,7 +123,7 @@ def differ(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
 
 
 def _soft_ious(picture: Float[Array, "s s"], pictures: Float[Array, "N s s"]) -> Float[Array, "N"]:
-    """sum min / sum max against each, through |a - b| = max - min."""
+    """Return sum min / sum max against each image, through |a - b| = max - min."""
     difference = np.abs(pictures - picture).sum((1, 2), dtype=np.float64)
     total = pictures.sum((1, 2), dtype=np.float64) + picture.sum(dtype=np.float64)
     return (total - difference) / np.maximum(total + difference, 1e-9)

@@ -191,10 +191,15 @@ def _shape_given_turns(
     points: Callable[[PosedBody], Tensor],
     spread_m: float,
 ) -> Float[Tensor, "K"]:
-    """Betas by least squares: with the rotations known, posed points are linear in betas and translation.
+    """Fit betas by least squares: with the rotations known, posed points are linear in betas and translation.
 
     Args:
-        points: which of a posed body's are meant.
+        body: to fit.
+        rotations: of each joint in its parent's frame.
+        goal: the points' targets [m].
+        known: which targets are known.
+        points: selects the points of a posed body.
+        spread_m: standard deviation of the targets.
     """
     nowhere = goal.new_zeros(len(goal), 3)
     weight = known.to(goal.dtype)[..., None]

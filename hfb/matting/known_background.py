@@ -195,7 +195,8 @@ def _without_small_holes(alpha: Float[Array, "H W"], trust: Float[Array, "H W"])
     """Fill gaps that the body encloses wholly, smaller than a hundredth of it: a white mask before a white wall.
 
     Args:
-        trust: how sure the texture is; a gap through which the background's texture is seen stays.
+        alpha: matte so far.
+        trust: certainty by texture; a gap through which the background's texture is seen stays.
     """
     opaque = alpha > 0.5
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((~opaque).astype(np.uint8), connectivity=4)

@@ -228,7 +228,7 @@ def _roi_align_schema() -> torch.library.Library | None:
 
 
 def _declare_roi_align(path: Path) -> None:
-    """torch refuses a script that names an operator it does not know, even if it is never called."""
+    """Declare torchvision's operator: torch refuses a script that names an unknown one, even if it is never called."""
     with zipfile.ZipFile(path) as archive:
         codes = [info for info in archive.infolist() if info.filename.endswith(".py") and "code/" in info.filename]
         if any(b"torchvision.roi_align" in archive.read(info) for info in codes if info.file_size < MOST_CODE_BYTES):

@@ -30,8 +30,10 @@ _LIMIT_SCALE_DEG = 4.0
 
 
 class _Joint(NamedTuple):
-    """One joint in degrees. The axis of twist is the bone's own (0 x, 1 y, 2 z); per axis of the rest pose
-    (x to the person's left, y up, z forward): limits, mean, standard deviation."""
+    """Limits, mean and standard deviation of one joint in degrees, per axis of the rest pose.
+
+    The axes are x to the person's left, y up, z forward; `twist` is the bone's own (0 x, 1 y, 2 z).
+    """
 
     twist: int
     x: tuple[float, float]

@@ -34,6 +34,7 @@ class MotionPrior:
         """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
 
         Args:
+            trajectory: polynomials of the motion.
             shaped: the person, whose bones the joints' places follow from. L_A is differentiable in the trajectory and
                 treats the shape as given.
         """

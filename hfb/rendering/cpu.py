@@ -24,8 +24,10 @@ class CpuRasterizer:
         self._kept: tuple[Mesh, PinholeCamera, bool, Setting] | None = None
 
     def _of_mesh(self, mesh: Mesh) -> tuple[Tensor, list[Tensor]]:
-        """Texture coordinates of corners, and index tables as narrow as can be: they are read for every body, and what
-        fits into the processor's cache is read faster. Kept for the mesh used last."""
+        """Return texture coordinates of corners, and index tables of the smallest integer type that holds them.
+
+        The tables are read for every body, and small ones fit into the CPU's cache. The last mesh's are cached.
+        """
         tables = self._tables
         if tables is None or tables[0] is not mesh:
             index = [mesh.faces, mesh.edge_vertices, mesh.edge_faces]

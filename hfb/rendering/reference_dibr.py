@@ -1,5 +1,6 @@
-"""DIB-R's soft silhouette in plain torch (Chen et al., Learning to Predict 3D Objects with an Interpolation-based
-Differentiable Renderer, 2019, eq. 5-6), with the constants of its public implementations.
+"""DIB-R's soft silhouette in plain torch, with the constants of its public implementations.
+
+Chen et al., Learning to Predict 3D Objects with an Interpolation-based Differentiable Renderer, 2019, eq. 5-6.
 
 A pixel whose centre shows the body has R_S = 1. Any other is reached by the faces near it, each with the
 probability A'_j = exp(-d_j^2 / delta), and R_S = 1 - prod_j (1 - A'_j). The result is a halo outside the body:

@@ -193,10 +193,12 @@ def _clip_beside(path: Path, stem: str) -> Clip:
 
 
 def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"], tuple[str, ...]]:
-    """(frames per second, which frames are followed by a regular interval, remarks), from what the container says.
+    """Return frames per second, which frames are followed by a regular interval, and remarks, from the container.
 
     Args:
-        told_fps: by the user; wins over the rate of the capture, which wins over that of the time stamps.
+        path: of the video.
+        told_fps: by the user; it has priority over the rate of the capture, which has priority over that of the time
+            stamps.
     """
     fps, steady, capture = _time_stamps(path)
     if told_fps or not differs(capture, fps) or capture is None:

@@ -228,10 +228,14 @@ def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None, transf
 def _of_video(
     place: Path, files: tuple[Path, ...], wanted: _Wanted, watched: bool, on_progress: OnProgress | None
 ) -> tuple[Footage, int, int]:
-    """With what is lost of it, and (first, last + 1) of the wanted frames that can be read.
+    """Return the footage, the number of frames lost, and the wanted frames that can be read as (first, last + 1).
 
     Args:
+        place: of the footage.
+        files: the video alone.
+        wanted: range of frames.
         watched: refuse interlaced frames.
+        on_progress: called with (frames done, of how many).
     """
     name, index = place.name, index_video(files[0])
     first, last = _range(index.times_s, *wanted)

@@ -159,13 +159,16 @@ def changed_pixels(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"])
 def _holds_person(
     looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"], changed: Bool[Array, "n h w"], least: int = 2
 ) -> bool:
-    """A ghost: an area of a person's size that differs always in the same way and whose outline the plate has.
+    """Return whether a ghost of a person's size is found: it always differs in the same way, its edge is in the plate.
 
     Where a plate holds a person, frames show the constant background, without an edge along the person's outline; where
     a person stands in the frames, it is the frames that have the edge.
 
     Args:
-        least: so many frames have to show it.
+        looks: reduced frames.
+        empty: reduced plate.
+        changed: by `changed_pixels`.
+        least: fewest frames that have to show it.
     """
     ghost = _constant(looks, changed, max(least, _GHOST_RATE * len(looks)))
     person = float(np.median([size for size in map(_largest_area, changed) if size] or [0]))

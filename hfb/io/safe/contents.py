@@ -121,8 +121,10 @@ def array_in(value: Any) -> Float[Array, "..."]:
 
 
 class _Room:
-    """How much more is looked at. In a pickle a list may hold itself, or the same one ten times, and that one another
-    ten times, or one large tensor: a few hundred bytes are endless.
+    """The entries and numbers that may still be read.
+
+    In a pickle a list may hold itself, or another one ten times, and that one another ten times, or one large tensor:
+    a few hundred bytes can stand for an endless content.
     """
 
     def __init__(self) -> None:
@@ -228,7 +230,7 @@ def _loaded(data: bytes, steps: Steps) -> Any:
 
 
 def _loaded_inside(data: bytes, steps: Steps) -> Any:
-    """joblib compresses pickles; a file within a file within a file is nobody's."""
+    """Read a decompressed pickle, as joblib writes them; deeper nesting of files is not supported."""
     return load_pickle(data, steps)
 
 

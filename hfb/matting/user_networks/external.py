@@ -89,9 +89,14 @@ class BackgroundMattingV2:
         tile_px: int | None = None,
         half: bool = False,
     ) -> None:
-        """Options are those of the released networks; None chooses by the frame's size, or leaves the file's own.
+        """Load the network; None for an option chooses by the frame's size, or keeps the file's own.
 
         Args:
+            path: of the network's file.
+            backbone_scale: size of the coarse pass relative to the image's.
+            refine_mode: how refined patches are chosen.
+            refine_pixels: number of refined pixels.
+            refine_threshold: error above which a pixel is refined.
             tile_px: larger frames are seen in tiles of this size.
             half: compute in 16 bits; not for ONNX, whose precision and options are the file's.
 
