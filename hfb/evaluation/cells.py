@@ -35,9 +35,16 @@ _MEANS = {
 """Entry of a cell -> column of the rows of which it is the mean over the cases that know it."""
 
 _COLUMNS = (
-    "blur_rate", "initial_mpjpe_mm", "mpjpe_mm", "initial_pa_mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou",
-    *_MEANS.values(), *RELIABILITY_COLUMNS,
-)  # fmt: skip
+    "blur_rate",
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "initial_pa_mpjpe_mm",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    *_MEANS.values(),
+    *RELIABILITY_COLUMNS,
+)
 
 
 _STARTS = {

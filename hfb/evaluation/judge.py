@@ -95,9 +95,14 @@ def judge_start(starts: Sequence[FirstBody], observation: Observation, truth: Tr
     times_s, index = subframe_times_s(frames, SHARP_SUBFRAMES, observation.exposure_s, observation.interval_s)
     rows = len(times_s)
     blank = SampledMotion(
-        np.zeros((rows, 72)), np.zeros((rows, 3)), np.zeros(10), np.zeros((rows, 24, 3)), times_s, index,
+        np.zeros((rows, 72)),
+        np.zeros((rows, 3)),
+        np.zeros(10),
+        np.zeros((rows, 24, 3)),
+        times_s,
+        index,
         observation.camera.matrix().double().numpy(),
-    )  # fmt: skip
+    )
     still = at_rest(starts, blank, body)
     found = judge(Prediction(still, None, None, 0.0), observation, truth, body, None)
     kept = ("mpjpe_mm", "pa_mpjpe_mm", "iou", "in_plane_mm", "depth_mm")

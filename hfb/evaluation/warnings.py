@@ -81,9 +81,12 @@ def find_warnings(
         matte_iou: per frame, of the fitted body.
     """
     found = (
-        check_matte_iou(matte_iou), check_spin(motion), check_left_over(looks), check_light(looks, plate_srgb),
+        check_matte_iou(matte_iou),
+        check_spin(motion),
+        check_left_over(looks),
+        check_light(looks, plate_srgb),
         check_static(looks, plate_srgb),
-    )  # fmt: skip
+    )
     return tuple(one for one in found if one is not None)
 
 
@@ -98,11 +101,13 @@ def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
         return None
     worst = min(low.values())
     return _warning(
-        "matte_iou", worst, low,
+        "matte_iou",
+        worst,
+        low,
         f"the body does not cover what the matte shows (IoU {worst:.2f}, below {LEAST_MATTE_IOU}) in {_frames(low)}, "
         "so its pose there is unreliable; look at strip.png: where the matte is wrong give a better background plate, "
         "where it is right a better start (`hfb models fetch`, or another system's result with --init FILE)",
-    )  # fmt: skip
+    )
 
 
 def check_spin(motion: SampledMotion) -> ResultWarning | None:
@@ -124,11 +129,13 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
     worst = float(angle[spins].max())
     where = tuple(int(number) for number in numbers[1:][spins])
     return _warning(
-        "trunk_spin", worst, where,
+        "trunk_spin",
+        worst,
+        where,
         f"the trunk turns by {worst:.0f} degrees from one frame to the next, faster than a person can, before "
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
-    )  # fmt: skip
+    )
 
 
 def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:
@@ -143,10 +150,12 @@ def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:
         return None
     worst = max(high.values())
     return _warning(
-        "matte_left_over", worst, high,
+        "matte_left_over",
+        worst,
+        high,
         f"a part of the matte ({worst:.0%} of it) is no part of the body in {_frames(high)}: something that was moved "
         "since the plate was taken, a shadow or another person; give a new plate, or a crop with the person alone",
-    )  # fmt: skip
+    )
 
 
 def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
@@ -172,11 +181,13 @@ def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Res
         return None
     worst = max(high.values())
     return _warning(
-        "light", worst, high,
+        "light",
+        worst,
+        high,
         f"the light is not the plate's in {_frames(high)} ({worst:.0%} of the scene is brighter or darker: shade, a "
         "lamp or automatic exposure), and the body follows such steps; lock the exposure, and give a plate taken in "
         "the same light",
-    )  # fmt: skip
+    )
 
 
 def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
@@ -202,11 +213,13 @@ def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Re
     y, x = ((np.argwhere(largest) + 0.5) / empty.shape[:2]).mean(0).tolist()
     share = float(largest.sum()) / float(np.median(areas))
     return _warning(
-        "static_change", share, (),
+        "static_change",
+        share,
+        (),
         f"something (at {x:.0%} of the width, {y:.0%} of the height) differs from the plate in nearly all frames and "
         "does not move: a thing that was moved since the plate was taken becomes body where the person is near; give a "
         "new plate of the scene as it is, or --background median",
-    )  # fmt: skip
+    )
 
 
 def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning | None:
@@ -229,11 +242,13 @@ def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning
     if share <= _NEVER_LEFT_SHARE:
         return None
     return _warning(
-        "plate_holds_person", share, (),
+        "plate_holds_person",
+        share,
+        (),
         "the background is the median of a clip whose person stays in one place for more than half of it, so that it "
         "holds the person and the matte only what moves: give a plate of the empty scene (--background PLATE), or "
         "a longer range of the video in which the person walks away",
-    )  # fmt: skip
+    )
 
 
 def _warning(code: str, value: float, frames: Iterable[int], message: str) -> ResultWarning:

@@ -137,9 +137,15 @@ class JointEvidence:
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         cues = DepthCues(
-            self.units(joints), self.start, lengths_in_window(joints, perspective), perspective,
-            joints[:, 0, 2] * perspective, self.middle, self.scale, rendered.middle,
-        )  # fmt: skip
+            self.units(joints),
+            self.start,
+            lengths_in_window(joints, perspective),
+            perspective,
+            joints[:, 0, 2] * perspective,
+            self.middle,
+            self.scale,
+            rendered.middle,
+        )
         return self._with_depth(fuse_depth(cues))
 
     def _with_depth(self, depth: Float[Tensor, "T 24"]) -> "JointEvidence":
@@ -188,9 +194,15 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
         image = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
         claim = _predict_mirrored(torch.from_numpy(image.astype(np.float32)) / 127.5 - 1, first)
         predictions.append(
-            (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.log_height[0],
-             claim.height_scale[0])
-        )  # fmt: skip
+            (
+                claim.joints[0],
+                claim.log_scale[0].exp(),
+                claim.path[0],
+                claim.log_odds[0],
+                claim.log_height[0],
+                claim.height_scale[0],
+            )
+        )
     # Copied: inference tensors must not enter a graph.
     middle, scale, path, odds, log_height, height_scale = (
         torch.stack(values).clone() for values in zip(*predictions, strict=True)
@@ -198,10 +210,16 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
     forwards = odds >= 0 if len(windows) == 1 else _along_neighbours(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
     return JointEvidence(
-        windows, middle, scale, sign[:, None, None] * path, sign * odds, start.to(middle),
+        windows,
+        middle,
+        scale,
+        sign[:, None, None] * path,
+        sign * odds,
+        start.to(middle),
         # The frames show the same proportions of the same person: their errors are alike, and no less for being many.
-        log_height.mean(), height_scale.mean(),
-    )  # fmt: skip
+        log_height.mean(),
+        height_scale.mean(),
+    )
 
 
 def _along_neighbours(

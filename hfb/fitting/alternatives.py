@@ -196,11 +196,18 @@ def _check(found: Mapping[str, Array]) -> None:
     frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0
     scores, features = (len(np.atleast_1d(found[name])) for name in ("score_names", "feature_names"))
     shapes = {
-        "poses": (several, rows, 72), "trans": (several, rows, 3), "joints": (several, rows, 24, 3),
-        "reversed_limbs": (several, frames, len(LIMB_NAMES)), "probability": (several,), "chosen": (),
-        "frame_index": (rows,), "scores": (several, scores), "features": (features, rows, 24),
-        "score_names": (scores,), "feature_names": (features,),
-    }  # fmt: skip
+        "poses": (several, rows, 72),
+        "trans": (several, rows, 3),
+        "joints": (several, rows, 24, 3),
+        "reversed_limbs": (several, frames, len(LIMB_NAMES)),
+        "probability": (several,),
+        "chosen": (),
+        "frame_index": (rows,),
+        "scores": (several, scores),
+        "features": (features, rows, 24),
+        "score_names": (scores,),
+        "feature_names": (features,),
+    }
     for name, shape in shapes.items():
         array = found[name]
         if array.shape != shape or array.dtype.kind not in _KINDS.get(name, "f"):

@@ -28,8 +28,10 @@ StartKind = Literal["simulated", "network", "matte"]
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
 KIND_WORDS: Mapping[str, str] = {
-    "simulated": "simulated starts", "network": "starts by a pose network", "matte": "starts by the matte alone"
-}  # fmt: skip
+    "simulated": "simulated starts",
+    "network": "starts by a pose network",
+    "matte": "starts by the matte alone",
+}
 
 
 @dataclass(frozen=True)

@@ -94,10 +94,12 @@ def _best_starts(
 ) -> list[FirstBody]:
     """Compare the matte, turned by each roll, with every template; the best ones that differ from each other."""
     moments = matte_moments(matte)
-    scores = np.stack([
-        _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
-        for roll in _ROLLS_DEG
-    ])  # fmt: skip
+    scores = np.stack(
+        [
+            _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
+            for roll in _ROLLS_DEG
+        ]
+    )
     scores -= _BACK_COST * (1 - templates.facing) / 2
     chosen: list[tuple[int, int]] = []
     for flat in np.argsort(-scores, axis=None, kind="stable"):

@@ -47,8 +47,11 @@ def cut_square(
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
     pads = (
-        max(-top, 0), max(top + side - height, 0), max(-left, 0), max(left + side - width, 0),
-    )  # fmt: skip
+        max(-top, 0),
+        max(top + side - height, 0),
+        max(-left, 0),
+        max(left + side - width, 0),
+    )
     window = cv2.copyMakeBorder(np.ascontiguousarray(inside), *pads, cv2.BORDER_CONSTANT, value=0)
     interpolation = cv2.INTER_AREA if side > size_px else cv2.INTER_LINEAR
     return cv2.resize(window, (size_px, size_px), interpolation=interpolation).astype(np.float32)

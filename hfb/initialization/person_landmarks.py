@@ -20,12 +20,21 @@ _LEAST_SCORE = 0.5
 _SURE_AGREEMENT = 0.55
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
-    ("left_shoulder", "left_elbow", 0.10), ("left_elbow", "left_wrist", 0.08), ("left_wrist", "left_index", 0.07),
-    ("right_shoulder", "right_elbow", 0.10), ("right_elbow", "right_wrist", 0.08), ("right_wrist", "right_index", 0.07),
-    ("left_hip", "left_knee", 0.15), ("left_knee", "left_ankle", 0.10), ("left_heel", "left_foot_index", 0.07),
-    ("right_hip", "right_knee", 0.15), ("right_knee", "right_ankle", 0.10), ("right_heel", "right_foot_index", 0.07),
-    ("left_shoulder", "right_shoulder", 0.12), ("left_hip", "right_hip", 0.16),
-)  # fmt: skip
+    ("left_shoulder", "left_elbow", 0.10),
+    ("left_elbow", "left_wrist", 0.08),
+    ("left_wrist", "left_index", 0.07),
+    ("right_shoulder", "right_elbow", 0.10),
+    ("right_elbow", "right_wrist", 0.08),
+    ("right_wrist", "right_index", 0.07),
+    ("left_hip", "left_knee", 0.15),
+    ("left_knee", "left_ankle", 0.10),
+    ("left_heel", "left_foot_index", 0.07),
+    ("right_hip", "right_knee", 0.15),
+    ("right_knee", "right_ankle", 0.10),
+    ("right_heel", "right_foot_index", 0.07),
+    ("left_shoulder", "right_shoulder", 0.12),
+    ("left_hip", "right_hip", 0.16),
+)
 
 
 def find_landmarks(

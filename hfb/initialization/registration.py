@@ -19,19 +19,32 @@ from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
-_SAME_JOINTS = (
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip",
-    "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
+_SAME_JOINTS = tuple(
+    """
+    left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee
+    right_knee left_ankle right_ankle
+    """.split()
+)
 # Directions that are compared in 3D, with weights: long bones well seen by the network count more.
 _DIRECTIONS = (
-    ("left_hip", "right_hip", 1.0), ("left_shoulder", "right_shoulder", 1.0), ("left_hip", "left_shoulder", 1.0),
-    ("right_hip", "right_shoulder", 1.0), ("left_shoulder", "left_elbow", 1.0), ("left_elbow", "left_wrist", 1.0),
-    ("right_shoulder", "right_elbow", 1.0), ("right_elbow", "right_wrist", 1.0), ("left_hip", "left_knee", 1.0),
-    ("left_knee", "left_ankle", 1.0), ("right_hip", "right_knee", 1.0), ("right_knee", "right_ankle", 1.0),
-    ("left_heel", "left_foot_index", 0.4), ("right_heel", "right_foot_index", 0.4), ("left_ear", "nose", 0.3),
-    ("right_ear", "nose", 0.3), ("left_ear", "right_ear", 0.3),
-)  # fmt: skip
+    ("left_hip", "right_hip", 1.0),
+    ("left_shoulder", "right_shoulder", 1.0),
+    ("left_hip", "left_shoulder", 1.0),
+    ("right_hip", "right_shoulder", 1.0),
+    ("left_shoulder", "left_elbow", 1.0),
+    ("left_elbow", "left_wrist", 1.0),
+    ("right_shoulder", "right_elbow", 1.0),
+    ("right_elbow", "right_wrist", 1.0),
+    ("left_hip", "left_knee", 1.0),
+    ("left_knee", "left_ankle", 1.0),
+    ("right_hip", "right_knee", 1.0),
+    ("right_knee", "right_ankle", 1.0),
+    ("left_heel", "left_foot_index", 0.4),
+    ("right_heel", "right_foot_index", 0.4),
+    ("left_ear", "nose", 0.3),
+    ("right_ear", "nose", 0.3),
+    ("left_ear", "right_ear", 0.3),
+)
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _LEAST_DEPTH_M = 0.5
 

@@ -77,9 +77,14 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
 
 
 def carried_along(
-    first: FirstBody, path_m: Float[Tensor, "3"], matte: Float[Array, "H W"], camera: PinholeCamera, body: Body,
-    rasterizer: Rasterizer, stay: Stay,
-) -> SweptBody:  # fmt: skip
+    first: FirstBody,
+    path_m: Float[Tensor, "3"],
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stay: Stay,
+) -> SweptBody:
     """A body that was found at rest, moved along a path: it knows the pose better, the path knows the size.
 
     Args:

@@ -46,10 +46,12 @@ _LAYOUTS = {
             ("", "bodyprior_enc_mu", 1.0),
         ),
         decoder=(
-            ("", "bodyprior_dec_fc1", 0.2), ("", "bodyprior_dec_fc2", 0.2), ("", "bodyprior_dec_out", 1.0),
+            ("", "bodyprior_dec_fc1", 0.2),
+            ("", "bodyprior_dec_fc2", 0.2),
+            ("", "bodyprior_dec_out", 1.0),
         ),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,7 @@ class HumanFromBlur:
             pictures = self._draw(result, observation)
             return Prediction(
                 result.motion, None, pictures, result.seconds, None, result.alternatives, result.joint_features
-            )  # fmt: skip
+            )
         frames = one_by_one(observation)
         results = [self._fit(frame, [start]) for frame, start in zip(frames, starts, strict=True)]
         pictures = np.concatenate([self._draw(one, frame) for one, frame in zip(results, frames, strict=True)])
@@ -66,9 +66,14 @@ class HumanFromBlur:
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
         return fit(
-            observation, starts, self._body, self._config.fit, self._config.seed, self._prior,
+            observation,
+            starts,
+            self._body,
+            self._config.fit,
+            self._config.seed,
+            self._prior,
             motion_prior=self._motion_prior,
-        )  # fmt: skip
+        )
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:
         with torch.no_grad(), one_torch_thread():

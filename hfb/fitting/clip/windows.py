@@ -185,9 +185,8 @@ def fit_windows(
                 problems, body, config, seed, pose_prior, motion_prior=motion_prior, batch_size=batch_size
             )
             found |= {
-                place: _window_fit(scenes[place], result, config)
-                for place, result in zip(some, results, strict=True)
-            }  # fmt: skip
+                place: _window_fit(scenes[place], result, config) for place, result in zip(some, results, strict=True)
+            }
     return [found[place] for place in range(len(scenes))]
 
 
@@ -228,11 +227,17 @@ def save_window(path: Path, found: WindowFit) -> None:
     """
     motion = found.trajectory
     arrays: dict[str, Array] = {
-        "frames": np.array(found.frames), "segment": np.array(found.segment), "betas": found.betas.double().numpy(),
-        "rotation": motion.rotation.detach().numpy(), "translation": motion.translation.detach().numpy(),
-        "anchor": motion.anchor.detach().numpy(), "kind": np.array(motion.kind), "origin": np.array(motion.origin),
-        "loss": np.array(found.loss), "history": np.array(json.dumps(found.history)),
-    }  # fmt: skip
+        "frames": np.array(found.frames),
+        "segment": np.array(found.segment),
+        "betas": found.betas.double().numpy(),
+        "rotation": motion.rotation.detach().numpy(),
+        "translation": motion.translation.detach().numpy(),
+        "anchor": motion.anchor.detach().numpy(),
+        "kind": np.array(motion.kind),
+        "origin": np.array(motion.origin),
+        "loss": np.array(found.loss),
+        "history": np.array(json.dumps(found.history)),
+    }
     if found.texture is not None:
         arrays["texture"] = found.texture.detach().numpy()
     if found.joint_radius_mm is not None:
