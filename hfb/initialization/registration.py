@@ -20,10 +20,7 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
 _SAME_JOINTS = tuple(
-    """
-    left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist left_hip right_hip left_knee
-    right_knee left_ankle right_ankle
-    """.split()
+    f"{side}_{part}" for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
 )
 # Directions that are compared in 3D, with weights: long bones well seen by the network count more.
 _DIRECTIONS = (
