@@ -46,7 +46,7 @@ _INSTANTS = 8
 def simulated_starts(
     truth: Truth, frames: int, blur_rate: float, body: Body, camera: PinholeCamera, rng: np.random.Generator
 ) -> list[FirstBody]:
-    """One still body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
+    """Draw one static body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
 
     The body is the mean one (a network does not know the shape), as it was at some instant around the middle of the
     exposure, with errors of `hfb.datasets.network_errors` that grow until the case has the MPJPE drawn for it, and

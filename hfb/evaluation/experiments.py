@@ -47,7 +47,7 @@ class PaperRow(Record):
     iou: tuple[Share, ...] | None = None
 
     def metrics(self) -> list[Metric]:
-        """What the paper gives."""
+        """Return the metrics that the paper gives."""
         return [metric for metric in _TITLES if getattr(self, metric) is not None]
 
 
@@ -105,7 +105,7 @@ class Experiment(Record):
         return self
 
     def bins(self) -> list[tuple[float, float]]:
-        """Our intervals of blur rates, a column each."""
+        """Return our intervals of blur rates, one per column."""
         return [column.blur for column in self.columns]
 
     def mean(self, values: Sequence[float]) -> float:
@@ -119,7 +119,7 @@ class Experiment(Record):
         return sum(w * value for w, value in zip(weights, values, strict=True)) / sum(weights)
 
     def start_row(self) -> PaperRow | None:
-        """The row that HfB starts from."""
+        """Return the row that HfB starts from."""
         return next((row for row in self.rows if row.name == self.start), None)
 
 

@@ -106,7 +106,7 @@ class SubsetErrors:
 def subset_errors(
     predicted: Float[Array, "R P 3"], truth: Float[Array, "R P 3"], centre: Sequence[int]
 ) -> SubsetErrors:
-    """Errors where only some joints are known, at some instants.
+    """Return errors where only some joints are known, at some instants.
 
     Args:
         predicted: the same joints as in the truth.

@@ -59,7 +59,7 @@ def reblur(
 def picture_scores(
     blurred: Float[Tensor, "T H W 4"], observation: Observation, region: tuple[int, int, int, int] | None = None
 ) -> dict[str, float]:
-    """How well re-blurred frames explain the observed ones.
+    """Score how well re-blurred frames explain the observed ones.
 
     ``matte_iou``: soft IoU of re-blurred alpha and matte. ``psnr_db``: of the sRGB pictures within the region of
     interest (the box of the mattes, widened), so that the size of the empty background does not count.

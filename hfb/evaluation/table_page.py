@@ -39,7 +39,7 @@ def table_markdown(
     metrics: Sequence[Metric] | None = None,
     oracles: Sequence[str] | None = None,
 ) -> str:
-    """A summary as a page: all cases, then per metric a column per interval of blur rates, then ratios with intervals.
+    """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
         summary: what `summarize` returns (or summary.json holds).

@@ -223,7 +223,7 @@ def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Re
 
 
 def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning | None:
-    """Nobody stays in one place for half of a clip whose background is its own median.
+    """Check that the person does not stay in one place for half of a clip whose background is its own median.
 
     Args:
         boxes: left, top, right, bottom of the person per frame; None where they are not seen.

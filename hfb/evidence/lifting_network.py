@@ -40,7 +40,7 @@ class LiftingNetwork(nn.Module):
         lengths: Float[Tensor, "N 2 24"],
         perspective: Float[Tensor, "N 2"],
     ) -> tuple[Float[Tensor, "N 24 3"], Float[Tensor, "N 24 3"]]:
-        """Joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
+        """Return joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
 
         Args:
             across: x and y from the pelvis in the units of each frame's window (`hfb.evidence.joint_network.Window`);
@@ -88,7 +88,7 @@ class _Block(nn.Module):
 
 
 def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
-    """Distance from every joint to its parent, in the unit of the joints; 0 for the pelvis.
+    """Return the distance from every joint to its parent, in the unit of the joints; 0 for the pelvis.
 
     Args:
         joints: camera coordinates [m].
@@ -97,7 +97,7 @@ def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
 
 
 def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tensor, "*n"]) -> Float[Tensor, "*n 24"]:
-    """Lengths of bones in units of windows, an input of `LiftingNetwork`.
+    """Return lengths of bones in units of windows, an input of `LiftingNetwork`.
 
     Args:
         joints: camera coordinates [m].
@@ -156,7 +156,7 @@ def lift_depth(
 
 @lru_cache(maxsize=1)
 def shipped_lifting_network() -> LiftingNetwork:
-    """The network with the weights of data/lifting.safetensors; data/lifting.json tells how they were made."""
+    """Load the network of data/lifting.safetensors; data/lifting.json tells how it was trained."""
     network = LiftingNetwork()
     with resources.as_file(resources.files("hfb.evidence") / "data" / "lifting.safetensors") as path:
         network.load_state_dict({name: weights.float() for name, weights in load_file(path).items()})

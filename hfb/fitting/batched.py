@@ -82,11 +82,11 @@ class Batch:
     size: int
 
     def stack(self) -> BatchedVariables:
-        """The variables on the device, padded."""
+        """Return the variables on the device, padded."""
         return BatchedVariables.stack(pad_batch(self.variables, self.size), self.rasterizer.device)
 
     def objective(self, objectives: Sequence[Objective], renders: bool = True) -> BatchedObjective:
-        """Some objectives of these fits as one, padded.
+        """Return some objectives of these fits as one, padded.
 
         Args:
             objectives: one per fit.

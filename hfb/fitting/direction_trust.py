@@ -80,7 +80,7 @@ def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
 
 
 def group_probability(probability: Float[Array, "A"], agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
-    """For each hypothesis, the probability of all by which the body moved in the same directions.
+    """Return for each hypothesis the probability of all with the same directions of the body.
 
     Args:
         probability: of the hypotheses.
@@ -134,7 +134,7 @@ def shipped_trust(kind: StartKind) -> Trust:
 
 
 def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
-    """What the odds of a result's directions rest on: how often they held from its kinds of start, and a sentence.
+    """Return the basis of a result's odds of directions: how often they held from its kinds of start, and a sentence.
 
     Args:
         sources: of the first bodies of all frames.

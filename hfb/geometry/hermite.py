@@ -52,7 +52,7 @@ class Meeting:
     def closing(
         self, away: Float[Tensor, "E S"], side: int, reach: float
     ) -> tuple[Float[Tensor, "E S 24 3"], Float[Tensor, "E S 3"]]:
-        """What to add on one side so that both meet half-way, in value and derivative.
+        """Return the correction of one side so that both meet half-way, in value and derivative.
 
         Args:
             away: time to the meeting, in exposures.
@@ -72,7 +72,7 @@ class Meeting:
     def bridge(
         self, share: Float[Tensor, "E S"], span: Float[Tensor, "E"]
     ) -> tuple[Float[Tensor, "E S 24 4"], Float[Tensor, "E S 3"]]:
-        """The cubic from the earlier motion's end to the later one's beginning.
+        """Return the cubic from the earlier motion's end to the later one's beginning.
 
         Args:
             share: of the way in time, 0 to 1.

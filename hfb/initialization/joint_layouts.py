@@ -36,7 +36,7 @@ MHR70_AS_24: dict[int, int] = {
 
 
 def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
-    """SMPL's 24 joints out of 24, of Human3.6M's 17 or of the usual 14; unknown ones are NaN.
+    """Return SMPL's 24 joints from 24, from Human3.6M's 17 or from the usual 14; unknown ones are NaN.
 
     The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
 

@@ -98,7 +98,7 @@ class Landmarks:
 
 
 def networks_ready(choice: LandmarkChoice = "auto") -> bool:
-    """Whether the files and the interpreter are there. Raises InputError as `networks_in_use`.
+    """Return whether the files and the interpreter are available. Raises InputError as `networks_in_use`.
 
     Args:
         choice: which landmark network.
@@ -124,7 +124,7 @@ class PoseNetworks:
         self._detector, self._landmarker = map(_load, files)
 
     def detect(self, picture_srgb: Float[Array, "H W 3"], least_score: float = 0.3, most: int = 3) -> list[Region]:
-        """People in a picture, best first, none overlapping another's centre.
+        """Detect people in an image, best first, none overlapping another's centre.
 
         Args:
             picture_srgb: the image.
@@ -155,7 +155,7 @@ class PoseNetworks:
         return regions
 
     def locate(self, picture_srgb: Float[Array, "H W 3"], region: Region) -> Landmarks:
-        """The landmarks of the person in a region.
+        """Return the landmarks of the person in a region.
 
         Args:
             picture_srgb: the image.
@@ -187,7 +187,7 @@ class PoseNetworks:
 
 
 def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int) -> Float[Array, "s s 3"]:
-    """The turned square as an upright picture; black outside the frame.
+    """Resample the turned square as an upright image; black outside the frame.
 
     Args:
         picture_srgb: the image.

@@ -40,7 +40,7 @@ _LIMBS = (
 def find_landmarks(
     networks: PoseNetworks, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> tuple[Landmarks, float] | None:
-    """The best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
+    """Return the best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
 
     Args:
         networks: loaded pose networks.
@@ -102,7 +102,7 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
 
 
 def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
-    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
+    """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
         landmarks: of a person.
@@ -118,7 +118,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
 
 
 def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> Shaped[Array, "h w"]:
-    """A figure of 0 and 1: trunk, head and limbs as thick lines.
+    """Draw a figure of 0 and 1: trunk, head and limbs as thick lines.
 
     Args:
         pixels: places of the landmarks [px].

@@ -128,7 +128,7 @@ def register_vertices(
 
 
 def only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
-    """The body with some of its vertices, which are enough to tell the pose; not to be drawn.
+    """Return the body with some of its vertices, which are enough to determine the pose; not to be drawn.
 
     Args:
         body: the body model.
@@ -258,7 +258,7 @@ def fit_points(
     iterations: int,
     rate: float,
 ) -> Registered:
-    """Adam on turns relative to the start (no wrap-around at pi), places and betas; deterministic.
+    """Run Adam on turns relative to the start (no wrap-around at pi), positions and betas; deterministic.
 
     Args:
         start: turns, places and betas.

@@ -70,7 +70,7 @@ BANK: tuple[BankPose, ...] = (
 
 
 def bank_rotations(dtype: torch.dtype = torch.float32) -> tuple[list[str], Float[Tensor, "P 23 3"]]:
-    """Names and axis-angles below the root; poses that aren't symmetric are followed by their mirror image.
+    """Return names and axis-angles below the root; asymmetric poses are followed by their mirror image.
 
     Args:
         dtype: of the result.

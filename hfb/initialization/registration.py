@@ -56,7 +56,7 @@ class Attachments:
     weights: Float[Tensor, "L"]
 
     def positions(self, joints: Float[Tensor, "24 3"], R_world_joint: Float[Tensor, "24 3 3"]) -> Float[Tensor, "L 3"]:
-        """The points [m] on a posed body.
+        """Return the points [m] on a posed body.
 
         Args:
             joints: of the posed body [m].
@@ -151,7 +151,7 @@ def register(
 
 
 def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
-    """The metric landmarks turned from "along the region's view ray" to "along the optical axis".
+    """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
 
     Args:
         landmarks: of the person.
@@ -167,7 +167,7 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
 
 
 def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
-    """Arms down, knees hardly bent: nearer to most poses than the rest pose T.
+    """Return a pose with arms down and knees hardly bent: nearer to most poses than the rest pose T.
 
     Args:
         dtype: of the result.
@@ -274,7 +274,7 @@ def _misfit(
 def follow_chain(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "24 3 3"], translation: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "24 3 3"]]:
-    """Posed joints [m] and each joint's rotation in camera coordinates, without skinning anything.
+    """Return posed joints [m] and each joint's rotation in camera coordinates, without skinning.
 
     Args:
         rest: joints of the rest pose [m].

@@ -27,7 +27,7 @@ def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
 
 @contextmanager
 def readable_formulas() -> Iterator[None]:
-    """Inside, in this thread, the readable form runs wherever there are two."""
+    """Use the readable torch formulas inside, in this thread."""
     before = _readable.set(True)
     try:
         yield

@@ -54,7 +54,7 @@ class Operator:
         self.registered.register_fake(fake)
 
     def register_autograd(self, backward: Callable[..., Any], keep: Callable[..., None]) -> None:
-        """The way back.
+        """Register the backward pass.
 
         Args:
             backward: (ctx, gradients of the results) to the gradients of the arguments.

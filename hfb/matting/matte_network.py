@@ -24,7 +24,7 @@ _DARK = 0.01  # added to both lights before their ratio is taken
 
 
 def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "C H W"]:
-    """What the network sees: both pictures, their difference in units of the noise, their ratio, and texture.
+    """Return the network's input: both images, their difference in units of the noise, their ratio, and texture.
 
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.

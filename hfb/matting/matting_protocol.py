@@ -147,7 +147,7 @@ def _check_presence(found: Evidence) -> None:
 
 
 def another_scene() -> InputError:
-    """What to raise where nearly everything changed."""
+    """Build the error for a frame that differs from its plate nearly everywhere."""
     return InputError(
         "the frame differs from the background plate nearly everywhere; "
         "check that the plate is of the same scene, camera position and exposure."
@@ -155,7 +155,7 @@ def another_scene() -> InputError:
 
 
 def nobody_found() -> InputError:
-    """What to raise where frame and plate are the same but for noise."""
+    """Build the error for a frame that equals its plate but for noise."""
     return InputError(
         "no person was found: the frame does not differ from the background plate; "
         "give a plate without the person, and a frame with them."

@@ -141,7 +141,7 @@ def explained_matte(
     alpha: Float[Array, "H W"],
     doubt: Float[Array, "H W"],
 ) -> Float[Array, "H W"]:
-    """The matte of the moving layer that explains the frame best, found from a network's.
+    """Return the matte of the moving layer that explains the frame best, starting from a network's.
 
     Many straight ways are tried at a small size; the best go on, may bend, and grow. Finer details than the last size
     stay the network's. No pixel goes further from its matte than its expected error, or than some times that where the

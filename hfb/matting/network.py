@@ -132,7 +132,7 @@ class RenderConditionedMatting:
         self._pictures, self._seen = _seen_before_fit(frame, plate, self._before)
 
     def matte(self, fitted: Float[Array, "H W 4"], network: MatteNetwork | None = None) -> Float[Array, "H W"]:
-        """Alpha once a fit is known.
+        """Return alpha once a fit is known.
 
         Args:
             fitted: the fit's blurred picture, premultiplied linear light and alpha.
@@ -201,19 +201,19 @@ def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[A
 
 @lru_cache(maxsize=1)
 def shipped_network() -> MatteNetwork:
-    """The first network; data/matting.json tells how it was made."""
+    """Load the first network; data/matting.json tells how it was trained."""
     return _shipped("matting", CHANNELS)
 
 
 @lru_cache(maxsize=1)
 def shipped_second() -> MatteNetwork:
-    """The second network; data/second_look.json tells how it was made."""
+    """Load the second network; data/second_look.json tells how it was trained."""
     return _shipped("second_look", CHANNELS + EVIDENCE_CHANNELS)
 
 
 @lru_cache(maxsize=1)
 def shipped_third() -> MatteNetwork:
-    """The third network; data/third_look.json tells how it was made."""
+    """Load the third network; data/third_look.json tells how it was trained."""
     return _shipped("third_look", SHARED_CHANNELS + FIT_CHANNELS)
 
 

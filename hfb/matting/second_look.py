@@ -28,7 +28,7 @@ def colour_evidence(
     alpha: Float[Array, "H W"],
     doubt: Float[Array, "H W"] | None = None,
 ) -> Float[Array, "C H W"]:
-    """What the second network sees besides `matte_network.features`.
+    """Return the second network's inputs besides `matte_network.features`.
 
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.

@@ -72,12 +72,12 @@ class NetworkStatus:
     get: str
 
     def as_dict(self) -> dict[str, str | bool | int]:
-        """The row as plain values, for `--json`."""
+        """Return the row as plain values, for `--json`."""
         return asdict(self)
 
 
 def networks_folder() -> Path:
-    """HFB_MODELS_DIR, else hfb/models in the user's cache (XDG_CACHE_HOME, ~/.cache)."""
+    """Return HFB_MODELS_DIR, else hfb/models in the user's cache (XDG_CACHE_HOME, ~/.cache)."""
     own = os.environ.get("HFB_MODELS_DIR")
     if own:
         return Path(own).expanduser()
@@ -99,7 +99,7 @@ def network_path(network: NetworkFile) -> Path | None:
 
 
 def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
-    """The files that a first body is found with: the detector and one landmark network; none where one is missing.
+    """Return the detector's and the landmark network's files; none where one is missing.
 
     Args:
         choice: which landmark network; auto takes the heavy one where it is there, else the full one.
@@ -119,7 +119,7 @@ def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
 
 
 def list_networks() -> list[NetworkStatus]:
-    """What there is, whose it is, and how to get the rest."""
+    """List the networks, their owners, and how to get missing ones."""
     return [
         NetworkStatus(
             name=network.name,

@@ -52,7 +52,7 @@ def texel_neighbours(mesh: Mesh, rest_vertices: Float[Tensor, "V 3"], faces: Int
 def texture_smoothness(
     texture: Float[Tensor, "A A 3"], neighbours: TexelNeighbours, visible: Bool[Tensor, "A A"] | None = None
 ) -> Float[Tensor, ""]:
-    """L_S = 1/(8|T|) sum_k sum_{j in N(k)} c_kj v_j cos(n_k, n_j) |p_k - p_j|_1, eq. (5).
+    """Return L_S = 1/(8|T|) sum_k sum_{j in N(k)} c_kj v_j cos(n_k, n_j) |p_k - p_j|_1, eq. (5).
 
     Args:
         texture: the colours p; |T| counts all its texels.

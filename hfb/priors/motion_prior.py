@@ -77,7 +77,7 @@ class MotionPrior:
 
 
 def load_motion_prior(path: Path | None) -> MotionPrior:
-    """The shipped prior for None, or one that `hfb train-prior` made.
+    """Load the shipped prior for None, or one that `hfb train-prior` made.
 
     Args:
         path: a file of `hfb train-prior`; the shipped one when None.

@@ -59,7 +59,7 @@ class ClipBodies:
 
 
 def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
-    """Frames in which a body is searched for from scratch: the first and last of every run, and some between.
+    """Return frames whose body is searched for from scratch: the first and last of every run, and some between.
 
     Args:
         present: frames in which the person is seen.
@@ -209,7 +209,7 @@ def body_between(
 
 
 def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longest_fill: int) -> ClipBodies:
-    """One body per frame: missed ones from their neighbours in time, and marked.
+    """Return one body per frame: missed ones from their neighbours in time, and marked.
 
     Args:
         found: bodies by frame.

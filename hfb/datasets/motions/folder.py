@@ -53,7 +53,7 @@ class FolderMotions:
         self._found = [(name, tuple(sorted(found[name]))) for name in sorted(found)]
 
     def names(self) -> Sequence[str]:
-        """Paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
+        """Return paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
         return [name for name, _ in self._found]
 
     def load(self, index: int) -> MotionClip:

@@ -31,7 +31,7 @@ class MotionSource(Protocol):
     """Motions by number, in an order that does not change between runs and machines."""
 
     def names(self) -> Sequence[str]:
-        """What there is; nothing is read beyond the folder's listing."""
+        """Return the names of the motions; nothing is read beyond the folder's listing."""
         ...
 
     def load(self, index: int) -> MotionClip:

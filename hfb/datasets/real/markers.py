@@ -43,7 +43,7 @@ class Markers:
     views_known: bool = False
 
     def turned(self) -> "Markers":
-        """The same points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
+        """Return the points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
         return replace(self, xyz_m=np.ascontiguousarray(self.xyz_m[..., [2, 0, 1]]))
 
     def rows(self, first: int, count: int) -> Float[Array, "n M 3"]:

@@ -35,7 +35,7 @@ class Exposure:
     cutouts: Float[Array, "8 H W 4"]
 
     def blur_rate(self) -> float:
-        """|union of the masks| / |one mask| - 1.
+        """Return |union of the masks| / |one mask| - 1.
 
         The median mask stands for the first one, and masks of an unusual area are left out: one bad matte must not
         decide.

@@ -126,7 +126,7 @@ class SharpEstimates:
         self._sources.append(first.source)
 
     def joints(self) -> SeenJoints:
-        """All frames, without what leaps (see `without_leaps`).
+        """Return the joints of all frames, leaps removed (see `without_leaps`).
 
         Raises:
             InputError: more than half of the frames have no estimate.

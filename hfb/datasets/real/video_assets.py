@@ -42,22 +42,22 @@ class Recording:
     shift: int = 0
 
     def footage(self) -> Footage:
-        """The video itself."""
+        """Open the video."""
         return _footage(self.video)
 
     def camera(self) -> CalibratedCamera | None:
-        """The calibrated camera, where there is one."""
+        """Read the calibrated camera; None where there is none."""
         return camera_of(read_calibration(self.calibration), self.video.name) if self.calibration else None
 
     def markers(self) -> Markers | None:
-        """The measured joints in the calibration's world."""
+        """Read the measured joints in the calibration's world."""
         if self.joints is None:
             return None
         read = read_trc(self.joints) if self.joints.suffix.lower() == ".trc" else read_joints_npz(self.joints)
         return read.turned() if self.y_up else read
 
     def camera_count(self) -> int:
-        """How many cameras the calibration has."""
+        """Return the number of cameras in the calibration."""
         return len(read_calibration(self.calibration)) if self.calibration else 0
 
     def row_of(self, frame: int) -> int:
@@ -70,7 +70,7 @@ class Recording:
         return frame + self.shift + (camera.first_frame if camera else 0)
 
     def stored_plate(self) -> Float[Array, "H W 3"]:
-        """The clean background as the video stores pictures, in [0, 1], as distorted as its frames."""
+        """Read the clean background as the video stores images, in [0, 1], as distorted as its frames."""
         return read_picture_srgb(self.plate) if self.plate else _median(self.video)
 
 

@@ -39,7 +39,7 @@ class Clock:
         return 1 / self.interval_s
 
     def times_s(self) -> Float[Array, "R"]:
-        """Every instant in the recording's time, frame after frame."""
+        """Return every instant in the recording's time, frame after frame."""
         return self.start_s + subframe_times_s(self.frames, self.instants, self.exposure_s, self.interval_s)[0]
 
 

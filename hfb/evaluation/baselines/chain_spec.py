@@ -110,7 +110,7 @@ class ChainSpec(Record):
         return self
 
     def paths(self) -> list[Path]:
-        """Every file and folder that it names."""
+        """Return every file and folder that the chain names."""
         named = (self.deblurrer, self.pictures, self.estimator, self.poses)
         return [path for path in named if isinstance(path, Path)]
 

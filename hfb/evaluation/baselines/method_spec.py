@@ -121,7 +121,7 @@ class MethodSpec(Record):
     digests: tuple[FileDigest, ...] = ()
 
     def files(self) -> list[Path]:
-        """Every single file that it reads, those in its folders too."""
+        """Return every file that the method reads, also those in its folders."""
         return [inner for one in self.digests for inner in ([one.path] if one.path.is_file() else _within(one.path))]
 
 

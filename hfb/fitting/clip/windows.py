@@ -90,7 +90,7 @@ def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...
 
 
 def runs(usable: Bool[Array, "T"]) -> list[range]:
-    """The unbroken runs of true entries, in order.
+    """Return the unbroken runs of true entries, in order.
 
     Args:
         usable: one entry per frame.
@@ -100,7 +100,7 @@ def runs(usable: Bool[Array, "T"]) -> list[range]:
 
 
 def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"], count: int) -> tuple[int, ...]:
-    """Which windows settle the person: from the middle of each equal part of the clip, where most of them is seen.
+    """Choose windows that determine the person: in the middle of equal parts of the clip, where most is seen.
 
     Args:
         windows: of one clip.
@@ -116,7 +116,7 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
 
 
 def window_config(config: RunConfig) -> FitConfig:
-    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing.
+    """Return the options of a window once the person is known: fewer and smaller steps than from scratch.
 
     Args:
         config: options of the run.
@@ -132,7 +132,7 @@ def window_config(config: RunConfig) -> FitConfig:
 
 
 def person_config(config: RunConfig) -> FitConfig:
-    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions.
+    """Return the options of windows that determine the person: those of `hfb fit`, without the search for directions.
 
     Args:
         config: options of the run.

@@ -132,7 +132,7 @@ def _usable(track: PoseTrack) -> Bool[Array, "R"]:
 
 
 def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int]:
-    """(height, width) [px] of what a system saw whose camera looks through the middle of the picture.
+    """Return (height, width) [px] of a system's images, whose camera's axis is assumed in the middle.
 
     Args:
         K: its cameras, NaN where unknown.

@@ -45,7 +45,7 @@ SYSTEMS = (
 def read_tracks(
     files: Sequence[Path], height: int, width: int, clip: ClipPictures = _ANY_CLIP
 ) -> tuple[PoseTrack, ...]:
-    """Everybody in a result.
+    """Read all people of a result.
 
     Args:
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).

@@ -35,7 +35,7 @@ class Steps:
             raise self.spent()
 
     def spent(self) -> InputError:
-        """What is to be said when none is left."""
+        """Build the error for no steps left."""
         return InputError(
             "it takes millions of steps to read, far more than a file of arrays of its size: save it without masks "
             "and features, or split it into shorter files"
@@ -55,7 +55,7 @@ class Bytes(io.BytesIO):
         self.steps = Steps(len(data)) if steps is None else steps
 
     def room(self) -> int:
-        """How many bytes are to come."""
+        """Return the number of bytes to come."""
         return len(self._whole) - self.tell()
 
     def view(self, size: int) -> memoryview:

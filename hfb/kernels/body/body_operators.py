@@ -72,7 +72,7 @@ add_shape.register_autograd(_shape_backward, _keep_shape)
 def place_joints(
     rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """World transforms of the rest body (N, 24, 3, 4) and joints (N, 24, 3) [m].
+    """Return world transforms of the rest body (N, 24, 3, 4) and joints (N, 24, 3) [m].
 
     Args:
         rotations: (N, 24, 3, 3), each in its parent's frame.
@@ -145,7 +145,7 @@ place_joints.register_autograd(_chain_backward, _keep_chain)
 
 @operator("hfb::skin")
 def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
-    """Vertices (S, V, 3) [m] of the rest body turned by the transforms of the joints that hold them.
+    """Return vertices (S, V, 3) [m] of the rest body moved by the transforms of their joints.
 
     Args:
         transforms: (S, 24, 3, 4), rest body to world.

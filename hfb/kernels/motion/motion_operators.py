@@ -12,7 +12,7 @@ from hfb.typing import Tensor
 
 @operator("hfb::move")
 def move(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
-    """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
+    """Return rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
 
     Args:
         rotation: coefficients (T, D1, 24, 4), (w, x, y, z).

@@ -57,7 +57,7 @@ class Target:
     def compare(
         self, mean: Float[Array, "H W 4"], box: tuple[int, int, int, int]
     ) -> tuple[tuple[float, float], Compared]:
-        """(L_I, L_alpha), each the mean over its scales and zero at no scale, and what `backward` needs.
+        """Return (L_I, L_alpha), each the mean over its scales (zero without any), and saved values for `backward`.
 
         Args:
             mean: premultiplied colours and a silhouette, as a rasteriser returns them; written over.

@@ -125,7 +125,7 @@ def draw(
     mean: bool,
     threads: int,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Pictures of S bodies, and what the way back needs.
+    """Return images of S bodies, and saved values for the backward pass.
 
     Args:
         vertices: (S, V, 3) [m].

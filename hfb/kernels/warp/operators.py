@@ -65,7 +65,7 @@ def draw_by_warp(
     size: Sequence[int],
     near: float,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Mean pictures of runs of bodies, and what the way back needs.
+    """Return mean images of runs of bodies, and saved values for the backward pass.
 
     Args:
         vertices: (B, V, 3) [m].

@@ -57,7 +57,7 @@ class ProceduralMotions:
         return [(f"{number:03d} {name}", legs, arms) for number, (name, legs, arms) in enumerate(plans)]
 
     def names(self) -> Sequence[str]:
-        """The gesture of every clip, with its number."""
+        """Return the gesture of every clip, with its number."""
         return [name for name, _, _ in self._plans]
 
     def load(self, index: int) -> MotionClip:

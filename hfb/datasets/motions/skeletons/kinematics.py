@@ -12,7 +12,7 @@ from hfb.typing import Array, Float
 
 @lru_cache(maxsize=1)
 def rest_joints() -> Float[Array, "24 3"]:
-    """Joints of the embedded body at rest [m]: the person whose proportions foreign motions are brought to."""
+    """Return the joints of the embedded body at rest [m], whose proportions retargeted motions get."""
     return load_default_body().joint_template.double().numpy()
 
 

@@ -32,7 +32,7 @@ class Limb:
     fps: float
 
     def hinge(self, expected: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
-        """The axis about which knee or elbow bend, over time [unit length].
+        """Return the axis about which knee or elbow bend, over time [unit length].
 
         It is across both bones where the limb is bent. In the upper bone's own frame it hardly moves, which tells the
         rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
@@ -61,7 +61,7 @@ class Limb:
         return bool(seen @ self._mean_in_frame(expected) < _BACKWARD)
 
     def turned_round(self) -> "Limb":
-        """The lower bone on the other side of the upper one."""
+        """Return the limb with the lower bone on the other side of the upper one."""
         along = (self.lower * self.upper).sum(-1, keepdims=True) * self.upper
         return replace(self, lower=2 * along - self.lower)
 

@@ -42,7 +42,7 @@ class Rest:
 
 
 def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
-    """Derive the rest pose from the offsets, and the rest from the motion.
+    """Derive the rest pose from the offsets, and from the motion where the offsets are not enough.
 
     Args:
         motion: of the foreign skeleton.

@@ -54,7 +54,7 @@ class Colours:
     to_srgb: Float[Array, "3 3"]
 
     def is_srgb(self) -> bool:
-        """Whether converting changes no level of 8 bits."""
+        """Return whether converting changes no level of 8 bits."""
         steps = np.linspace(0, 1, 18)
         some = np.stack([*np.meshgrid(steps, steps, steps)], -1).reshape(-1, 3)
         rows = np.concatenate([np.repeat(steps[:, None], 3, 1), some[some.min(-1) > 0.2]])
@@ -152,7 +152,7 @@ def of_png(chunks: dict[bytes, bytes]) -> Colours | str | None:
 
 
 def adobe_rgb() -> Colours:
-    """What a camera's photograph is in that names it by DCF's interoperability index alone."""
+    """Return the colours of photographs that name them by DCF's interoperability index alone."""
     curve = _power(563 / 256)
     return Colours("Adobe RGB", (curve, curve, curve), _to_srgb(_ADOBE, _D65))
 

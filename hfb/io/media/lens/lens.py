@@ -26,7 +26,7 @@ class Lens:
     fisheye: bool = False
 
     def pinhole(self) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-        """The matrix of an undistorted picture in this project's convention: the first pixel's centre at (0.5, 0.5)."""
+        """Return the matrix of an undistorted image in this project's convention: first pixel centre at (0.5, 0.5)."""
         fx, fy, cx, cy = self.K
         return (fx, 0.0, cx + 0.5), (0.0, fy, cy + 0.5), (0.0, 0.0, 1.0)
 

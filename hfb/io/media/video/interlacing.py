@@ -62,7 +62,7 @@ class Scan:
             self._compare(frame)
 
     def remark(self) -> str | None:
-        """One sentence where frames that no flag calls interlaced are combed wherever something moves."""
+        """Return a sentence where frames that no flag calls interlaced are combed wherever something moves."""
         combed, other = sorted((self._looks["tff"], self._looks["bff"]), reverse=True)
         seen = combed + other + self._looks["progressive"]
         if combed < max(_FEWEST_COMBED, _LEAST_SHARE * seen) or combed < _ONE_ORDER * other:

@@ -66,7 +66,7 @@ class VideoIndex:
     remarks: tuple[str, ...] = ()
 
     def by_number(self, why: str) -> "VideoIndex":
-        """The same frames numbered, at the stated rate; they are never read from the middle then.
+        """Return the frames numbered at the stated rate; they are never read from the middle then.
 
         Args:
             why: what is wrong with the file's time stamps, as the first words of a sentence.
