@@ -84,12 +84,13 @@ def lay_on_mirrored(first: FirstBody, observation: Observation, frame: int, body
 
 
 def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) -> dict[int, FirstBody]:
-    """The key frames' bodies, those mirrored in depth that make the person turn around and back.
+    """Mirror those key frames' bodies in depth that would make the person turn around and back.
 
-    Of all ways to keep or mirror every body the one is taken, by dynamic programming, with the least movement of hips
-    and shoulders (about the pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
+    Of all combinations, dynamic programming takes the one with the least movement of hips and shoulders (about the
+    pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
 
     Args:
+        found: bodies of the key frames, by frame number.
         doubts: `front_doubts` of every body.
     """
     frames = sorted(found)
@@ -118,7 +119,11 @@ def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) 
 
 
 def mirrored_in_depth(first: FirstBody) -> FirstBody:
-    """The body that looks the same from far away: mirrored in the plane of the pelvis, left and right exchanged."""
+    """Mirror a body in the plane of the pelvis, left and right exchanged: from far away it looks the same.
+
+    Args:
+        first: a body found in one frame.
+    """
     S = torch.diag(first.pose.new_tensor([-1.0, 1.0, 1.0]))
     M = torch.diag(first.pose.new_tensor([1.0, 1.0, -1.0]))
     local = axis_angle_to_matrix(first.pose)[list(MIRROR)]

@@ -48,10 +48,11 @@ class ClipBodies:
 
 
 def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
-    """Frames in which a body is searched for from scratch: the first and last of every run, and some between.
+    """Return frames whose body is searched for from scratch: the first and last of every run, and some between.
 
     Args:
-        present: frames in which the person is seen. every: at most so many frames from one to the next.
+        present: frames in which the person is seen.
+        every: at most so many frames from one to the next.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], present, [False]]).astype(np.int8)))
     chosen: list[int] = []
@@ -62,7 +63,11 @@ def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
 
 
 def between(frame: int, known: Mapping[int, FirstBody]) -> FirstBody:
-    """The body at a frame's time on the way from the known one before to the known one after; the nearest at the ends.
+    """Interpolate the body at a frame's time between its known neighbours; the nearest one beyond the ends.
+
+    Args:
+        frame: number of the frame.
+        known: bodies by frame number, at least one.
 
     Raises:
         ValueError: none is known.
@@ -95,7 +100,15 @@ def body_between(
     body: Body,
     rasterizer: Rasterizer | None = None,
 ) -> FirstBody:
-    """The body of a frame without a search of its own: its neighbours' (`between`), laid onto the frame's matte.
+    """Estimate the body of a frame without a search: its neighbours' (`between`), fitted to the frame's matte.
+
+    Args:
+        frame: number of the frame.
+        known: bodies by frame number, at least one.
+        matte: alpha of the frame.
+        camera: of the frame.
+        body: model of the first bodies.
+        rasterizer: draws silhouettes; the compiled one with exact coverage by default.
 
     Raises:
         InputError: the matte is empty.
@@ -118,10 +131,11 @@ def body_between(
 
 
 def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longest_fill: int) -> ClipBodies:
-    """One body per frame: missed ones from their neighbours in time, and marked.
+    """Return one body per frame: missed ones from their neighbours in time, and marked.
 
     Args:
-        found: bodies by frame. present: frames in which the person is seen: others never get a body.
+        found: bodies by frame.
+        present: frames in which the person is seen: others never get a body.
         longest_fill: of more missed frames in a row none is filled: the clip falls into segments there.
     """
     bodies: list[FirstBody | None] = [found.get(frame) for frame in range(len(present))]

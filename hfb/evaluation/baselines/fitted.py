@@ -40,7 +40,11 @@ class HumanFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def told(self, height_m: float) -> "HumanFromBlur":
-        """The same method, which knows how tall the person is."""
+        """Return the same method with the person's height fixed.
+
+        Args:
+            height_m: of the person, soles to crown.
+        """
         other = copy.copy(self)
         fit = self._config.fit.model_copy(update={"height_m": height_m})
         other._config = self._config.model_copy(update={"fit": fit})
@@ -53,7 +57,7 @@ class HumanFromBlur:
             pictures = self._draw(result, observation)
             return Prediction(
                 result.motion, None, pictures, result.seconds, None, result.alternatives, result.joint_features
-            )  # fmt: skip
+            )
         frames = one_by_one(observation)
         results = [self._fit(frame, [start]) for frame, start in zip(frames, starts, strict=True)]
         pictures = np.concatenate([self._draw(one, frame) for one, frame in zip(results, frames, strict=True)])
