@@ -1,10 +1,11 @@
 """Which front a fit keeps: the start as found or its mirror image in depth, whichever explains the frames better.
 
-Both are fitted alike. The evidence for "as found" against "mirrored" is what each loss and the joint network say,
+Both are fitted alike. The evidence for "as found" against "mirrored" is
 
-    log odds = w_loss (loss_mirrored - loss_found) + w_network doubt + prior(kind of start).
+    log odds = w_loss (loss_mirrored - loss_found) + w_doubt doubt + prior,
 
-The weights were fitted to fits whose truth is known and lie in data/fronts.json, with how they were made.
+whose weights depend on the kind of start. They were fitted to fits whose truth is known (`hfb train fronts`) and lie in
+data/fronts.json, with the counts.
 """
 
 import json
@@ -13,12 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
-from typing import Any
 
 import numpy as np
 
 from hfb.fitting.alternatives import FrontMotion
-from hfb.fitting.confidence import start_kind
+from hfb.fitting.confidence import StartKind, start_kind
 from hfb.motion.sampled import SampledMotion
 
 LARGEST_DIFFERENCE = 1.0
@@ -67,22 +67,33 @@ def front_probability(log_odds: float) -> float:
 
 
 def front_log_odds(loss_difference: float, doubt: float, sources: Sequence[str]) -> float:
-    """Return the log odds of the front as found.
+    """Return the log odds of the front as found; of frames with several kinds of start the mean of what each says.
 
     Args:
         loss_difference: loss of the fit from the mirrored bodies less that from the bodies as found.
         doubt: mean of `hfb.initialization.fronts.front_doubts` over the frames.
         sources: of the first bodies.
     """
-    weights = shipped_fronts()
-    prior = float(np.mean([weights["prior"][start_kind(source)] for source in sources]))
     clipped = float(np.clip(loss_difference, -LARGEST_DIFFERENCE, LARGEST_DIFFERENCE))
-    return weights["loss"] * clipped + weights["network"] * doubt + prior
+    weights = [shipped_front_weights(start_kind(source)) for source in sources]
+    return float(np.mean([one.loss * clipped + one.doubt * doubt + one.prior for one in weights]))
+
+
+@dataclass(frozen=True)
+class FrontWeights:
+    """Weights of the evidence about a front, see the head of this file."""
+
+    loss: float
+    doubt: float
+    prior: float
 
 
 @lru_cache
-def shipped_fronts() -> dict[str, Any]:
-    """Return the weights that come with hfb."""
-    path = resources.files("hfb.fitting") / "data" / "fronts.json"
-    content: dict[str, Any] = json.loads(path.read_text())
-    return content
+def shipped_front_weights(kind: StartKind) -> FrontWeights:
+    """Return the weights that come with hfb.
+
+    Args:
+        kind: of start.
+    """
+    content = json.loads((resources.files("hfb.fitting") / "data" / "fronts.json").read_text())
+    return FrontWeights(**content["weights"][kind])
