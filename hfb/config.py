@@ -410,6 +410,6 @@ def preset(name: Literal["paper", "best"]) -> RunConfig:
     """Return all options of a preset: ``paper`` is the faithful method, ``best`` the one with the best results.
 
     Args:
-        name: of the preset.
+        name: name of the preset.
     """
     return RunConfig(preset=name, fit=_PAPER if name == "paper" else _BEST)

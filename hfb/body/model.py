@@ -39,12 +39,15 @@ class Body:
     Attributes:
         name: what to call it in reports.
         betas_space: whose shape coefficients these are; ``"hfb"`` betas mean nothing to SMPL, and the reverse.
-        licence: terms of the model's file. source: where it came from.
-        template: mean rest shape. shape_directions: displacement of each vertex per unit of beta.
-        pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23
-            matrices; None where the model has none.
+        licence: terms of the model's file.
+        source: where it came from.
+        template: mean rest shape.
+        shape_directions: displacement of each vertex per unit of beta.
+        pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23 matrices;
+            None where the model has none.
         joint_regressor: joints of the rest pose as weighted means of its vertices.
-        joint_template, joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
+        joint_template: the regressor applied to the two above, so joints need no vertices.
+        joint_shape_directions: the regressor applied to the two above, so joints need no vertices.
         skinning_weights: share of each joint in each vertex; rows add up to 1.
         mesh: triangles, texture coordinates, edges.
     """
@@ -140,7 +143,7 @@ def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
     """Return the total length of the 23 bones [m]: a person's size in any pose.
 
     Args:
-        joints: of one pose [m].
+        joints: joints of one pose [m].
     """
     if compiled(joints):
         ends = joints.index_select(0, constant(_BONE_ENDS, torch.long, joints.device)).view(2, -1, 3)
@@ -155,7 +158,8 @@ class ShapedBody:
 
     Attributes:
         body: the model it came from.
-        vertices, joints: in the rest pose [m].
+        vertices: in the rest pose [m].
+        joints: in the rest pose [m].
     """
 
     body: Body
@@ -166,7 +170,8 @@ class ShapedBody:
         """Skin the person at S instants.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body into the target
+                frame.
             translations: added to the posed vertices [m]; the root turns about its own joint, as in SMPL.
         """
         T_world_rest, joints = self._placed(rotations, translations)
@@ -178,7 +183,8 @@ class ShapedBody:
         """Return vertices at all but the last instant of every frame, and joints at all instants [m]; see `pose`.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body to the camera's
+                frame.
             translations: SMPL's [m], camera coordinates.
         """
         size = rotations.shape[:2]
@@ -192,7 +198,8 @@ class ShapedBody:
         """Return the posed joints [m], without skinning.
 
         Args:
-            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            rotations: rotations of each joint in its parent's frame; the root's maps the rest body to the camera's
+                frame.
             translations: SMPL's [m], camera coordinates.
         """
         return self._placed(rotations, translations)[1]

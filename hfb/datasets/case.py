@@ -68,7 +68,7 @@ def case_name(number: int) -> str:
     """Return the folder's name of a case.
 
     Args:
-        number: of the case, from 1.
+        number: number of the case, from 1.
     """
     return f"case_{number:04d}"
 
@@ -77,7 +77,7 @@ def load_case(folder: Path) -> Case:
     """Open a case folder.
 
     Args:
-        folder: of the case.
+        folder: the case's folder.
 
     Raises:
         InputError: no case lies there.

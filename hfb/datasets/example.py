@@ -71,7 +71,7 @@ def write_example(folder: Path, seed: int = 0) -> ExamplePaths:
 
     Args:
         folder: written to; created where missing.
-        seed: of shape, clothes, room and noise.
+        seed: seed of shape, clothes, room and noise.
     """
     rng = np.random.default_rng(seed + _FIRST_DRAW)
     body = load_default_body()

@@ -81,7 +81,7 @@ def draw_pose_errors(poses: Float[Tensor, "T 24 3"], rng: np.random.Generator) -
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
-        rng: of the errors.
+        rng: draws the errors.
     """
     return pose_errors(poses, draw_turns(len(poses), rng))
 
@@ -94,7 +94,7 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
 
     Args:
         frames: number of frames.
-        rng: of the errors.
+        rng: draws the errors.
     """
     common = _draw_turns(rng)
     turns = [

@@ -55,9 +55,9 @@ def simulated_starts(
     Args:
         truth: its betas count in the body's own space.
         frames: rows of the truth belong to frames 0 .. frames - 1.
-        blur_rate: of the case.
+        blur_rate: blur rate of the case.
         body: what the fit will use.
-        camera: of the truth's silhouettes.
+        camera: camera of the truth's silhouettes.
         rng: the only source of chance; the same state gives the same bodies.
     """
     wanted = _draw_wanted(blur_rate, frames, rng)

@@ -60,7 +60,7 @@ def fit_confidence(
     Args:
         cases: fits whose errors are known.
         names: the features to use.
-        exponent: of the law, where it is known already.
+        exponent: exponent of the law, where it is known already.
         prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]
@@ -106,7 +106,7 @@ def held_out_reliability(
         cases: fits whose errors are known.
         names: the features to use.
         folds: parts into which the recordings are split.
-        exponent: of the law, where it is known already.
+        exponent: exponent of the law, where it is known already.
         prior: whose coefficients regularise the fit; zero without one.
     """
     shares, ranks, radii, errors = [], [], [], []

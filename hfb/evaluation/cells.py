@@ -89,7 +89,7 @@ def within(cases: DataFrame, bins: Sequence[tuple[float, float]], index: int) ->
     Args:
         cases: rows of cases.parquet.
         bins: intervals of blur rates, ascending.
-        index: of the bin.
+        index: number of the bin.
     """
     return cases[cases["blur_rate"].between(*bins[index], inclusive="both" if index == len(bins) - 1 else "left")]
 
@@ -180,7 +180,7 @@ def is_start(cell: Mapping[str, Any]) -> bool:
     """Return whether a method left the start's error as it was in every case: the static estimate itself.
 
     Args:
-        cell: of the method, by `make_cell`.
+        cell: cell of the method, by `make_cell`.
     """
     return cell["ratio"] == 1 and cell["better_than_start"] == cell["worse_than_start"] == 0
 

@@ -34,12 +34,14 @@ class DirectionEvent:
 
     Attributes:
         person: events of a person stay together when some are held out.
-        probability: of the hypotheses, before `hfb.fitting.direction_trust`.
+        probability: probability of the hypotheses, before `hfb.fitting.direction_trust`.
         grouped: `group_probability` of them.
         agrees: whether each says as the result.
-        right: whether the result was right. whole: about the body, not about a limb.
-        body_right: P(the body is right) in this frame; NaN where it hardly moves. signs: of the frame.
-        frames: of the fit.
+        right: whether the result was right.
+        whole: about the body, not about a limb.
+        body_right: P(the body is right) in this frame; NaN where it hardly moves.
+        signs: signs of the frame.
+        frames: number of the fit's frames.
     """
 
     person: str
@@ -60,8 +62,8 @@ def direction_events(
 
     Args:
         person: name, by which events are grouped.
-        alternatives: of the fit.
-        features: of the result, by name.
+        alternatives: alternatives of the fit.
+        features: features of the result, by name.
         true: the true joints at the rows' instants [m].
     """
     joints, frames = alternatives.joints[alternatives.chosen], int(alternatives.frame_index.max()) + 1
@@ -121,7 +123,7 @@ def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[Star
     Where little is known a kind's doubt stays near the common one.
 
     Args:
-        events: of fits whose truth is known, by kind of start.
+        events: events of fits whose truth is known, by kind of start.
     """
     kinds = [kind for kind, known in events.items() if known]
     every = [one for kind in kinds for one in events[kind]]
@@ -151,7 +153,7 @@ def said_and_right(events: Sequence[DirectionEvent], trust: Trust | None) -> tup
     """Return the predicted probability of each event, and whether the prediction was right.
 
     Args:
-        events: of fits whose truth is known.
+        events: events of fits whose truth is known.
         trust: corrects the odds; None leaves them as they are.
     """
     if not events:
@@ -168,7 +170,7 @@ def reliability_groups(
     Args:
         said: predicted probabilities.
         right: whether each prediction was right.
-        edges: of the groups, ascending.
+        edges: edges of the groups, ascending.
     """
     place = np.digitize(said, edges[1:-1])
     groups = [place == index for index in range(len(edges) - 1)]

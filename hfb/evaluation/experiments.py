@@ -64,7 +64,8 @@ class Experiment(Record):
     """One table or figure of the paper, as a run of the benchmark.
 
     Attributes:
-        place, label: its number in the paper, counted in the order of the source, and its name there.
+        place: its number in the paper, counted in the order of the source.
+        label: its name there.
         count: cases of the paper (of ours, where it does not say).
         methods: what runs by default; ``chains`` need networks or files that only a user can have.
         start: the paper's row that HfB starts from, where the table has one.
@@ -153,7 +154,7 @@ def beside_paper(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
     Args:
         experiment: the paper's table or figure.
-        summary: of a run of this experiment, as `summarize` returns it; its intervals need not be the columns.
+        summary: summary of a run of this experiment, by `summarize`; its intervals need not be the columns.
     """
     parts = [
         f"# {experiment.place}: {experiment.title}",
@@ -185,7 +186,7 @@ def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[fl
 
     Args:
         experiment: the paper's table or figure.
-        summary: of our run, by `summarize`.
+        summary: summary of our run, by `summarize`.
     """
     rows = [row for row in experiment.rows if "best" in row.ours and row.mpjpe_mm and row.name != experiment.start]
     start = _start_values(experiment, "mpjpe_mm")

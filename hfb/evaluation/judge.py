@@ -48,9 +48,9 @@ def judge(
     """Score a prediction against the truth at the nearest instants and against the images.
 
     Args:
-        prediction: of one method.
+        prediction: one method's prediction.
         observation: the blurred frames with their mattes and clock.
-        truth: of the case.
+        truth: the case's truth.
         body: the model in which the prediction's poses are given.
         sharp: the true sub-frames at u = i / 7, for the pictures' scores.
 
@@ -88,7 +88,7 @@ def judge_start(starts: Sequence[FirstBody], observation: Observation, truth: Tr
     Args:
         starts: first body of each frame.
         observation: the blurred frames with their mattes and clock.
-        truth: of the case.
+        truth: the case's truth.
         body: model of the starts.
     """
     frames = observation.mattes.shape[0]

@@ -87,11 +87,12 @@ def errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) ->
 
 @dataclass(frozen=True)
 class SubsetErrors:
-    """Errors over the joints that the truth knows [mm]; NaN where it knows too little to tell.
+    """Errors over the joints that the truth knows [mm]; NaN where it knows too few of them.
 
     Attributes:
-        mpjpe_mm, in_plane_mm, depth_mm: after one rotation of the sequence, centred as asked, over the sub-frames in
-            which the centre is known.
+        mpjpe_mm: after one rotation of the sequence, over the sub-frames in which the centre is known.
+        in_plane_mm: the part of these errors across the view.
+        depth_mm: the part along it.
         pa_mpjpe_mm: after a similarity per sub-frame, over those with three known joints or more.
         joints_mm: MPJPE joint by joint.
     """
@@ -194,10 +195,14 @@ class MotionErrors:
     """What a results table needs of one clip; all lengths in mm.
 
     Attributes:
-        mpjpe_mm, pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
-        mpjpe_14_mm, pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
-        better_mpjpe_mm, better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
-        in_plane_mm, depth_mm: MPJPE's residuals across and along the view.
+        mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        pa_mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.
+        mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        pa_mpjpe_14_mm: over the 14 joints shared with Human3.6M.
+        better_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        better_pa_mpjpe_mm: in the better direction of time, chosen frame by frame.
+        in_plane_mm: MPJPE's residuals across and along the view.
+        depth_mm: MPJPE's residuals across and along the view.
         wrong_direction: share of frames that would be nearer to the truth with their time reversed.
     """
 

@@ -15,8 +15,10 @@ class MotionDifference:
 
     Attributes:
         bit_equal: every array of the two is the same, bit for bit.
-        mean_mm, max_mm: over joints and instants; None where the two share no frame.
-        instants_s, joints_mm: when the shared instants were [s, the first motion's clock], and the distances there.
+        mean_mm: mean over joints and instants; None where the two share no frame.
+        max_mm: largest distance; None where the two share no frame.
+        instants_s: the shared instants [s], on the first motion's clock.
+        joints_mm: distances at these instants.
     """
 
     bit_equal: bool

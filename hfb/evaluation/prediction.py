@@ -17,8 +17,8 @@ class Prediction:
         silhouettes: per row, where the body of ``motion`` is not what the method would draw; None otherwise.
         pictures: premultiplied linear colour and silhouette per row; None for a method without appearance.
         seconds: wall time of the method alone.
-        joints: of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only their
-            places relative to each other count; NaN where the method does not know a joint of the 24.
+        joints: joints of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only
+            their places relative to each other count; NaN where the method does not know a joint of the 24.
         alternatives: other motions that the method thinks possible, with their probabilities.
         joint_features: what the motion's ``joint_radius_mm`` was computed from, for later calibrations.
     """

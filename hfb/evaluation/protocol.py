@@ -88,7 +88,7 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
 
     Args:
         motion: camera coordinates.
-        truth: of the case.
+        truth: the case's truth.
         body: model of the motion.
         rasterizer: draws it.
     """

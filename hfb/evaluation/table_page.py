@@ -102,8 +102,8 @@ def ratio_text(cell: Cell, digits: int) -> str:
     """Format a method's ratio to the start with its interval.
 
     Args:
-        cell: of the method, by `make_cell`.
-        digits: of the interval, after the point.
+        cell: cell of the method, by `make_cell`.
+        digits: decimals of the interval.
     """
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 

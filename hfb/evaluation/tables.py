@@ -29,10 +29,10 @@ def summarize(
 
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as in cases.parquet.
-        set_name: of the set of cases.
+        set_name: name of the set of cases.
         count: how many cases were asked for.
         skipped: what could not be used, and why.
-        seed: of the set.
+        seed: seed of the set.
         bins: intervals of blur rates, ascending; a rate on an edge belongs to the upper one, the last is closed.
         methods: their order; methods that are not named follow by name, named ones without rows have n = 0.
         pairs: which methods to compare on the same cases; `best` against each other one when not given.

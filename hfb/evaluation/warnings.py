@@ -57,7 +57,8 @@ class Look:
     """One frame as it was seen and as it is explained.
 
     Attributes:
-        matte: of the person. alpha: the fitted body's share of each pixel, None where it was not drawn.
+        matte: matte of the person.
+        alpha: the fitted body's share of each pixel, None where it was not drawn.
     """
 
     number: int
@@ -77,7 +78,7 @@ def find_warnings(
     Args:
         looks: frames of it, a few spread over a long clip; a few hundred pixels are enough.
         plate_srgb: background plate in the looks' size.
-        motion: of the result, camera coordinates.
+        motion: motion of the result, camera coordinates.
         matte_iou: per frame, of the fitted body.
     """
     found = (
@@ -94,7 +95,7 @@ def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
     """Check that the body covers the matte.
 
     Args:
-        matte_iou: of the fitted body, by frame.
+        matte_iou: soft IoU of the fitted body, by frame.
     """
     low = {frame: value for frame, value in sorted(matte_iou.items()) if value < LEAST_MATTE_IOU}
     if not low:
@@ -114,7 +115,7 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
     """Check that the trunk does not turn faster between neighbouring frames than a person can.
 
     Args:
-        motion: of the result, camera coordinates.
+        motion: motion of the result, camera coordinates.
     """
     numbers = np.unique(motion.frame_index)
     middles = [motion.rows_of(int(number)) for number in numbers]

@@ -30,7 +30,7 @@ class DepthFusion(nn.Module):
     """MLP with two hidden layers per joint; joints share all parameters but an embedding.
 
     Attributes:
-        mean: of the training inputs, (FACTS,).
+        mean: mean of the training inputs, (FACTS,).
         spread: standard deviation of the training inputs, (FACTS,).
     """
 
@@ -68,7 +68,7 @@ class DepthCues:
     Attributes:
         fitted: the fit's joints from the pelvis.
         start: joints of the first body.
-        lengths: of the fit's bones.
+        lengths: lengths of the fit's bones.
         perspective: `Window.units_to_tangents`.
         unit_m: a unit in metres at the pelvis' distance.
         claimed: the joint network's prediction for the frame.

@@ -121,7 +121,7 @@ class JointEvidence:
 
         Args:
             joints: the fit's at mid-exposure, camera coordinates [m].
-            share: of the lifting network.
+            share: weight of the lifting network.
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         lengths = lengths_in_window(joints, perspective)

@@ -89,7 +89,7 @@ class Window:
         """Return the same lines of sight in a crop or another size of the image.
 
         Args:
-            camera: of a crop or a resized image.
+            camera: camera of a crop or a resized image.
         """
         across, down = camera.fx / self.camera.fx, camera.fy / self.camera.fy
         left = camera.cx + across * (self.left - self.camera.cx)
@@ -136,7 +136,7 @@ def in_units(joints: Float[Tensor, "*n 24 3"], lens: Float[Tensor, "*m 5"]) -> F
 
     Args:
         joints: camera coordinates [m].
-        lens: of every window, see `Window.lens`.
+        lens: lens of every window, see `Window.lens`.
     """
     depth = joints[..., 2:]
     across = joints[..., :2] / depth * lens[..., :2] + lens[..., 2:4]

@@ -46,7 +46,7 @@ class LiftingNetwork(nn.Module):
             across: x and y from the pelvis in the units of each frame's window (`hfb.evidence.joint_network.Window`);
                 where there is one frame alone it is its own neighbour.
             start: first guesses in the same units, which seem as large (`match_spread`).
-            lengths: of bones in the same units (`lengths_in_window`).
+            lengths: lengths of bones in the same units (`lengths_in_window`).
             perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
@@ -70,7 +70,7 @@ def _left_for_depth(
     Args:
         bones: x and y of the bones' vectors, in window units.
         middle: depth of the bones' middles; bones beyond the pelvis look smaller.
-        lengths: of the bones, in window units.
+        lengths: lengths of the bones, in window units.
         perspective: `Window.units_to_tangents`.
     """
     seen = bones.norm(dim=-1) * (1 + perspective[..., None] * middle)

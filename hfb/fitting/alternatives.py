@@ -29,9 +29,11 @@ class Alternatives:
 
     Attributes:
         reversed_limbs: per frame which limbs (`LIMB_NAMES`) run backwards compared with what was first fitted.
-        poses: axis-angle [rad]. trans: SMPL's translation [m]. joints: camera coordinates [m].
+        poses: axis-angle [rad].
+        trans: SMPL's translation [m].
+        joints: camera coordinates [m].
         scores: per motion, the objective's terms by name, their weighted sum ``loss`` and the motion prior's evidence.
-        probability: of each motion, given that one of them is right; adds up to 1.
+        probability: probability of each motion, given that one of them is right; adds up to 1.
         chosen: the number of the result.
         frame_index: the frame each row belongs to.
     """
@@ -79,7 +81,7 @@ class Alternatives:
         A tie counts half. NaN where the joints hardly moved.
 
         Args:
-            joints: of every motion [m].
+            joints: joints of every motion [m].
             chosen: numbers of the joints to compare.
         """
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)

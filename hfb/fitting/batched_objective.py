@@ -42,8 +42,8 @@ class BatchedVariables:
         """Stack copies of the fits' variables; known shapes and textures get no gradient.
 
         Args:
-            variables: of every fit, in the processor's memory.
-            device: of the copies.
+            variables: variables of every fit, in the CPU's memory.
+            device: device of the copies.
         """
 
         def leaf(tensors: list[Tensor]) -> Tensor:
@@ -61,7 +61,7 @@ class BatchedVariables:
         """Copy every fit's values into its variables; padding is dropped.
 
         Args:
-            variables: of every fit, in the processor's memory.
+            variables: variables of every fit, in the CPU's memory.
         """
         with torch.no_grad():
             parts = (one.cpu() for one in (self.rotation, self.translation, self.betas, self.texture))
@@ -190,7 +190,7 @@ class BatchedObjective:
         """Return unweighted terms of every fit; see `Objective.terms`.
 
         Args:
-            variables: of all fits, on the device.
+            variables: variables of all fits, on the device.
         """
         with readable_formulas():
             vertices, *of_bodies = self._bodies(variables.rotation, variables.translation, variables.betas)
@@ -202,7 +202,7 @@ class BatchedObjective:
         """Return terms of every fit that need no rendering; see `Objective.body_terms`.
 
         Args:
-            variables: of all fits, on the device.
+            variables: variables of all fits, on the device.
         """
         with readable_formulas():
             values = self._skeletons(variables.rotation, variables.translation, variables.betas)

@@ -39,7 +39,8 @@ class ConfidenceModel:
     """The coefficients of the log-linear radius, and the exponent of the law.
 
     Attributes:
-        coefficients: b_i by the feature's name. constant: b_0, of a radius in mm.
+        coefficients: b_i by the feature's name.
+        constant: b_0, of a radius in mm.
         exponent: k.
         typical: the features' means where the model was fitted: they stand in for what a fit does not know.
     """
@@ -77,7 +78,7 @@ def start_kind(source: str) -> StartKind:
     """Return the kind of a first body by its ``source``; other systems' and neighbours' bodies count as a network's.
 
     Args:
-        source: of a first body.
+        source: source of a first body.
     """
     if source in ("simulated", "truth"):
         return "simulated"
@@ -94,7 +95,7 @@ def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
     """Load the shipped model of a kind of start; the exponent is the same for all.
 
     Args:
-        kind: of start.
+        kind: kind of start.
     """
     content = _shipped()
     of_kind = {name: content["by_start"][kind][name] for name in ("coefficients", "constant", "typical")}
@@ -107,7 +108,7 @@ def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources:
     Args:
         features: one table per name, see `hfb.fitting.joint_features`.
         frame_index: frame of every row.
-        sources: of every frame's first body.
+        sources: sources of every frame's first body.
     """
     radius = np.empty_like(features["reach"])
     kinds = np.array([start_kind(source) for source in sources])[frame_index]
@@ -121,7 +122,7 @@ def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
     """Return the basis of a result's radii: the kinds of its starts, how often radii held there, and a sentence.
 
     Args:
-        sources: of the first bodies of all frames.
+        sources: sources of the first bodies of all frames.
     """
     kinds = sorted({start_kind(source) for source in sources})
     shipped = _shipped()["by_start"]

@@ -29,7 +29,7 @@ def probabilities(
 
     Args:
         evidence: one row per hypothesis, columns as `EVIDENCE`; the motion as fitted first.
-        several: of several frames, which the continuity between them ties together.
+        several: weights for several frames, which their continuity connects.
         calibration: coefficients by name, for ``single`` and for ``several``; the shipped ones when not given.
     """
     chosen = (calibration or shipped_odds())["several" if several else "single"]

@@ -109,7 +109,7 @@ def fit(
         first_bodies: one static body per frame.
         body: the body model.
         config: options of the fit.
-        seed: of the first velocity's direction.
+        seed: seed of the first velocity's direction.
         pose_prior: how unlikely each pose is.
         on_progress: called at the beginning of every stage and after every iteration; see `Progress`.
         motion_prior: how people move, for the directions; the shipped one when not given.
@@ -144,7 +144,7 @@ def fit_all(
         problems: observation, first bodies and, where known, identity of each.
         body: the body model.
         config: options of all fits.
-        seed: of the first velocity's direction.
+        seed: seed of the first velocity's direction.
         pose_prior: how unlikely each pose is.
         on_progress: as of `fit`; of a batch with the mean loss.
         motion_prior: as of `fit`.
@@ -355,8 +355,8 @@ def paste_mattes(
     Args:
         whole: mattes of whole frames.
         window: mattes of the window, which may reach outside the frames.
-        left: of the window [px].
-        top: of the window [px].
+        left: left edge of the window [px].
+        top: top edge of the window [px].
     """
     (height, width), (rows, columns) = whole.shape[1:], window.shape[1:]
     pasted = whole.clone()

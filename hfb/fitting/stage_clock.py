@@ -22,7 +22,7 @@ class StageClock:
         """Start with no stage.
 
         Args:
-            n_iterations: of all image stages together.
+            n_iterations: number of iterations of all image stages together.
             on_progress: called at the beginning of a stage and after every iteration.
         """
         self.seconds: dict[str, float] = {}

@@ -104,7 +104,7 @@ class Variables:
         """Copy the values of `other` into these tensors.
 
         Args:
-            other: of the same shapes.
+            other: values of the same shapes.
         """
         with torch.no_grad():
             for mine, its in zip(self.leaves(), other.leaves(), strict=True):
@@ -123,7 +123,7 @@ def cosine_decay(iteration: int, iterations: int) -> float:
 
     Args:
         iteration: from 0 on.
-        iterations: of the stage.
+        iterations: number of the stage's iterations.
     """
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
@@ -133,7 +133,7 @@ def learning_rates(config: FitConfig, rate: float) -> tuple[float, float, float,
 
     Args:
         config: options of the fit.
-        rate: of the motion.
+        rate: rate of the motion.
     """
     return rate, rate, rate * config.shape_rate, rate * config.texture_rate
 
@@ -154,7 +154,7 @@ def start_variables(
         first_bodies: one static body per frame; their mean shape is used.
         observation: for the texture's colour and the frames' times.
         config: options of the fit.
-        generator: of the random direction.
+        generator: draws the random direction.
         identity: known shape and texture, held constant; both are free when not given.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)

@@ -21,8 +21,10 @@ class Meeting:
 
     Attributes:
         middle: unit quaternions half-way between both.
-        turn: logarithms [rad] of both about the middle. path: translations [m].
-        turn_rate, path_rate: their derivatives by u.
+        turn: logarithms [rad] of both about the middle.
+        path: translations [m].
+        turn_rate: their derivatives by u.
+        path_rate: their derivatives by u.
     """
 
     middle: Float[Tensor, "E 24 4"]
@@ -75,7 +77,7 @@ class Meeting:
         """Return the cubic from the earlier motion's end to the later one's beginning.
 
         Args:
-            share: of the way in time, 0 to 1.
+            share: share of the interval in time, 0 to 1.
             span: how long it lasts, in exposures.
         """
         s = share

@@ -115,7 +115,7 @@ class LandmarkInitializer:
         """Register, then refine; the refinement is kept only where it shares more with the matte.
 
         Args:
-            landmarks: of the person.
+            landmarks: landmarks of the person.
             matte: the person's share of each pixel.
             camera: camera of the image.
             body: the body model.

@@ -41,7 +41,7 @@ def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
     The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
 
     Args:
-        joints: of one of the layouts of `JOINT_COUNTS`, any unit.
+        joints: joints in one of the layouts of `JOINT_COUNTS`, any unit.
 
     Raises:
         InputError: another number of joints.

@@ -39,7 +39,7 @@ def register_keypoints(
         pixels: SMPL's joints [px], NaN where not seen.
         camera: camera of the image.
         body: the body model.
-        betas: of the person, the mean one's where not given.
+        betas: shape of the person, the mean one's where not given.
 
     Returns:
         poses before the camera; `residual_m` is what the picture shows, at the body's depth [m].

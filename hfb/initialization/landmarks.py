@@ -65,9 +65,11 @@ class Region:
     """A turned square of the picture that should hold the whole person.
 
     Attributes:
-        x, y: its centre [px], near the hips. size: its side [px].
+        x: its centre [px], near the hips.
+        y: its centre [px], near the hips.
+        size: its side [px].
         angle: clockwise turn of the person's upright direction [rad]; 0 stands upright.
-        score: of the detector, 0 to 1.
+        score: the detector's score, 0 to 1.
     """
 
     x: float
@@ -128,7 +130,7 @@ class PoseNetworks:
 
         Args:
             picture_srgb: the image.
-            least_score: of a detection that is returned.
+            least_score: lowest score of a returned detection.
             most: detections that are returned.
         """
         height, width = picture_srgb.shape[:2]
@@ -192,7 +194,7 @@ def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int
     Args:
         picture_srgb: the image.
         region: square to cut out.
-        side_px: of the result.
+        side_px: side of the result [px].
     """
     scale = min(1.0, 2 * side_px / region.size)
     reduced = _reduce(picture_srgb, scale)

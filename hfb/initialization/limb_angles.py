@@ -56,7 +56,7 @@ def kabsch(
     Args:
         rest: vectors of the rest pose.
         seen: the same vectors, rotated.
-        weight: of every vector.
+        weight: weight of every vector.
     """
     product = (seen * weight[..., None]).transpose(1, 2) @ rest
     # A little of the identity decides what the vectors leave open: the twist about a single bone is none.

@@ -223,9 +223,9 @@ def body_from_template(
 
     Args:
         templates: silhouettes of the bank.
-        index: of the template.
+        index: number of the template.
         roll: about the optical axis [rad].
-        moments: of the matte.
+        moments: moments of the matte.
         camera: camera of the image.
         body: the body model.
     """

@@ -100,7 +100,7 @@ def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "...
     """Fit the body to a network's mesh, where it is this body's, else to its joints; about the network's origin.
 
     Args:
-        outputs: of the network.
+        outputs: outputs of the network.
         body: the body model.
         samplings: see `read_samplings`; a coarse mesh is taken where there is no full one.
 

@@ -15,7 +15,7 @@ def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 
     Args:
         matte: the person's share of each pixel.
         margin: share of the box that is added on each side.
-        threshold: of the matte, for its box.
+        threshold: alpha above which a pixel belongs to the matte's box.
 
     Raises:
         InputError: the matte is empty.
@@ -39,10 +39,10 @@ def cut_square(
 
     Args:
         picture: the image.
-        left: of the square [px].
-        top: of the square [px].
-        side: of the square [px].
-        size_px: of the result.
+        left: left edge of the square [px].
+        top: top edge of the square [px].
+        side: side length of the square [px].
+        size_px: side of the result [px].
     """
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
@@ -65,11 +65,11 @@ def weak_perspective_place(
     The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
 
     Args:
-        scale: of the weak perspective.
+        scale: scale of the weak perspective.
         x: shift of the weak perspective.
         y: shift of the weak perspective.
-        centre_px: of the crop.
-        side_px: of the crop.
+        centre_px: centre of the crop [px].
+        side_px: side of the crop [px].
         camera: camera of the image.
 
     Raises:

@@ -105,7 +105,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
     """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
-        landmarks: of a person.
+        landmarks: landmarks of a person.
         matte: the person's share of each pixel.
     """
     top, left, bottom, right = matte_region(matte, margin=0.25)

@@ -39,7 +39,9 @@ class Registered:
     """A body at S instants.
 
     Attributes:
-        poses: axis-angle [rad]. translations: SMPL's [m]. betas: of the one person.
+        poses: axis-angle [rad].
+        translations: SMPL's [m].
+        betas: shape of the one person.
         residual_m: mean distance of the points that were known, per instant.
     """
 
@@ -61,7 +63,7 @@ def register_joints(
         joints: SMPL's [m] in the target frame, NaN where unknown (`hfb.initialization.joint_layouts`).
         body: the body model.
         betas: held fixed where given.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
 
     Raises:
         InputError: fewer than six joints are known at some instant.
@@ -94,10 +96,10 @@ def register_vertices(
     depend on how many there are.
 
     Args:
-        vertices: of this body's mesh [m].
+        vertices: vertices of this body's mesh [m].
         body: the body model.
         betas: known shape; fitted when not given.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
 
     Raises:
         InputError: meshes of another body; only the model they belong to can be laid onto them.
@@ -195,7 +197,7 @@ def _shape_given_turns(
 
     Args:
         body: to fit.
-        rotations: of each joint in its parent's frame.
+        rotations: rotations of each joint in its parent's frame.
         goal: the points' targets [m].
         known: which targets are known.
         points: selects the points of a posed body.
@@ -264,7 +266,7 @@ def fit_points(
         start: turns, places and betas.
         body: the body model.
         misfit: loss of posed joints and vertices.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
         rate: learning rate.
     """
     turns = torch.zeros_like(start.rotations[..., 0]).requires_grad_()

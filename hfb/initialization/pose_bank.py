@@ -73,7 +73,7 @@ def bank_rotations(dtype: torch.dtype = torch.float32) -> tuple[list[str], Float
     """Return names and axis-angles below the root; asymmetric poses are followed by their mirror image.
 
     Args:
-        dtype: of the result.
+        dtype: precision of the result.
     """
     names, poses = [], []
     for entry in BANK:

@@ -59,7 +59,7 @@ class Attachments:
         """Return the points [m] on a posed body.
 
         Args:
-            joints: of the posed body [m].
+            joints: joints of the posed body [m].
             R_world_joint: rotation of every joint.
         """
         return joints[self.joints] + (R_world_joint[self.joints] @ self.offsets[..., None]).squeeze(-1)
@@ -109,10 +109,10 @@ def register(
     landmark counts as much as the network is sure to see it.
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
         body: the body model.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
         source: recorded in the result.
     """
     dtype = body.template.dtype
@@ -154,7 +154,7 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
     """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
     """
     ray = np.array([(landmarks.region.x - camera.cx) / camera.fx, (landmarks.region.y - camera.cy) / camera.fy, 1.0])
@@ -170,7 +170,7 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
     """Return a pose with arms down and knees hardly bent: nearer to most poses than the rest pose T.
 
     Args:
-        dtype: of the result.
+        dtype: precision of the result.
     """
     pose = torch.zeros(24, 3, dtype=dtype)
     for name, value in {
@@ -278,8 +278,8 @@ def follow_chain(
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translation: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translation: translation of the body [m].
     """
     places, turns = [rest[0] + translation], [rotations[0]]
     for joint, parent in enumerate(PARENTS[1:], start=1):

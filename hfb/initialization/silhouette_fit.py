@@ -66,7 +66,7 @@ def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int)
     Args:
         matte: the person's share of each pixel.
         camera: camera of the image.
-        size_px: of the longer side of the result.
+        size_px: longer side of the result [px].
     """
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     cut, inside = matte[top:bottom, left:right], camera.crop(left, top, right - left, bottom - top)

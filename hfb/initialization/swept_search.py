@@ -89,7 +89,7 @@ def carried_along(
 
     Args:
         first: a static body.
-        path_m: of the body, from the first to the last instant.
+        path_m: path of the body, from the first to the last instant.
         matte: the person's share of each pixel.
         camera: camera of the image.
         body: the body model.

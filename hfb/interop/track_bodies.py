@@ -44,7 +44,7 @@ def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> 
     Args:
         track: with poses (`with_poses`).
         frame: its number.
-        camera: of the clip.
+        camera: camera of the clip.
         body: the model that is fitted; betas count only where they are this model's.
 
     Raises:
@@ -125,8 +125,8 @@ def on_matte(
     Args:
         first: to start from.
         turn_is_known: whether the root's rotation about the vertical is known.
-        matte: of the frame, in [0, 1].
-        camera: of the frame.
+        matte: matte of the frame, in [0, 1].
+        camera: camera of the frame.
         body: the model that is fitted.
         rasterizer: draws silhouettes.
 
@@ -157,7 +157,7 @@ def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], bod
     Args:
         track: with poses or joints.
         frame: the system's number of the matte's picture.
-        matte: of the frame, in [0, 1].
+        matte: matte of the frame, in [0, 1].
         body: model that gives the joints of poses.
     """
     row = np.flatnonzero(track.frames == frame)

@@ -64,7 +64,7 @@ def weights_file(path: Path) -> io.BytesIO:
     archives may find different ones in the same bytes.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         OSError: no file there, or it cannot be read.

@@ -17,7 +17,7 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
     """Read a JSON file; every number in it is finite.
 
     Args:
-        path: of the file.
+        path: the file.
         fix: ends the sentence of an error.
 
     Raises:

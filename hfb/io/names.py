@@ -18,6 +18,6 @@ def shown_name(name: str) -> str:
     """Return a file's name for a line of text: control characters and undecodable bytes as escapes.
 
     Args:
-        name: of a file.
+        name: name of a file.
     """
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in name)

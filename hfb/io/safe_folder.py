@@ -33,7 +33,7 @@ def special_kind(path: Path) -> str | None:
     """Name what a path is that is neither a regular file nor a folder; None for these two and for a missing one.
 
     Args:
-        path: of the entry.
+        path: the file or folder.
     """
     try:
         return _KINDS.get(stat.S_IFMT(path.lstat().st_mode))
@@ -45,7 +45,7 @@ def is_regular(path: Path) -> bool:
     """Return whether `path` is a regular file, not a link to one.
 
     Args:
-        path: of the entry.
+        path: the file or folder.
     """
     try:
         return stat.S_ISREG(path.lstat().st_mode)

@@ -20,7 +20,7 @@ def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
     """Return whether the compiled kernels accept this tensor.
 
     Args:
-        tensor: of a formula.
+        tensor: an argument of the formula.
     """
     return tensor.device.type == "cpu" and not _readable.get()
 
@@ -44,6 +44,6 @@ def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) ->
     Args:
         values: number or nested tuples of numbers.
         dtype: precision.
-        device: of the tensor.
+        device: device of the tensor.
     """
     return torch.tensor(values, dtype=dtype, device=device)

@@ -338,7 +338,7 @@ def descend(scene, weights, base, rates, steps, logits, roots, bend, way, layers
         scene: see `unexplained`.
         weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
         base: (H, W, 2), way before the grid is added [px].
-        rates: of the outline's logits, of the roots and of the grid; 0 keeps it fixed.
+        rates: learning rates of the outline's logits, of the roots and of the grid; 0 keeps one fixed.
         steps: number of steps.
         logits: (H, W), of the outline, updated.
         roots: (H, W, 3), square roots of its linear colours, updated.

@@ -23,7 +23,7 @@ def address(context, builder, array_type, array, position, count):
         builder: llvmlite's builder.
         array_type: numba's type of the array.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
         count: number of numbers.
     """
     data = context.make_array(array_type)(context, builder, array).data
@@ -39,7 +39,7 @@ def load(context, builder, array_type, array, position, count):
         builder: llvmlite's builder.
         array_type: numba's type of the array.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
         count: number of numbers.
     """
     pointer, _, align = address(context, builder, array_type, array, position, count)
@@ -90,8 +90,8 @@ def positions(context, builder, signature, arguments, wanted):
     Args:
         context: numba's target context.
         builder: llvmlite's builder.
-        signature: of the function.
-        arguments: of the function.
+        signature: signature of the function.
+        arguments: arguments of the function.
         wanted: numbers of the arguments.
     """
     return [context.cast(builder, arguments[k], signature.args[k], types.intp) for k in wanted]
@@ -202,7 +202,7 @@ def store_lanes(typingctx, array, position, value):
     Args:
         typingctx: numba's typing context.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
         value: lanes.
     """
 
@@ -223,7 +223,7 @@ def load_apart(typingctx, array, position, stride):
     Args:
         typingctx: numba's typing context.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
         stride: numbers from one lane to the next.
     """
     kind = _eight[array.dtype]
@@ -248,7 +248,7 @@ def store_apart(typingctx, array, position, stride, value):
     Args:
         typingctx: numba's typing context.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
         stride: numbers from one lane to the next.
         value: lanes.
     """
@@ -323,7 +323,7 @@ def with_last(typingctx, four, number):
     Args:
         typingctx: numba's typing context.
         four: four lanes.
-        number: of the last lane.
+        number: number of the last lane.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -551,7 +551,7 @@ def prefetch(typingctx, array, position):
     Args:
         typingctx: numba's typing context.
         array: to access.
-        position: of the first number in the array.
+        position: position of the first number in the array.
     """
 
     def codegen(context, builder, signature, arguments):

@@ -82,7 +82,7 @@ def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
     """Return a decorator that makes an `Operator`; types are the schema, as of `torch.library.custom_op`.
 
     Args:
-        name: of the operator, such as ``hfb::skin``.
+        name: name of the operator, such as ``hfb::skin``.
     """
     return lambda function: Operator(name, function)
 
@@ -94,7 +94,7 @@ def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
     backward pass is a product.
 
     Args:
-        name: of the operator, such as ``hfb::skin``.
+        name: name of the operator, such as ``hfb::skin``.
         moving: number of differentiable arguments.
     """
 

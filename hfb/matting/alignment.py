@@ -34,7 +34,8 @@ class Movement:
 
     Attributes:
         shift: right and down, as a share of the picture's longer side.
-        scale, turn: x' = x + scale x - turn y, y' = y + turn x + scale y.
+        scale: x' = x + scale x - turn y, y' = y + turn x + scale y.
+        turn: x' = x + scale x - turn y, y' = y + turn x + scale y.
     """
 
     shift: Float[Array, "2"]
@@ -45,8 +46,8 @@ class Movement:
         """Return the affine map from pixel indices of the frame to pixel indices of the plate.
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         turned = np.array([[1 + self.scale, -self.turn], [self.turn, 1 + self.scale]])
         middle = np.array([(width - 1) / 2, (height - 1) / 2])
@@ -57,8 +58,8 @@ class Movement:
         """Return how far the image's corners move [px].
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         half = np.hypot(height, width) / 2
         return float(np.hypot(*self.shift) * max(height, width) + half * np.hypot(self.scale, self.turn))

@@ -17,7 +17,7 @@ def spread_colours(
     are averaged away, so that no pixel only confirms itself.
 
     Args:
-        colours: of any light.
+        colours: colours in any light.
         weights: trust in each pixel's colour, not negative.
         smallest_px: size of the smallest details that are kept [px].
     """

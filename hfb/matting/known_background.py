@@ -161,7 +161,7 @@ def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
     """Alternate between the body's smooth colours and the matte that follows from them.
 
     Args:
-        evidence: of one frame, by `gather_evidence`.
+        evidence: evidence of one frame, by `gather_evidence`.
     """
     seen = cv2.morphologyEx(evidence.body.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     inside = cv2.distanceTransform(seen, cv2.DIST_L2, 3)
@@ -255,7 +255,7 @@ def colour_evidence(
     """Return alpha by one body colour F per pixel, and its terms.
 
     Args:
-        evidence: of one frame, by `gather_evidence`.
+        evidence: evidence of one frame, by `gather_evidence`.
         colours: F, linear light.
         alpha: matte so far: where it is small, F is less certain.
 

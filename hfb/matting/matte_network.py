@@ -75,7 +75,7 @@ class MatteNetwork(nn.Module):
     The second output is the logarithm of the expected error (a Laplace scale) of the first.
 
     Args:
-        channels: of what it sees.
+        channels: number of input channels.
         normalise: made behind every convolution while it is trained, then folded into it; nothing by default.
     """
 

@@ -128,7 +128,7 @@ def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w
     """Reduce an image by area averaging to at most `longer_px` on the longer side; smaller images stay.
 
     Args:
-        picture: of any light.
+        picture: image in any light.
         longer_px: largest length of the longer side [px].
     """
     height, width = picture.shape[:2]
@@ -169,9 +169,9 @@ def scaled_box(
 
     Args:
         box: (top, left, bottom, right) in the reduced image [px].
-        scale: of full to reduced size, down and across.
-        height: of the full image [px].
-        width: of the full image [px].
+        scale: scale of full to reduced size, down and across.
+        height: height of the full image [px].
+        width: width of the full image [px].
     """
     top, left, bottom, right = box
     return (

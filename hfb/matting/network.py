@@ -117,7 +117,8 @@ class RenderConditionedMatting:
     left out of the matte before. Where nobody is left it stays.
 
     Args:
-        frame_linear, plate_linear: in linear light.
+        frame_linear: in linear light.
+        plate_linear: in linear light.
         matte: alpha as it was found before the fit.
     """
 

@@ -63,7 +63,7 @@ def explained_by(
     """Return alpha if the body had these colours, their distance from the plate, and the unexplained rest (all scaled).
 
     Args:
-        colours: of the body, linear light.
+        colours: colours of the body, linear light.
         frame_linear: linear light in [0, 1].
         plate_linear: linear light in [0, 1], in the frame's exposure.
         noise: standard deviation of frame - plate, linear light.
@@ -85,7 +85,7 @@ def unmixed_colours(
         frame_linear: linear light in [0, 1].
         plate_linear: linear light in [0, 1], in the frame's exposure.
         alpha: matte in [0, 1].
-        power: of alpha in the weights with which colours are spread.
+        power: exponent of alpha in the weights with which colours are spread.
     """
     unmixed = np.clip(plate_linear + (frame_linear - plate_linear) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
     partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** power + 1e-6).astype(np.float32)

@@ -44,7 +44,7 @@ def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
     """Write the motion whole or not at all; no pickled member.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         motion: camera coordinates.
         betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
@@ -55,7 +55,7 @@ def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
     """Write a compressed .npz of plain arrays, whole or not at all.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         arrays: by name.
     """
     buffer = io.BytesIO()
@@ -67,7 +67,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
     """Read a motion file; return the motion and the space of its betas.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: not a motion file, or a damaged one.

@@ -76,7 +76,7 @@ class Trajectory:
         """Return the same image motion for a person `factor` times as large, and as far away; ``quaternion`` alone.
 
         Args:
-            factor: of the person's size.
+            factor: factor of the person's size.
             pelvis: rest pelvis of the person before [m]; SMPL's root turns about it.
             new_pelvis: rest pelvis of the person after [m].
         """
@@ -102,7 +102,7 @@ def trajectory_at_rest(
     Args:
         poses: axis-angle [rad], the root first.
         translations: SMPL's translation in camera coordinates [m].
-        degree: of the polynomials.
+        degree: degree of the polynomials.
         kind: how rotations are parametrised.
         origin: time u at which powers are zero.
     """

@@ -48,7 +48,8 @@ class NetworkArchive:
     """A package as its owner published it.
 
     Attributes:
-        source: as in `NetworkFile.source`. name: of the file, for messages.
+        source: as in `NetworkFile.source`.
+        name: name of the file, for messages.
     """
 
     name: str

@@ -19,7 +19,8 @@ class NetworkFile:
     """One network's file, known by its content.
 
     Attributes:
-        source: the package that holds it. member: its name in that package's archive.
+        source: the package that holds it.
+        member: its name in that package's archive.
     """
 
     name: str
@@ -138,7 +139,7 @@ def sha256_of(path: Path) -> str:
     """Return the sha256 of a file's content. Raises OSError.
 
     Args:
-        path: of the file.
+        path: the file.
     """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -41,7 +41,7 @@ class Outputs:
 
     Attributes:
         source: the network's file, for messages.
-        names: of the outputs; empty texts where it has none.
+        names: names of the outputs; empty texts where it has none.
     """
 
     source: Path
@@ -181,7 +181,7 @@ def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels
 
     Args:
         picture_srgb: in [0, 1].
-        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        normalisation: scaling of the values, such as ``signed`` or ``imagenet``.
         channels: ``rgb`` or ``bgr``.
     """
     planes = np.ascontiguousarray(picture_srgb.transpose(2, 0, 1), np.float32)
@@ -197,7 +197,7 @@ def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: 
 
     Args:
         planes: output of a network.
-        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        normalisation: scaling of the values, such as ``signed`` or ``imagenet``.
         channels: ``rgb`` or ``bgr``.
     """
     rgb = planes[:, ::-1] if channels == "bgr" else planes

@@ -44,7 +44,8 @@ class Objective:
         motion_prior: for L_A, which is used for single frames only: neighbours tell the direction better.
         warm_up: compare paths with the network's likelier sign, for several frames too. Afterwards the sign of a single
             frame's path is free, and several frames tell each other's paths.
-        matte_scales, image_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        matte_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        image_scales: number of scales of L_alpha and L_I, each half the size of the last.
     """
 
     observation: Observation
@@ -231,7 +232,7 @@ class Objective:
 
         Args:
             observation: at the stage's size.
-            weights: of the stage.
+            weights: weights of the stage.
             visible: texels visible in some sub-frame; every texel when not given.
         """
         return replace(

@@ -27,7 +27,7 @@ def mean_over_scales(
     A coarse pixel is the mean of the four it covers, as a coarser sensor's would be.
 
     Args:
-        loss: of a prediction, an observation and a matte.
+        loss: loss of a prediction, an observation and a matte.
         predicted: the prediction at full size.
         seen: the observation at full size.
         matte: the person's share of each pixel.

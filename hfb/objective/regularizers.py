@@ -86,7 +86,8 @@ def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 
     limb; this term keeps its estimate where nothing contradicts it.
 
     Args:
-        rotations: of the joints relative to the parents (the root to the camera), the middle of the exposure last.
+        rotations: rotations of the joints relative to the parents (the root to the camera), the middle of the exposure
+            last.
         first: the first body's.
     """
     if compiled(rotations):

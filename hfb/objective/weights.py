@@ -39,7 +39,7 @@ def base_weights(config: FitConfig, n_frames: int) -> Weights:
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
+        n_frames: number of the problem's frames.
     """
     weights = config.weights
     changed = {}
@@ -55,8 +55,8 @@ def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWei
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
-        kind: of stage.
+        n_frames: number of the problem's frames.
+        kind: kind of stage.
     """
     weights = base_weights(config, n_frames)
     if kind == "warm-up":

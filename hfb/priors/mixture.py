@@ -43,9 +43,9 @@ def write_mixture(
 
     Args:
         path: the file.
-        means: of the components.
-        covariances: of the components.
-        weights: of the components.
+        means: means of the components.
+        covariances: covariances of the components.
+        weights: weights of the components.
     """
     arrays = {"means": means, "covariances": covariances, "weights": weights, LIMITS_KEY: np.ones(1)}
     write_bytes_atomic(path, save({name: np.ascontiguousarray(one, np.float32) for name, one in arrays.items()}))

@@ -51,7 +51,7 @@ def columns_of(
     """Return C of motions given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
 
     Args:
-        rotations: of every joint at the instants of `CLOCK`.
+        rotations: rotations of every joint at the instants of `CLOCK`.
         translations: at the same instants [m].
     """
     middle = CLOCK.index(0.5)
@@ -86,8 +86,8 @@ def joint_places(
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translations: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translations: translations of the body [m].
     """
     turns, places = [rotations[:, 0]], [rest[0] + translations]
     for joint in range(1, JOINT_COUNT):

@@ -24,7 +24,8 @@ class MotionPrior:
     """D and G, trained and frozen. It looks at the motion in the body's own frame: no camera changes its answer.
 
     Args:
-        discriminator, corrector: the networks; their weights are never changed through a prior.
+        discriminator: the networks; their weights are never changed through a prior.
+        corrector: the networks; their weights are never changed through a prior.
     """
 
     def __init__(self, discriminator: Discriminator, corrector: Corrector) -> None:

@@ -63,7 +63,7 @@ class CpuRasterizer:
         """Return the arguments of `operators.draw`.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -93,7 +93,7 @@ class CpuRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -110,7 +110,7 @@ class CpuRasterizer:
         """Return the mean of `render` over the sub-frames, without holding the single images.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -129,11 +129,11 @@ class CpuRasterizer:
         """Return losses of `render_mean`, differentiable in the vertices and the texture; one autograd node for both.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
-            loss: of the mean image, with its gradient.
+            loss: loss of the mean image, with its gradient.
         """
         return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), loss)
 
@@ -143,7 +143,7 @@ class CpuRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

@@ -77,10 +77,10 @@ class Observation:
         """Return the scene through a window; outside the image its border is repeated, without a person.
 
         Args:
-            left: of the window [px], may be negative.
-            top: of the window [px], may be negative.
-            width: of the window [px].
-            height: of the window [px].
+            left: left edge of the window [px], may be negative.
+            top: top edge of the window [px], may be negative.
+            width: width of the window [px].
+            height: height of the window [px].
         """
         full_height, full_width = self.mattes.shape[1:]
         window = (

@@ -29,7 +29,7 @@ class Rasterizer(Protocol):
         """Return one image per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1].
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -46,7 +46,7 @@ class Rasterizer(Protocol):
         """Return `render(...).mean(0)`, the averages of eq. (1), without holding the single images.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -59,7 +59,7 @@ class Rasterizer(Protocol):
         """Return the mean of R_S over the sub-frames, which is compared with the matte. Cheaper than `render_mean`.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

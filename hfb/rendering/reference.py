@@ -102,8 +102,8 @@ def coverage(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, w
     Args:
         xy: vertices on the screen [px].
         edges: outline edges (from, to, ...), see `outline_edges`.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     p, q = xy[edges[:, 0]], xy[edges[:, 1]]
     low, high = torch.minimum(p, q)[:, 1], torch.maximum(p, q)[:, 1]
@@ -119,7 +119,7 @@ def barycentric(points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"])
 
     Args:
         points: on the screen [px].
-        corners: of the triangles [px].
+        corners: corners of the triangles [px].
     """
     a, b, c = corners.unbind(-2)
 
@@ -144,11 +144,11 @@ def visible_faces(
 
     Args:
         xy: vertices on the screen [px].
-        inverse_depth: of the vertices [1/m].
+        inverse_depth: inverse depth of the vertices [1/m].
         front: faces that look at the camera.
         faces: vertex numbers of each triangle.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     candidates = front.nonzero().squeeze(1)
     y = xy[faces[candidates]][..., 1]
@@ -176,8 +176,8 @@ def rim_edges(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, 
     Args:
         xy: vertices on the screen [px].
         edges: outline edges (from, to, ...), see `outline_edges`.
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     p = xy[edges[:, 0]]
     d = xy[edges[:, 1]] - p
@@ -297,7 +297,7 @@ class ReferenceRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -314,7 +314,7 @@ class ReferenceRasterizer:
         """Return the mean of `render` over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -327,7 +327,7 @@ class ReferenceRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

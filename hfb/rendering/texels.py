@@ -67,7 +67,7 @@ def visible_texels(
     """Return the texels of an A x A texture that some pixel of some sub-frame samples (its four bilinear neighbours).
 
     Args:
-        vertices: of each sub-frame [m], camera coordinates.
+        vertices: vertices of each sub-frame [m], camera coordinates.
         camera: pinhole camera; its height and width are the image's.
         mesh: faces, edges and texture coordinates of the body.
         size: A, the texture's side [texels].

@@ -61,7 +61,7 @@ class WarpRasterizer:
         """Return the arguments of `cuda_operators.draw_by_warp`.
 
         Args:
-            vertices: of all images' sub-frames, one after another [m], camera coordinates.
+            vertices: vertices of all images' sub-frames, one after another [m], camera coordinates.
             textures: linear light, one per group of cameras; None draws silhouettes alone.
             cameras: one per image, all of one size.
             mesh: faces, edges and texture coordinates of the body.
@@ -90,7 +90,7 @@ class WarpRasterizer:
         """Return `render_mean` of several images (frames, windows, whole fits) at once, which uses a device well.
 
         Args:
-            vertices: of each image's sub-frames [m], camera coordinates.
+            vertices: vertices of each image's sub-frames [m], camera coordinates.
             textures: image p uses number p G / P; colours are zero without any.
             cameras: one per picture, all of one size.
             mesh: faces, edges and texture coordinates of the body.
@@ -109,7 +109,7 @@ class WarpRasterizer:
         """Return one image per sub-frame: R_S R_F and R_S.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -127,7 +127,7 @@ class WarpRasterizer:
         """Return the mean of `render` over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             texture: linear light; None draws silhouettes alone.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
@@ -140,7 +140,7 @@ class WarpRasterizer:
         """Return the mean of R_S over the sub-frames.
 
         Args:
-            vertices: of each sub-frame [m], camera coordinates.
+            vertices: vertices of each sub-frame [m], camera coordinates.
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """

@@ -77,7 +77,7 @@ def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float
     """Return how much more certain the joint network is of a body as found than of its mirror image in depth.
 
     Args:
-        observation: of the body's frame alone.
+        observation: the body's frame alone.
         first: a body found in one frame.
         body: model of the first bodies.
 
@@ -184,7 +184,7 @@ def body_between(
         frame: number of the frame.
         known: bodies by frame number, at least one.
         matte: alpha of the frame.
-        camera: of the frame.
+        camera: camera of the frame.
         body: model of the first bodies.
         rasterizer: draws silhouettes; the compiled one with exact coverage by default.
 
@@ -214,7 +214,7 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
     Args:
         found: bodies by frame.
         present: frames in which the person is seen: others never get a body.
-        longest_fill: of more missed frames in a row none is filled: the clip falls into segments there.
+        longest_fill: longest run of missed frames that is filled; at longer ones the clip is split into segments.
     """
     bodies: list[FirstBody | None] = [found.get(frame) for frame in range(len(present))]
     filled = np.zeros(len(present), bool)

@@ -41,7 +41,7 @@ def look_into_gaps(
     """Add the boxes of frames in which the person is in full view although tracking missed them.
 
     Args:
-        track: of the person.
+        track: track of the person.
         others: everybody else in the clip.
         picture: a frame by its number, encoded like the plate.
         plate: encoded as sRGB, in full size.

@@ -36,8 +36,9 @@ class Track:
     """One person's way through a clip.
 
     Attributes:
-        name: for messages. boxes: left, top, right, bottom [px]; NaN where not visible.
-        areas: of what was seen of the person [px]; a box's own where nothing better is known.
+        name: for messages.
+        boxes: left, top, right, bottom [px]; NaN where not visible.
+        areas: areas of the visible person [px]; the box's own where nothing better is known.
     """
 
     name: str
@@ -55,8 +56,11 @@ class ClipFrames:
     """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
 
     Attributes:
-        count: T. first: of the video's frames. average: how many of them make a picture.
-        height, width: of the pictures [px]; boxes outside of them are of nobody seen.
+        count: T.
+        first: first of the video's frames.
+        average: how many of them make a picture.
+        height: height of the pictures [px]; boxes outside of them are of nobody seen.
+        width: width of the pictures [px]; boxes outside of them are of nobody seen.
     """
 
     count: int
@@ -115,7 +119,7 @@ def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     Without a box, whoever is seen while that one is away counts as the same person, who left and came back.
 
     Args:
-        tracks: of everyone in the clip.
+        tracks: tracks of everyone in the clip.
         choice: a box in a frame, or none.
 
     Raises:
@@ -146,7 +150,7 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
     """Return each person who is seen long enough, and the choice by which `choose_track` finds that one again.
 
     Args:
-        tracks: of everyone in the clip.
+        tracks: tracks of everyone in the clip.
 
     Raises:
         InputError: nobody was seen for long enough.
@@ -217,8 +221,8 @@ def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice
 
     Args:
         box: left, top, right, bottom [px].
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
     """
     extra = _AROUND * max(box[2] - box[0], box[3] - box[1])
     (left, right), (top, bottom) = (

@@ -60,7 +60,7 @@ class FolderMotions:
         """Read one motion; see `MotionSource`.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
         """
         name, paths = self._found[index]
         return _load(name, paths)

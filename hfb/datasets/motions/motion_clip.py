@@ -38,7 +38,7 @@ class MotionSource(Protocol):
         """Read one motion.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
 
         Raises:
             InputError: the file is damaged, of an unknown layout, shorter than two frames or not finite.

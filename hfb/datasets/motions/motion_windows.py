@@ -27,7 +27,9 @@ class Split:
     """Which motions are for what, by their numbers in a source.
 
     Attributes:
-        trained: learned from. held_out: for choosing. tested: for a last measurement, never for choosing.
+        trained: learned from.
+        held_out: for choosing.
+        tested: for a last measurement, never for choosing.
     """
 
     trained: tuple[int, ...]
@@ -39,9 +41,10 @@ def split_motions(names: Sequence[str], test_patterns: Sequence[str], held_out_p
     """Split motions into those to learn from, to test and to hold out, by patterns of their names.
 
     Args:
-        names: of all motions.
+        names: names of all motions.
         test_patterns: shell patterns of names, such as ``cmu_09_*``.
-        held_out_patterns: of those that are left; every fourth of them, in their order, when none are given.
+        held_out_patterns: patterns of the remaining names; every fourth remaining motion, in order, when none are
+            given.
 
     Raises:
         InputError: a pattern fits no motion, or none is left to learn from.
@@ -78,10 +81,10 @@ def draw_columns(
     What is drawn from a motion depends on its name and the seed, not on the other motions.
 
     Args:
-        source: of the motions.
-        numbers: of the motions to use.
+        source: source of the motions.
+        numbers: numbers of the motions to use.
         per_second: how many exposures per second of recording.
-        seed: of the random times.
+        seed: seed of the random times.
         refused: gets the reason by name for each motion that cannot be read.
         on_progress: called with (motions done, motions in all).
     """
@@ -109,7 +112,7 @@ def draw_exposures(
         clip: the recorded motion.
         u: times in exposures, from 0 to 1.
         per_second: exposures per second of recording.
-        generator: of the times.
+        generator: draws the times.
     """
     lasts_s = (len(clip.poses) - 1) / clip.fps
     longest = min(LONGEST_S, lasts_s)
@@ -135,8 +138,8 @@ def take_poses(
     """Return axis-angles of joints 1 to 23 [rad] at regular times of some motions.
 
     Args:
-        source: of the motions.
-        numbers: of the motions to use.
+        source: source of the motions.
+        numbers: numbers of the motions to use.
         per_second: poses per second of recording.
         refused: gets the reason by name for each motion that cannot be read.
         on_progress: called with (motions done, motions in all).

@@ -71,8 +71,8 @@ def has_jump(clip: MotionClip, start_s: float, end_s: float) -> bool:
 
     Args:
         clip: the recorded motion.
-        start_s: of the window, seconds from the clip's first frame.
-        end_s: of the window, likewise.
+        start_s: start of the window, seconds from the clip's first frame.
+        end_s: end of the window, likewise.
     """
     first = max(int(np.floor(start_s * clip.fps)), 0)
     poses = clip.poses[first : int(np.ceil(end_s * clip.fps)) + 1].astype(np.float64)

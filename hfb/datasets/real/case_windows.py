@@ -33,7 +33,7 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
     A window has no dropped frame and, where joints were measured, a row of them for each of its frames.
 
     Args:
-        spec: of the set.
+        spec: specification of the set.
 
     Raises:
         InputError: the folder is missing or holds no video.

@@ -45,7 +45,7 @@ def inspect(recording: Recording, footage: Footage) -> Inspection:
 
     Args:
         recording: the video with its plate, camera and joints.
-        footage: of the video.
+        footage: the video's footage.
 
     Raises:
         InputError: the camera moves, or the joints do not lie on the person.
@@ -87,7 +87,7 @@ def joint_shift(inspections: Sequence[Inspection]) -> int:
     is taken where it is clearly better than none.
 
     Args:
-        inspections: of the videos that share the joints.
+        inspections: inspections of the videos that share the joints.
     """
     total = np.sum([inspection.depths for inspection in inspections], axis=0)
     if not inspections or not total.any():

@@ -45,8 +45,8 @@ def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:
     """Make case `number` (from 1) of the set: the windows in the order of `choose` with the set's own seed.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
+        spec: specification of the set.
+        number: number of the case, from 1.
         folder: written to.
 
     Raises:
@@ -65,9 +65,9 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
     on the clock of a fit. Mattes and cut-outs come from the default matting of the sharp frames: pseudo truths.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
-        window: of a video.
+        spec: specification of the set.
+        number: number of the case, from 1.
+        window: a window of a video.
         folder: written to.
 
     Raises:

@@ -24,7 +24,8 @@ class Exposure:
     """One blurred frame and what it is made of, linear light.
 
     Attributes:
-        mean: of the K sharp frames. matte: mean of their mattes, a pseudo truth as good as the matting.
+        mean: mean of the K sharp frames.
+        matte: mean of their mattes, a pseudo truth as good as the matting.
         masks: where each sharp matte is 0.5 or more.
         cutouts: the sharp frames nearest to u = i / 7, premultiplied with their mattes.
     """

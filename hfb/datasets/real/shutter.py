@@ -17,7 +17,9 @@ class Shutter:
     """T exposures of K frames each, without a gap.
 
     Attributes:
-        average: K. frames: T. fps: of the sharp video.
+        average: K, sharp frames per exposure.
+        frames: T, number of exposures.
+        fps: frame rate of the sharp video.
     """
 
     average: int

@@ -196,7 +196,7 @@ def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"]
     """Return frames per second, which frames are followed by a regular interval, and remarks, from the container.
 
     Args:
-        path: of the video.
+        path: the video file.
         told_fps: by the user; it has priority over the rate of the capture, which has priority over that of the time
             stamps.
     """

@@ -25,7 +25,8 @@ class SeenJoints:
     """Joints at the instants of R sharp frames, in camera coordinates.
 
     Attributes:
-        joints: [m], NaN where unknown. smpl_joints: which joint of SMPL each one is.
+        joints: [m], NaN where unknown.
+        smpl_joints: which joint of SMPL each one is.
         source: what measured them (`truth_source.TruthKind`), or the estimator that saw them.
     """
 
@@ -59,7 +60,7 @@ def measured_joints(
 
     Args:
         markers: measured points.
-        camera: of the video.
+        camera: camera of the video.
         first: number of the first frame in the video.
         count: number of frames.
         kind: how the points were measured.
@@ -74,7 +75,7 @@ def all_points(markers: Markers, camera: CalibratedCamera, first: int, count: in
 
     Args:
         markers: measured points.
-        camera: of the video.
+        camera: camera of the video.
         first: number of the first frame in the video.
         count: number of frames.
     """
@@ -86,8 +87,8 @@ def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> 
     """Return the share of the known joints that project onto the mask of their own frame.
 
     Args:
-        pixels: of the joints [px], NaN where unknown.
-        masks: of the frames.
+        pixels: pixels of the joints [px], NaN where unknown.
+        masks: masks of the frames.
     """
     rows, _ = np.nonzero(np.isfinite(pixels).all(-1))
     x, y = np.floor(pixels[np.isfinite(pixels).all(-1)]).astype(int).T
@@ -111,7 +112,7 @@ class SharpEstimates:
 
         Args:
             frame_linear: sharp frame, linear light.
-            matte: of the frame.
+            matte: matte of the frame.
         """
         try:
             first = self._initializer(frame_linear, self._plate, matte, self._camera, self._body)

@@ -34,7 +34,7 @@ class Box:
         """Widen the box on each side by a share of the longer side.
 
         Args:
-            share: of the longer side.
+            share: share of the longer side.
         """
         pad = share * max(self.right - self.left, self.bottom - self.top)
         return Box(self.left - pad, self.top - pad, self.right + pad, self.bottom + pad)
@@ -42,10 +42,13 @@ class Box:
 
 @dataclass(frozen=True)
 class View:
-    """A window of the full picture at another size; everything in a case is seen through it.
+    """A window of the full image at another size; all images of a case show it.
 
     Attributes:
-        left, top, width, height: the window in the undistorted full picture [px].
+        left: left edge of the window in the undistorted full image [px].
+        top: top edge [px].
+        width: width [px].
+        height: height [px].
         camera: the pinhole of the case's pictures, in this project's pixel convention.
         source: for each pixel of the window where its light lies in the stored picture; None without distortion.
         body: where the chosen person may be, in the case's pictures.
@@ -92,7 +95,7 @@ def make_view(
 
     Args:
         footage: the video.
-        box: of the person in all frames of the case.
+        box: box of the person in all frames of the case.
         full: the camera of the undistorted full picture.
         calibrated: the lens, or None.
         size_px: longer side of the case's pictures; a smaller window is not enlarged.

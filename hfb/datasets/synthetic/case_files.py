@@ -45,10 +45,10 @@ def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"],
     """Write all files, case.json last: a folder that has it is complete.
 
     Args:
-        folder: of the case.
+        folder: the case's folder.
         story: shots, motion and facts of the case.
         plate_linear: background, linear light.
-        rng: of the sensor's noise.
+        rng: draws the sensor's noise.
     """
     case = Case(folder, story.number, story.spec.frames, float(np.mean(story.blur_rates)), {})
     # A case made before must not look whole while its files are replaced.

@@ -51,7 +51,9 @@ class MadeClip:
     """Files of one synthetic clip.
 
     Attributes:
-        source: the folder of its pictures, or its video. background: the clean plate. clip: its clip.toml.
+        source: the folder of its pictures, or its video.
+        background: the clean plate.
+        clip: its clip.toml.
         truth: the true motion (a motion file, many instants per exposure); frames without the person are left out.
     """
 
@@ -83,9 +85,9 @@ def make_clip(
     Args:
         folder: written to.
         frames: number of frames.
-        height: of the frames [px].
-        width: of the frames [px].
-        seed: of person, scenery, motion and noise.
+        height: height of the frames [px].
+        width: width of the frames [px].
+        seed: seed of person, scenery, motion and noise.
         fps: frames per second.
         shutter: share of the frame interval for which the shutter is open.
         gesture: number of the built-in motion; drawn by the seed where not given. A motion that is shorter than the

@@ -27,7 +27,7 @@ def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
 
     Args:
         body: the undressed body.
-        rng: of the outfit.
+        rng: draws the outfit.
     """
     loose = dict.fromkeys(_TRUNK, 1.0) | dict.fromkeys(_CLOSE, 0.8)
     for part in (_SLEEVES, _LEGS):

@@ -23,7 +23,8 @@ class Clock:
 
     Attributes:
         start_s: when the first shutter opens, from the recording's first frame.
-        exposure_s: each time. interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
+        exposure_s: length of each exposure.
+        interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
         instants: per exposure, both ends included.
     """
 
@@ -48,7 +49,8 @@ class Shutter:
     """What may be chosen of a clock.
 
     Attributes:
-        exposures_s: possible exposure times, ascending. grid_hz: of which all instants are multiples; None for any.
+        exposures_s: possible exposure times, ascending.
+        grid_hz: grid of which all instants are multiples; None for any.
     """
 
     exposures_s: tuple[float, ...]
@@ -97,7 +99,7 @@ def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
     BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them.
 
     Args:
-        name: of the set.
+        name: name of the set.
     """
     if name == "bt-amass":
         return Shutter(tuple(count / _AMASS_HZ for count in _AMASS_FRAMES), None)
@@ -110,6 +112,6 @@ def draw_gap(rng: np.random.Generator) -> float:
     """Draw the time between two exposures, in units of one.
 
     Args:
-        rng: of the gap.
+        rng: draws the gap.
     """
     return float(rng.uniform(0, _LARGEST_GAP))

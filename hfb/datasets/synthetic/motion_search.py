@@ -32,7 +32,9 @@ class Candidate:
     """A piece of a motion as a camera sees it.
 
     Attributes:
-        clip: the motion. number: of that motion in its source. blur_rate: roughly, from small pictures.
+        clip: the motion.
+        number: number of that motion in its source.
+        blur_rate: roughly, from small pictures.
     """
 
     clip: MotionClip
@@ -78,7 +80,7 @@ def candidates(
         any_length: draw the exposure time too and take what blur comes of it.
         frames: exposures per case.
         size_px: side of the square images.
-        rng: of motions, times and cameras.
+        rng: draws motions, times and cameras.
     """
     clip, number, person = None, -1, None
     for attempt in range(_DRAWS):

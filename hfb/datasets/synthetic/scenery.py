@@ -29,11 +29,14 @@ _FROM_ABOVE = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Everything that a case's pictures are made of but the motion.
+    """Everything that a case's images show besides the motion.
 
     Attributes:
-        plate_linear: the clean background. texture_linear: of the person, (512, 512).
-        background, texture: file names, or "generated". light: factor by which the room's light changed the texture.
+        plate_linear: the clean background.
+        texture_linear: texture of the person, (512, 512).
+        background: name of the background's file, or "generated".
+        texture: name of the texture's file, or "generated".
+        light: factor by which the room's light changed the texture.
         skipped: pictures that could not be read, with the reason.
     """
 
@@ -55,7 +58,7 @@ def draw_scenery(
         textures: folder of images, likewise.
         body: whose texture coordinates the texture is for.
         size_px: side of the square background.
-        rng: of the choice.
+        rng: draws the choice.
 
     Raises:
         InputError: a folder holds no picture that can be read.

@@ -22,7 +22,7 @@ def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:
     The box is (left, top, width, height) [px] within the full picture; the file holds eight of it, side by side.
 
     Args:
-        path: of the PNG.
+        path: the PNG file.
         pictures: premultiplied linear colour and silhouette.
     """
     alphas = pictures[..., 3].max(0)
@@ -47,7 +47,7 @@ def load_sharp(case: Case, frame: int) -> Float[Array, "8 H W 4"]:
     Colours are those of the 8-bit file.
 
     Args:
-        case: of a set.
+        case: a case of a set.
         frame: its number.
 
     Raises:

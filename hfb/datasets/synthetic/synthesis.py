@@ -51,8 +51,8 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
     The same bytes for the same set, number and usable motions, whatever else is made, where and by how many.
 
     Args:
-        spec: of the set.
-        number: of the case, from 1.
+        spec: specification of the set.
+        number: number of the case, from 1.
         usable: numbers of the motions that can be read, see `hfb.datasets.motions.sources.usable`.
         folder: written to.
 

@@ -23,8 +23,10 @@ class View:
     """What is free in a camera that looks at a person.
 
     Attributes:
-        azimuth_deg: about the world's vertical, from the person's front. elevation_deg: from above where positive.
-        roll_deg: about the line of sight. diagonal_field_deg: between opposite corners of the picture.
+        azimuth_deg: about the world's vertical, from the person's front.
+        elevation_deg: from above where positive.
+        roll_deg: about the line of sight.
+        diagonal_field_deg: between opposite corners of the picture.
         filled: share of the picture's side that the longer side of the person's box takes.
         aside: in [-1, 1], where the box lies (x, y) within what is left.
     """
@@ -50,7 +52,7 @@ def draw_view(rng: np.random.Generator) -> View:
     """Draw a camera in front of the person, mostly a little above the hips.
 
     Args:
-        rng: of the view.
+        rng: draws the view.
     """
     x, y = rng.uniform(-1, 1, 2)
     return View(

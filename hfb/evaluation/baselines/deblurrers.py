@@ -22,7 +22,7 @@ class SharpPictures:
     """Estimated sub-frames of every frame.
 
     Attributes:
-        times: of a frame's sub-frames, in exposures.
+        times: times of a frame's sub-frames, in exposures.
     """
 
     pictures_srgb: Float[Array, "T M H W 3"]

@@ -20,7 +20,8 @@ class Estimate:
 
     Attributes:
         pose: axis-angle [rad], camera frame; None where only joints are known.
-        translation, betas: None where the system does not say; then the start's hold.
+        translation: None where the system does not say; then the start's hold.
+        betas: None where the system does not say; then the start's hold.
         joints: [m], camera axes; NaN where a joint of the 24 is not known.
     """
 
@@ -53,8 +54,8 @@ def interpolate(
     estimate per frame is interpolated from frame to frame.
 
     Args:
-        estimates: of each frame's sub-frames, None where the person was not found; at least one per frame.
-        times: of the sub-frames, in exposures.
+        estimates: estimates of each frame's sub-frames, None where the person was not found; at least one per frame.
+        times: times of the sub-frames, in exposures.
         observation: the blurred frames with their clock.
         starts: first body of each frame, used for what an estimate lacks.
         body: model of the result.

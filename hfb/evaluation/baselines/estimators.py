@@ -132,7 +132,7 @@ def regress_joints(vertices: Float[Array, "V 3"], body: Body, source: str) -> Fl
     """Regress SMPL's joints from a mesh.
 
     Args:
-        vertices: of the mesh [m].
+        vertices: vertices of the mesh [m].
         body: the model whose regressor is used.
         source: where the mesh is from, for the error message.
 

@@ -42,7 +42,7 @@ class HumanFromBlur:
         """Return the same method with the person's height fixed.
 
         Args:
-            height_m: of the person, soles to crown.
+            height_m: height of the person, soles to crown.
         """
         other = copy.copy(self)
         fit = self._config.fit.model_copy(update={"height_m": height_m})

@@ -16,16 +16,16 @@ class Method(Protocol):
     name: str
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Answer one case.
+        """Predict the motion of one case.
 
         Args:
-            case: of its files only oracles, which say so in their names, read the truth; folders of other systems'
-                results are looked up by its number.
-            observation: with estimated mattes.
+            case: gives the number by which other systems' results are looked up; only oracles, which are named so, read
+                its truth.
+            observation: the frames with estimated mattes.
             starts: the static estimate of every frame, the same for all methods.
 
         Raises:
             InputError: this case cannot be answered (nobody found, a network that fails).
-            FloatingPointError: the optimisation or a network left the finite numbers.
+            FloatingPointError: the optimisation or a network gives values that are not finite.
         """
         ...

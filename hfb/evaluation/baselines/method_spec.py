@@ -107,7 +107,8 @@ class MethodSpec(Record):
         config: options of a fit; of every other method only the number of sub-frames and the seed count.
         frames_alone: each frame is fitted as if there were no others.
         oracles: what truth it is given.
-        estimator: of a two-stage oracle. chain: of a deblur-then-estimate method.
+        estimator: estimator of a two-stage oracle.
+        chain: chain of a deblur-then-estimate method.
         digests: networks, folders and priors it reads, by content: two specs are equal only if these are.
     """
 
@@ -219,7 +220,7 @@ def digest(path: Path) -> str:
     """Return the sha256 of a file, or of a folder's files with their names.
 
     Args:
-        path: of a file or a folder.
+        path: a file or a folder.
 
     Raises:
         InputError: nothing lies there, or it cannot be read.

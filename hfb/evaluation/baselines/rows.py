@@ -74,7 +74,7 @@ def poses_at(
     """Interpolate every joint's rotation (axis-angle) between neighbouring estimates by slerp; held beyond the ends.
 
     Args:
-        times_s: of the rows.
+        times_s: times of the rows.
         known_s: when the estimates hold, increasing.
         poses: axis-angle of the estimates [rad].
     """
@@ -98,9 +98,9 @@ def points_at(
     """Interpolate points linearly between neighbouring estimates; held beyond the ends.
 
     Args:
-        times_s: of the rows.
+        times_s: times of the rows.
         known_s: times of the estimates, increasing.
-        points: of the estimates, in any unit.
+        points: points of the estimates, in any unit.
     """
     before, after, share = _between(times_s, known_s)
     weight = share.to(points).view(-1, *(1,) * (points.ndim - 1))

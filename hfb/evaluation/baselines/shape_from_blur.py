@@ -40,11 +40,13 @@ _STAGES = ((64, 50), (128, 60), (256, 60))  # longer side of the region [px], it
 
 @dataclass(frozen=True)
 class _Free:
-    """What SfB optimises.
+    """The variables that SfB optimises.
 
     Attributes:
-        path: polynomial of the centre [m]. turn: of the quaternion, without its constant: the shape has no front.
-        offsets: per vertex, before the bound. axes_m: of the ellipsoid it starts as; fixed.
+        path: polynomial of the centre [m].
+        turn: polynomial of the quaternion without its constant: the shape has no front.
+        offsets: per vertex, before they are bounded.
+        axes_m: axes of the initial ellipsoid; fixed.
     """
 
     path: Float[Tensor, "D1 3"]

@@ -42,7 +42,7 @@ class Sphere:
         """Return each vertex's offset minus the mean of its neighbours'.
 
         Args:
-            offsets: of the vertices, in radii.
+            offsets: offsets of the vertices, in radii.
         """
         return offsets - torch.sparse.mm(self.smoothing, offsets)
 

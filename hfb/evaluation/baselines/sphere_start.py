@@ -46,7 +46,7 @@ def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
 
     Args:
         observation: the blurred frames with their mattes and clock.
-        degree: of the path's polynomial.
+        degree: degree of the path's polynomial.
     """
     moments = [_moments(matte) for matte in observation.mattes if matte.sum() > 0]
     centres, variances = (torch.stack(list(part)) for part in zip(*moments, strict=True))

@@ -41,7 +41,9 @@ class _Nodes:
     """Every frame of every window, in the order of the clip; a frame in two windows is two nodes.
 
     Attributes:
-        owner, place: the window and the frame's place in it. frame: its number in the clip.
+        owner: number of the window.
+        place: the frame's place in the window.
+        frame: its number in the clip.
         linked: whether a node and the next belong to one segment.
     """
 
@@ -58,7 +60,7 @@ def agree_on_directions(
     """Reverse limbs so that windows agree; returns the windows in the order of the clip, and what was reversed.
 
     Args:
-        fits: of one clip, all with one kind, degree and origin of polynomials.
+        fits: fits of one clip, all with one kind, degree and origin of polynomials.
         shaped: the clip's person.
         gaps_u: from each frame's closing shutter to the next one's opening, in exposures.
     """

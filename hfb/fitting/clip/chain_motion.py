@@ -21,13 +21,14 @@ _SLOWEST_M = 0.05
 
 @dataclass(frozen=True)
 class Edge:
-    """Where one frame passes into the next.
+    """The transition from one frame to the next.
 
     Attributes:
         frame: the earlier one.
-        jump_mm, velocity_jump: of the joint that jumps most, as fitted: its place, and its velocity as a share of its
-            speed.
-        left_mm, left_velocity: the same in the joined motion.
+        jump_mm: largest jump of a joint's position, as fitted.
+        velocity_jump: largest jump of a joint's velocity, as fitted, as a share of its speed.
+        left_mm: `jump_mm` of the joined motion.
+        left_velocity: `velocity_jump` of the joined motion.
     """
 
     frame: int
@@ -39,13 +40,15 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class ChainMotion:
-    """Frames in the order of the clip, each with the motions that one or two windows claim for it.
+    """Frames in the order of the clip, each with its motion in one or two windows.
 
     Attributes:
         frames: their numbers in the clip.
-        early, late: the motion of the window that ends in a frame and of the one that begins (or goes on) in it.
+        early: per frame the motion of the window that ends in it.
+        late: per frame the motion of the window that begins (or continues) in it.
         gap_u: from a frame's closing to the next one's opening, in exposures.
-        rows: of the frames whose edge to the next one is closed; meeting: what was found there.
+        rows: rows of the frames whose edge to the next one is closed.
+        meeting: the gap at these edges, as fitted.
         owners: per frame the places of `early` and `late` in the windows: (window, frame of it) twice.
     """
 
@@ -110,7 +113,7 @@ class ChainMotion:
         """Return (frames, unit quaternions, translations [m]) through stretches without the person, `longest` at most.
 
         Args:
-            openings_u: of every frame of the clip's shutter, in exposures.
+            openings_u: opening times of every frame of the clip's shutter, in exposures.
             clock: times of the sub-frames [exposures].
             longest: most frames of a stretch that is bridged.
         """

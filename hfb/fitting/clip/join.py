@@ -64,9 +64,9 @@ def join_windows(
         fits: windows of one clip, in any order.
         body: the body model.
         identity: the one that all windows were fitted with.
-        timing: of the whole clip.
+        timing: timing of the whole clip.
         subframes: N, rows per frame.
-        K: of the full picture [px].
+        K: camera matrix of the full picture [px].
         longest_fill: stretches of at most so many frames without the person are bridged, longer ones are gaps.
 
     Raises:

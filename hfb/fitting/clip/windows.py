@@ -51,13 +51,15 @@ class ClipWindow:
 
 @dataclass(frozen=True)
 class WindowFit:
-    """What the fit of one window found, in metres and camera coordinates.
+    """Result of one window's fit, in metres and camera coordinates.
 
     Attributes:
-        frames, segment: see `ClipWindow`.
+        frames: see `ClipWindow`.
+        segment: see `ClipWindow`.
         texture: linear light; None where the person was known.
-        joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
-        loss: the kept iterate's weighted sum; history: one value per iteration of every term.
+        joint_radius_mm: radius of each joint, see `SampledMotion`; None where the fit estimates none.
+        loss: weighted sum of the kept iterate's terms.
+        history: one value per iteration of every term.
     """
 
     frames: tuple[int, ...]
@@ -103,8 +105,8 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
     """Choose windows that determine the person: in the middle of equal parts of the clip, where most is seen.
 
     Args:
-        windows: of one clip.
-        matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
+        windows: windows of one clip.
+        matte_areas: matte area of every frame of the clip [px], a measure of how much of the person is visible.
         count: how many are chosen at most.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
@@ -145,7 +147,8 @@ class WindowScene:
     """A window and what its fit sees.
 
     Attributes:
-        observation, first_bodies: of the window's frames alone.
+        observation: observation of the window's frames alone.
+        first_bodies: first bodies of the window's frames alone.
         identity: shape and texture to hold fixed; both are fitted where it is not given.
     """
 
@@ -170,7 +173,7 @@ def fit_windows(
         scenes: windows with their observations, first bodies and, where known, identity.
         body: the body model.
         config: options of the fits.
-        seed: of everything random.
+        seed: seed of everything random.
         pose_prior: how unlikely each pose is.
         motion_prior: how people move; the shipped one when not given.
     """

@@ -20,7 +20,8 @@ class ClipPictures:
     """The pictures that a result is matched with.
 
     Attributes:
-        names: of the clip's files, in the order of its frames; empty for a video. frames: of a video, 0 where unknown.
+        names: names of the clip's files, in the order of its frames; empty for a video.
+        frames: frames of a video, 0 where unknown.
     """
 
     names: tuple[str, ...] = ()
@@ -31,7 +32,7 @@ def stem(name: str) -> str:
     """Return an image's name without folders, endings and what systems add to it.
 
     Args:
-        name: of an image, with or without folders.
+        name: name of an image, with or without folders.
     """
     plain = re.split(r"[/\\]", name)[-1]
     return _ADDED.sub("", _SUFFIX.sub("", plain)).lower()
@@ -41,7 +42,7 @@ def number_in(name: str) -> int | None:
     """Return the last number in an image's name.
 
     Args:
-        name: of an image, with or without folders.
+        name: name of an image, with or without folders.
     """
     found = _NUMBER.findall(stem(name))
     return int(found[-1]) if found else None
@@ -53,7 +54,7 @@ def by_pictures(tracks: Sequence[PoseTrack], clip: ClipPictures) -> list[PoseTra
     Rows of pictures that the clip does not have are left out. Where no name fits all stay as they are.
 
     Args:
-        tracks: of one result.
+        tracks: tracks of one result.
         clip: names of its frames' files.
     """
     images = {name for track in tracks for name in track.images or ()}

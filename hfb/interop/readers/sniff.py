@@ -49,8 +49,8 @@ def read_tracks(
 
     Args:
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
-        height: of the pictures [px], for systems that do not say.
-        width: of the pictures [px], for systems that do not say.
+        height: height of the images [px], for systems that do not state it.
+        width: width of the images [px], for systems that do not state it.
         clip: the names of the pictures, for systems that go by names.
 
     Raises:
@@ -100,7 +100,7 @@ def choose_person(
     """Return the named person, else the one with the largest `shown`, else the one seen in most frames.
 
     Args:
-        tracks: of one result.
+        tracks: tracks of one result.
         person: name, or None.
         shown: how much of a person the pictures show.
 

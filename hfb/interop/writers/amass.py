@@ -66,7 +66,7 @@ def write_amass(path: Path, motion: SampledMotion, betas_space: BetasSpace, rate
     """Write the file whole or not at all; see `amass_arrays`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
         betas_space: whose betas these are, ``smpl`` or ``hfb``.
         rate: frames per second of the file.

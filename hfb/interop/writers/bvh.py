@@ -47,7 +47,7 @@ def write_bvh(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `bvh_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, bvh_text(motion).encode())

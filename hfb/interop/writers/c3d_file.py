@@ -66,7 +66,7 @@ def write_c3d(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `c3d_bytes`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, c3d_bytes(motion))

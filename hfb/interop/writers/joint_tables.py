@@ -90,7 +90,7 @@ def write_csv(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `csv_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, csv_text(motion).encode())
@@ -100,7 +100,7 @@ def write_trc(path: Path, motion: SampledMotion) -> None:
     """Write the file whole or not at all; see `trc_text`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
     """
     write_bytes_atomic(path, trc_text(motion).encode())

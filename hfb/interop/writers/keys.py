@@ -33,9 +33,12 @@ class MotionKeys:
 
     Attributes:
         times_s: since the first shutter opened.
-        quaternions: of each joint in its parent's frame (w, x, y, z), each in the hemisphere of the one before.
-        places: where the joints are [m]; translations: SMPL's [m].
-        observed: the shutter was open. present: the person was there, at least in frames on both sides.
+        quaternions: quaternions of each joint in its parent's frame (w, x, y, z), each in the hemisphere of the one
+            before.
+        places: positions of the joints [m].
+        translations: SMPL's translation [m].
+        observed: the shutter was open.
+        present: the person was there, at least in frames on both sides.
     """
 
     times_s: Float[Array, "F"]
@@ -163,7 +166,7 @@ def turned(quaternions: Float[Array, "F 24 4"], by: Float[Array, "4"]) -> Float[
     """Return the poses in another world: the root's rotation followed by a rotation from the camera's frame to it.
 
     Args:
-        quaternions: of each joint (w, x, y, z).
+        quaternions: quaternions of each joint (w, x, y, z).
         by: rotation from the camera's frame to the other world (w, x, y, z).
     """
     w, x, y, z = by

@@ -32,7 +32,7 @@ def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
 
     Args:
         motion: camera coordinates.
-        row: of the motion.
+        row: row of the motion.
         form: ``obj`` or ``ply``.
     """
     frame = int(motion.frame_index[row])
@@ -43,7 +43,7 @@ def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
     """Return the meshes of an earlier export: those of a longer one would stay among the new ones.
 
     Args:
-        folder: of the meshes.
+        folder: the folder of the meshes.
         form: ``obj`` or ``ply``.
 
     Raises:
@@ -75,7 +75,7 @@ def write_meshes(
     """Write one file per sub-frame in place of earlier ones, each whole or not at all; yield each when it is finished.
 
     Args:
-        folder: of the meshes.
+        folder: the folder of the meshes.
         motion: camera coordinates.
         body: model of the motion.
         form: ``obj`` or ``ply``.

@@ -17,9 +17,12 @@ class Skin:
     """The person in the rest pose; vertices on seams of the texture come once per texture coordinate.
 
     Attributes:
-        vertices: [m]. normals: of length one. uv: v = 0 is the top row of the texture.
-        joints, weights: sets of four per vertex, the heaviest first; as many sets as the model needs.
-        corners: of the faces, three each.
+        vertices: [m].
+        normals: normals of length one.
+        uv: v = 0 is the top row of the texture.
+        joints: sets of four per vertex, the heaviest first; as many sets as the model needs.
+        weights: sets of four per vertex, the heaviest first; as many sets as the model needs.
+        corners: corners of the faces, three each.
     """
 
     vertices: Float[Array, "P 3"]

@@ -89,7 +89,7 @@ def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes 
     """Write the file whole or not at all; see `skinned_glb`.
 
     Args:
-        path: of the file.
+        path: the file.
         motion: camera coordinates.
         body: the model that the motion was fitted with.
         texture_png: the person's texture as an sRGB image; a plain colour where there is none.

@@ -22,7 +22,7 @@ def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
     """Read a file's capture rate: Android's entry, Sony's XML or GoPro's settings; None where there is none.
 
     Args:
-        path: of the video.
+        path: the video file.
         metadata: the container's and the stream's.
     """
     for name, text in sorted(metadata.items()):
@@ -49,7 +49,7 @@ def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
     """Return the remark that a file's capture rate is used instead of its time stamps' rate.
 
     Args:
-        name: of the video.
+        name: name of the video.
         capture: the capture rate and its source.
         stored_fps: rate of the time stamps.
     """
@@ -65,7 +65,7 @@ def is_time_mapped(path: Path) -> bool:
     FFmpeg takes every edit for one at full speed and repeats frames; the tracks' own time stamps are the camera's.
 
     Args:
-        path: of the video.
+        path: the video file.
     """
     for _, content in _boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
         size, at = (20, 16) if content[:1] == b"\x01" else (12, 8)  # version, of 64 or 32 bits

@@ -36,13 +36,16 @@ class Footage:
     """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so it travels between processes.
 
     Attributes:
-        source: the video, or the folder or first picture. files: the video, or the pictures in order.
+        source: the video, or the folder or first picture.
+        files: the video, or the pictures in order.
         times_s: when each frame was taken, on the footage's own clock; of an average, its first.
         interval_s: nominal, from frame to frame.
-        average: how many frames of the file are averaged in one. first: number of the range's first frame in the file.
+        average: how many frames of the file are averaged in one.
+        first: number of the range's first frame in the file.
         bits: 8, or 16 where a frame holds more than 8 bits can.
         transfer: the light of the frames that `frames` yields.
-        loss: what a damaged file lost, one sentence. remarks: this and all else that a user should know.
+        loss: what a damaged file lost, one sentence.
+        remarks: this and all else that a user should know.
         recorded_exposure: (seconds, where the file says so) of its metadata.
         lens: whose distortion is taken out of every frame; see `through`.
         tick_s: the resolution of the clock of its time stamps.
@@ -107,7 +110,7 @@ class Footage:
         """Yield some frames as `frames` does; cheaper than one call each.
 
         Args:
-            numbers: of the frames, ascending.
+            numbers: numbers of the frames, ascending.
         """
         if self.index is None or self.average > 1:
             for number in numbers:
@@ -173,7 +176,7 @@ def open_footage(
         stop_s: the same in seconds, on the file's clock from its first frame.
         average: so many neighbouring frames become one, averaged in linear light.
         transfer: how the file stores light.
-        fps: of pictures, which have no clock; wins over a video's own rate: its times are scaled.
+        fps: frame rate of images, which have no clock; it has priority over a video's own rate: its times are scaled.
         scan: ``progressive``: frames are whole pictures, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 
@@ -231,7 +234,7 @@ def _of_video(
     """Return the footage, the number of frames lost, and the wanted frames that can be read as (first, last + 1).
 
     Args:
-        place: of the footage.
+        place: path of the footage.
         files: the video alone.
         wanted: range of frames.
         watched: refuse interlaced frames.

@@ -57,7 +57,7 @@ def is_plate(path: Path) -> bool:
     """Return whether `path` is named like a background plate, which is no frame.
 
     Args:
-        path: of a file.
+        path: a file.
     """
     return _PLATE_NAME.fullmatch(path.stem) is not None
 
@@ -66,6 +66,6 @@ def is_hidden(path: Path) -> bool:
     """Return whether a file is hidden, such as the ._NAME that macOS puts beside NAME on foreign disks.
 
     Args:
-        path: of a file.
+        path: a file.
     """
     return path.name.startswith(".")

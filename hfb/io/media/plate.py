@@ -40,7 +40,7 @@ def find_plate(
     """Return the background as the footage stores images, in [0, 1], and a sentence on its source.
 
     Args:
-        footage: of the clip.
+        footage: the clip's footage.
         how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
             the longest stretch in which nothing moves and nobody stands.
         on_progress: called with (frames looked at, of how many).
@@ -99,7 +99,7 @@ def check_plate(plate: Float[Array, "h w 3"], footage: Footage, sure: bool = Tru
 
     Args:
         plate: encoded like the frames.
-        footage: of the clip.
+        footage: the clip's footage.
         sure: refuse it where it seems to hold a person; else that is returned as a doubt.
 
     Raises:

@@ -16,7 +16,8 @@ class Timing:
     """The clock of a clip.
 
     Attributes:
-        exposure_s: how long the shutter was open, each time. interval_s: nominal, from one opening to the next.
+        exposure_s: how long the shutter was open, each time.
+        interval_s: nominal, from one opening to the next.
         openings_s: when it opened for every frame, since it opened for the first; true also where the rate varies.
         first_opening_s: on the footage's own clock.
         source: where the exposure time comes from, one sentence.
@@ -40,7 +41,7 @@ def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConf
     frames had that interval.
 
     Args:
-        footage: of the clip.
+        footage: the clip's footage.
         exposure: entries of clip.toml.
         config: options.
 
@@ -82,7 +83,7 @@ def regular(times_s: Float[Array, "T"], share: float = 0.25) -> bool:
     """Return whether all intervals between frames equal the median within a share of it.
 
     Args:
-        times_s: of the frames.
+        times_s: times of the frames.
         share: largest relative deviation.
     """
     if len(times_s) < 3:

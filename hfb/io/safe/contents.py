@@ -38,7 +38,7 @@ def read_contents(path: Path) -> Any:
     are pickles, joblib's pickles (compressed ones too), files of torch.save, .npy, .npz and JSON.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: not there, too large, damaged, or a pickle that names code: the sentence says which.

@@ -15,7 +15,7 @@ class Steps:
     """How many steps reading one file may take: all its pickles, and those within them, take from the same.
 
     Args:
-        file_bytes: of the file as it lies on the disk; what is unpacked is as long as somebody wishes.
+        file_bytes: size of the file on disk; its unpacked content may have any size.
     """
 
     def __init__(self, file_bytes: int) -> None:
@@ -78,7 +78,7 @@ def weight_of(argument: Any) -> int:
     """Return the steps that a function spends on an argument.
 
     Args:
-        argument: of the function.
+        argument: argument of the function.
     """
     if isinstance(argument, list | tuple | dict):
         return len(argument)

@@ -257,7 +257,7 @@ def load_from(stream: Bytes, load_torch: TorchReader, outside: Callable[[Any], A
     """Read the next pickle of a stream, which is left at its end.
 
     Args:
-        stream: of bytes, with its limit of steps.
+        stream: bytes with their limit of steps.
         load_torch: reads a file of torch that the pickle holds.
         outside: gives what the pickle refers to outside itself; without it that is an error.
 

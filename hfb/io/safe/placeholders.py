@@ -26,7 +26,7 @@ class Placeholder:
         """Return the first of these attributes that the pickled object had.
 
         Args:
-            *names: of attributes.
+            *names: names of attributes.
 
         Raises:
             InputError: it had none.
@@ -114,7 +114,7 @@ def check_keys(keys: Sequence[Any]) -> None:
     secret, and beside the same text no two numbers have the same.
 
     Args:
-        keys: of the dictionary.
+        keys: keys of the dictionary.
 
     Raises:
         InputError: a key is something else.
@@ -135,7 +135,7 @@ def check_number(key: Any) -> None:
     """Check that a number is below the limit up to which integers are their own hash.
 
     Args:
-        key: of a dictionary.
+        key: key of a dictionary.
 
     Raises:
         InputError: it is something else.
@@ -187,7 +187,7 @@ def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
 
     Args:
         data: bytes, or text.
-        encoding: of a text.
+        encoding: encoding of a text.
 
     Raises:
         InputError: it was given something else.

@@ -150,9 +150,9 @@ def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weigh
     Args:
         transforms: (S, 24, 3, 4), rest body to world.
         rest: (V, 3) [m].
-        starts: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
-        joints: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
-        weights: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        starts: starts of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        joints: joints of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        weights: weights of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     kernels_skinning.skin(*arrays(transforms, rest, starts, joints, weights), vertices.numpy())

@@ -195,9 +195,9 @@ def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices)
     """Transform a point of every instant and store it.
 
     Args:
-        x: of the point, LANES numbers.
-        y: of the point, LANES numbers.
-        z: of the point, LANES numbers.
+        x: x of the point, LANES numbers.
+        y: y of the point, LANES numbers.
+        z: z of the point, LANES numbers.
         table: (24, 12 x LANES), transforms by `spread`.
         starts: (V + 1), where each vertex's joints and weights begin in their lists.
         joints: joint of each skinning weight.

@@ -25,7 +25,7 @@ def anatomy(poses, order, tables, softness, values, gradient):
         poses: (S, 23, 3), axis-angle [rad].
         order: (23, 3), axes of twist and swing, see `twist_swing`.
         tables: (4, 23, 3), lowest, highest, mean, spread [rad].
-        softness: of the limits [rad].
+        softness: width over which the limits set in [rad].
         values: (S), filled.
         gradient: (S, 23, 3), filled.
     """

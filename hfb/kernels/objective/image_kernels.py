@@ -107,8 +107,8 @@ def levels(height, width, scales):
     """Return the table of the levels.
 
     Args:
-        height: of the image [px].
-        width: of the image [px].
+        height: height of the image [px].
+        width: width of the image [px].
         scales: number of levels.
     """
     table = np.zeros((scales + 1, 4), np.int64)
@@ -127,7 +127,7 @@ def sum_up(plate, frame, table):
     Args:
         plate: (H W, 4), the background's colours and 0.
         frame: (H W, 4), the frame's colours and the matte.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
     """
     difference, coarse = np.empty(plate.shape, plate.dtype), np.empty((table[-1, 0], 4), plate.dtype)
     seen = np.zeros((table[-1, 3], 2), np.float64)
@@ -159,7 +159,7 @@ def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales,
         plate: (H W, 4), the background's colours and 0.
         frame: (H W, 4), the frame's colours and the matte.
         window: left, top, right, bottom [px] of all that is drawn.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
         seen: (corners, 2), by `sum_up`.
         image_scales: number of scales of L_I.
         matte_scales: number of scales of L_alpha.
@@ -231,7 +231,7 @@ def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_m
         coarse: (pixels of the list, 4), differences of the other levels.
         plate: (H W, 4), the background's colours and 0.
         window: left, top, right, bottom [px] of all that is drawn.
-        table: of the levels, see the module.
+        table: table of the levels, see the module.
         slopes: (levels, 3), see `compare`.
         by_image: factor of L_I.
         by_matte: factor of L_alpha.

@@ -33,8 +33,11 @@ class Target:
     """A frame, the plate behind it and its matte, and what of both losses is known before anything is drawn.
 
     Args:
-        plate: the clean background B. frame: I, in the same light. matte: alpha_in.
-        image_scales, matte_scales: how many scales each loss has, each half the last.
+        plate: the clean background B.
+        frame: I, in the same light.
+        matte: alpha_in.
+        image_scales: how many scales each loss has, each half the last.
+        matte_scales: how many scales each loss has, each half the last.
     """
 
     def __init__(

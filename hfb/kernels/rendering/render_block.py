@@ -272,7 +272,7 @@ def add_block(pixels, coverage, ends, colours, scale, pictures):
 
     Args:
         pixels: index of each listed pixel.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         ends: (n + 1, 3), see the module.
         colours: (pixels, 4), premultiplied; empty for silhouettes alone.
         scale: factor of the images.
@@ -316,7 +316,7 @@ def pull_block(
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
-        trace: of the block.
+        trace: trace of the block.
         first: number of the first body.
         last: number after the last body.
         of_pictures: (n or 1, H W, C), gradient by the images.

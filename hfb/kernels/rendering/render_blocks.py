@@ -133,7 +133,7 @@ def bodies_at_once(count: int, threads: int, soft: bool) -> int:
     """Return the number of bodies in a block: up to LANES, but work for every thread. Results do not depend on it.
 
     Args:
-        count: of all bodies.
+        count: number of all bodies.
         threads: to draw with.
         soft: whether silhouettes are DIB-R's.
     """

@@ -324,7 +324,7 @@ def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, s
         vertices: (V, 3) [m], camera coordinates.
         lens: fx, fy, cx, cy, nearest depth used, width, height.
         faces: (F, 3), vertex numbers.
-        trace: of the body.
+        trace: trace of the body.
         picture_gradient: (H W, 1).
         scale: factor of the image.
         gradient: (V, 3), filled.
@@ -350,8 +350,8 @@ def draw_body_softly_gradient(
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1.
-        trace: of the body.
-        codes: of the pixels.
+        trace: trace of the body.
+        codes: codes of the pixels.
         picture_gradient: (H W, 4).
         scale: factor of the image.
         gradient: (V, 3), filled.

@@ -51,7 +51,7 @@ class ImageLoss(Protocol):
 
         Args:
             mean: (H, W, 4), zero outside of the box; may be overwritten.
-            box: of all that is drawn.
+            box: box of all that is drawn.
         """
         ...
 
@@ -74,7 +74,7 @@ def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLo
         vertices: (S, V, 3) [m], camera coordinates.
         texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
         setting: camera, mesh and options.
-        loss: of the mean image.
+        loss: loss of the mean image.
     """
     return _RenderedLosses.apply(vertices, texture, setting, loss)
 

@@ -77,8 +77,8 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
         dx: end minus start [px].
         dy: end minus start [px].
         box: left, top, right, bottom [px] of the region.
-        columns: of the pieces, filled.
-        rows: of the pieces, filled.
+        columns: columns of the pieces, filled.
+        rows: rows of the pieces, filled.
         ends: parameter at which each piece ends, filled.
 
     Returns:
@@ -364,7 +364,7 @@ def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, 
         first: per region row the first column touched.
         last: per region row the last column touched.
         box: left, top, right, bottom [px] of the region.
-        width: of the image [px].
+        width: width of the image [px].
         seen: nearest face or edge at each pixel, packed; an empty one leaves the codes out.
         mask: bits of an index, by `mask_for`.
         pixels: index of each pixel, filled.
@@ -425,12 +425,12 @@ def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, w
         piece_pixel: region pixel of each piece.
         piece_edge: edge of each piece.
         piece_span: parameters on the edge.
-        place: of the region's pixels in the lists, see `collect`.
+        place: place of the region's pixels in the lists, see `collect`.
         unsure: places of pixels in which layers may overlap.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         weights: shares of the pieces in unsure pixels.
         owner: place of each piece's pixel, filled.
-        edge: of each piece, filled.
+        edge: edge of each piece, filled.
         shares: derivative of coverage by the edge's two ends (integrals of 1 - t and t along the piece), filled.
     """
     n = 0

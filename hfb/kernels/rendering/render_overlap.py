@@ -34,7 +34,7 @@ def chain_pieces(piece_pixel, place, newest, older, counts):
 
     Args:
         piece_pixel: region pixel of each piece.
-        place: of the region's pixels, see `render_outline.collect`.
+        place: place of the region's pixels, see `render_outline.collect`.
         newest: newest piece of each unsure pixel, updated.
         older: next older piece in each piece's pixel, filled.
         counts: pieces in each unsure pixel, updated.
@@ -206,13 +206,13 @@ def resolve(
         counts: pieces in each unsure pixel.
         pixels: index of each listed pixel.
         windings: mean winding of each listed pixel, updated.
-        width: of the image [px].
+        width: width of the image [px].
         outline: (n, 3), edges (from, to, front face).
         projected: (V, 4), x, y [px], 1/z [1/m].
         older: next older piece in each piece's pixel.
-        edge: of each piece.
+        edge: edge of each piece.
         span: parameters of each piece on its edge.
-        weights: of each piece, filled.
+        weights: weights of each piece, filled.
         member: work space for one pixel's pieces.
         part: work space for one pixel's pieces.
         heights: work space.

@@ -58,7 +58,7 @@ def pack(value, index, mask):
 
     Args:
         value: positive number.
-        index: of a face or an edge.
+        index: number of a face or an edge.
         mask: bits of an index, by `mask_for`.
     """
     return (np.float64(value).view(np.int64) & ~mask) | index
@@ -237,7 +237,7 @@ def trace_outline(sides, edge_vertices, edge_faces, outline):
     """Fill rows (from, to, front face), directed as the front face traverses the edge.
 
     Args:
-        sides: of one body, by `find_outline`.
+        sides: sides of one body, by `find_outline`.
         edge_vertices: (E, 2), vertex numbers.
         edge_faces: (E, 2), faces on both sides.
         outline: (n, 3), filled.

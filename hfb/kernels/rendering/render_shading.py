@@ -200,8 +200,8 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
     Args:
         pixels: index of each listed pixel.
         codes: what each pixel shows.
-        coverage: of each listed pixel.
-        width: of the image [px].
+        coverage: coverage of each listed pixel.
+        width: width of the image [px].
         outline: (n, 3), edges (from, to, front face).
         projected: (V, 4), x, y [px], 1/z [1/m], 0.
         faces: (F, 3), vertex numbers.
@@ -389,14 +389,14 @@ def shade_gradient(
     An empty `on_screen` or `texture_gradient` is skipped.
 
     Args:
-        width: of the image [px].
+        width: width of the image [px].
         faces: (F, 3), vertex numbers.
         uv: (F, 3, 2), texture coordinates of the faces' corners.
         texture: (A, A, 4), the 4th channel 1.
         projected: (V, 4), x, y [px], 1/z [1/m], 0.
         outline: (n, 3), edges (from, to, front face).
         pixels: index of each listed pixel.
-        coverage: of each listed pixel.
+        coverage: coverage of each listed pixel.
         codes: what each pixel shows.
         picture_gradient: (H W, 4), gradient by the image.
         scale: factor of the image.

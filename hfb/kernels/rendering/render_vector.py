@@ -191,11 +191,11 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
         i: position of the first corner in `projected`.
         j: position of the second corner.
         k: position of the third corner.
-        pixel_x: of the pixel [px].
-        pixel_y: of the pixel [px].
-        alpha: of the pixel.
-        u: of the second corner relative to the first.
-        v: of the third corner relative to the first.
+        pixel_x: x of the pixel [px].
+        pixel_y: y of the pixel [px].
+        alpha: alpha of the pixel.
+        u: u of the second corner relative to the first.
+        v: v of the third corner relative to the first.
     """
     signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v)
 

@@ -87,9 +87,9 @@ def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64
     """Return gradients by an edge's ends, through its point closest to a pixel's centre.
 
     Args:
-        centre: of the pixel [px].
-        start: of the edge, x, y [px], 1/z.
-        end: of the edge, likewise.
+        centre: centre of the pixel [px].
+        start: start of the edge, x, y [px], 1/z.
+        end: end of the edge, likewise.
         by_uv: gradient by the share of the end in the texture coordinates, (slope . (uv_end - uv_start)).
     """
     x, y = end[0] - start[0], end[1] - start[1]
@@ -136,7 +136,7 @@ def pull_edges(
         uv: (F, 3), texture coordinates of the faces' corners.
         begins: number of each edge's first piece.
         place: row, column and edge of each piece.
-        shares: of each piece, derivative of coverage by the edge's ends.
+        shares: shares of each piece, derivative of coverage by the edge's ends.
         codes: (B, H, W), what each pixel shows.
         pulls: (B, H, W), gradient by each pixel's coverage, u and v.
         on_ends: (B, E, 2), gradient, filled.

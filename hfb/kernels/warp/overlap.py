@@ -242,7 +242,7 @@ def area_from_piece(
         older: next piece in the chain of each piece.
         span: parameters of each piece on its edge.
         line: start and end of each piece in its pixel.
-        shares: of each piece, updated.
+        shares: shares of each piece, updated.
     """
     at, area = line[piece], wp.float64(0.0)
     low, end = wp.min(at[1], at[3]), wp.max(at[1], at[3])

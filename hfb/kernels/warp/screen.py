@@ -97,7 +97,7 @@ def pack(value: wp.float64, index: wp.int64, mask: wp.int64) -> wp.int64:
 
     Args:
         value: positive number.
-        index: of a face.
+        index: number of a face.
         mask: bits of an index.
     """
     return (wp.cast(value, wp.int64) & (wp.int64(-1) - mask)) | index

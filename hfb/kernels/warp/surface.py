@@ -69,8 +69,8 @@ def point_seen(
 
     Args:
         b: number of the body.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
         code: what the pixel shows.
         projected: (B, V), x, y [px], 1/z [1/m].
         front: (B, F), faces that look at the camera.
@@ -136,8 +136,8 @@ def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, colum
     Args:
         textures: (G, A, A, 3), linear light; empty for silhouettes alone.
         g: number of the texture.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
     """
     return wp.vec3d(
         wp.float64(textures[g, row, column, 0]),
@@ -219,8 +219,8 @@ def add_in_steps(
         value: the colour.
         steps: number of steps in 1.
         g: number of the texture.
-        row: of the pixel or texel.
-        column: of the pixel or texel.
+        row: row of the pixel or texel.
+        column: column of the pixel or texel.
         total: (G, A, A, 3), added to.
     """
     for q in range(3):

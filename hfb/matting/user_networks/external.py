@@ -92,7 +92,7 @@ class BackgroundMattingV2:
         """Load the network; None for an option chooses by the frame's size, or keeps the file's own.
 
         Args:
-            path: of the network's file.
+            path: the network's file.
             backbone_scale: size of the coarse pass relative to the image's.
             refine_mode: how refined patches are chosen.
             refine_pixels: number of refined pixels.

@@ -64,7 +64,7 @@ class ProceduralMotions:
         """Make one motion: 2.2 to 4 s at 120 frames per second.
 
         Args:
-            index: of `names`.
+            index: number of the motion in `names`.
         """
         name, legs, arms = self._plans[index]
         rng = np.random.default_rng(np.random.SeedSequence([self._seed, index]))

@@ -28,10 +28,12 @@ class BvhMotion:
     """What the file says, in its own units and axes; parents come before their children.
 
     Attributes:
-        names: of the joints. parents: number of each joint's parent, -1 for the root.
-        offsets: from the parent, in the parent's frame. ends: where the file has an end site, from its joint; else 0.
-        rotations: of each joint in its parent's frame, unit quaternions (w, x, y, z).
-        places: of each joint in its parent's frame: its position channels where it has them, else its offset.
+        names: names of the joints.
+        parents: number of each joint's parent, -1 for the root.
+        offsets: from the parent, in the parent's frame.
+        ends: where the file has an end site, from its joint; else 0.
+        rotations: rotations of each joint in its parent's frame, unit quaternions (w, x, y, z).
+        places: positions of each joint in its parent's frame: its position channels where it has them, else its offset.
     """
 
     names: tuple[str, ...]

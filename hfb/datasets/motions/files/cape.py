@@ -29,7 +29,7 @@ def load_cape(paths: Sequence[Path], name: str) -> MotionClip:
 
     Args:
         paths: one .npz per frame, in order.
-        name: of the sequence.
+        name: name of the sequence.
 
     Raises:
         InputError: a frame is damaged or of another layout.

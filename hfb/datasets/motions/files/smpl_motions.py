@@ -42,7 +42,7 @@ def load_smpl_motion(path: Path, name: str) -> MotionClip:
 
     Args:
         path: the .npz.
-        name: of the motion.
+        name: name of the motion.
 
     Raises:
         InputError: damaged, an unknown layout (the text names the keys), too short or not finite.
@@ -90,10 +90,10 @@ def check_clip(
     """Check arrays from outside and return them as a clip whose world has y up.
 
     Args:
-        name: of the motion.
+        name: name of the motion.
         path: the file, named in errors.
         poses: axis-angle columns of the first joints [rad]; the others stay at rest.
-        trans: of the root [m], in the file's world.
+        trans: translation of the root [m], in the file's world.
         fps: frames per second.
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
@@ -129,11 +129,11 @@ def uniform_clip(
     Poses are interpolated between them, at the rate that most of them have.
 
     Args:
-        name: of the motion.
+        name: name of the motion.
         path: the file, named in errors.
         poses: axis-angle columns of the first joints [rad].
-        trans: of the root [m], in the file's world.
-        times_s: of the poses, in order.
+        trans: translation of the root [m], in the file's world.
+        times_s: times of the poses, in order.
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
     Raises:

@@ -38,7 +38,8 @@ class JointMap:
 
     Attributes:
         limbs: by SMPL's name (`left_knee`).
-        pelvis: the joint that both legs and the trunk hang from. chest: the one that both arms hang from.
+        pelvis: the joint that both legs and the trunk hang from.
+        chest: the one that both arms hang from.
         collars: what each shoulder hangs from, where that moves apart from the chest.
     """
 
@@ -54,7 +55,7 @@ def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
     """Find a person's joints in a skeleton.
 
     Args:
-        names: of the skeleton's joints.
+        names: names of the skeleton's joints.
         parents: number of each joint's parent, -1 for the root.
 
     Raises:

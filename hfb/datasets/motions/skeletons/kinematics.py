@@ -45,7 +45,7 @@ def joint_positions(
 
     Args:
         world: rotations in the world's frame (w, x, y, z).
-        translations: of the root [m].
+        translations: translations of the root [m].
         rest: rest joints [m].
     """
     places = [rest[0] + translations]

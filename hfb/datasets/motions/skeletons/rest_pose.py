@@ -22,12 +22,13 @@ class Rest:
     """What is known of a skeleton's rest pose, in SMPL's axes (x to the person's left, y up, z forward).
 
     Attributes:
-        axes: rotation from the rest pose's axes to SMPL's. world: from the file's world to one with y up.
+        axes: rotation from the rest pose's axes to SMPL's.
+        world: from the file's world to one with y up.
         upright: whether all angles zero make an upright person, so that every joint's frame is the world's there.
         trunk: what takes SMPL's axes into the frames of `pelvis`, `chest` and `head`.
         collars: rotation of each collar's frame at rest; None where it is not known.
         foot: direction from ankle to toes of a foot that is flat on the ground.
-        leg_length: of thigh and shin together, in the file's unit.
+        leg_length: length of thigh and shin together, in the file's unit.
         remarks: what the user should know about the file.
     """
 
@@ -45,7 +46,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
     """Derive the rest pose from the offsets, and from the motion where the offsets are not enough.
 
     Args:
-        motion: of the foreign skeleton.
+        motion: motion of the foreign skeleton.
         joints: numbers of a person's joints in it.
 
     Raises:

@@ -79,7 +79,7 @@ def retarget(motion: BvhMotion) -> Retargeted:
     Lengths are scaled by the ratio of the legs, so that feet which stand stay.
 
     Args:
-        motion: of the foreign skeleton.
+        motion: motion of the foreign skeleton.
 
     Raises:
         InputError: a person's joints are not all there, have no length between them, or are turned as no person's;

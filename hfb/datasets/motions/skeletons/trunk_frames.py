@@ -27,8 +27,8 @@ def trunk_offsets(
     """Estimate how pelvis, chest and head are turned within their joints' frames.
 
     Args:
-        rotations: of every joint, in a world with y up.
-        places: of every joint [m], in a world with y up.
+        rotations: rotations of every joint, in a world with y up.
+        places: positions of every joint [m], in a world with y up.
         joints: numbers of a person's joints.
         at_rest: offsets by the rest pose.
         trusted: whether the rest pose is an upright person, or of a known skeleton.

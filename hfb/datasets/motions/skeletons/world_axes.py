@@ -26,7 +26,7 @@ def find_up(
     """Return the coordinate axis of the file's world that points up.
 
     Args:
-        places: of every joint in the file's world.
+        places: positions of every joint in the file's world.
         joints: numbers of a person's joints.
         rest_up: the axis along which the trunk points at rest.
         is_pose: whether the rest pose is an upright person.

@@ -18,7 +18,7 @@ def read_bytes(path: Path) -> bytes:
     """Read an image file's content.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
         InputError: it cannot be read, is empty or absurdly large.
@@ -43,7 +43,7 @@ def no_picture(path: Path) -> InputError:
     """Build the error for a file that no decoder reads: it names the file's kind, where that is known.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     try:
         with path.open("rb") as file:
@@ -57,8 +57,8 @@ def damaged(path: Path, error: Exception) -> InputError:
     """Build the error for an image that a decoder could not finish.
 
     Args:
-        path: of the image.
-        error: of the decoder.
+        path: the image file.
+        error: error of the decoder.
     """
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return InputError(f"{path}: the picture is truncated or damaged ({reason}); export or copy it again.")
@@ -68,7 +68,7 @@ def too_large(path: Path, what: str) -> InputError:
     """Build the error for more pixels than `PIXEL_LIMIT`.
 
     Args:
-        path: of the image.
+        path: the image file.
         what: number of pixels or sides, as text.
     """
     return InputError(f"{path}: {what} is over the limit of {PIXEL_LIMIT // 1_000_000} megapixels; make it smaller.")

@@ -66,7 +66,7 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
     Gray becomes RGB, an alpha channel is dropped, the camera's EXIF rotation is applied.
 
     Args:
-        path: of the image.
+        path: the image file.
         transfer: the light that the user knows it to store. ``srgb``: what the file says of its colours counts, they
             become sRGB's; else the values stay as they are.
 
@@ -89,7 +89,7 @@ def picture_size(path: Path) -> tuple[int, int, int]:
     """Return (height, width, bits to store it with) as `decode_picture` gives them; only the file's head is read.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
         InputError: missing, or no picture.

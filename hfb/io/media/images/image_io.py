@@ -32,7 +32,7 @@ def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "
     """Read an image of 8 to 16 bits per channel; see `hfb.io.media.images.image_decoding.decode_picture`.
 
     Args:
-        path: of the image.
+        path: the image file.
         transfer: the light that the user knows it to store; the values stay as they are unless it is ``srgb``.
 
     Raises:
@@ -45,7 +45,7 @@ def stored_png(path: Path) -> bytes:
     """Read a PNG file's bytes after decoding it once as a check; they go into pages and other files.
 
     Args:
-        path: of the image.
+        path: the image file.
 
     Raises:
         InputError: as `read_picture_srgb`, or it is a picture of another kind.
@@ -61,7 +61,7 @@ def recorded_exposure(path: Path) -> tuple[float, str] | None:
     """Return a photograph's exposure time [s] by its EXIF, and where it is stated; None without.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     try:
         with warnings.catch_warnings():
@@ -78,7 +78,7 @@ def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) ->
     """Write an 8 or 16 bit PNG, atomically.
 
     Args:
-        path: of the image.
+        path: the image file.
         picture_srgb: in [0, 1]; clipped, rounded to nearest.
         bits: 8 or 16 per channel.
     """
@@ -89,7 +89,7 @@ def write_matte(path: Path, matte: Float[Array, "H W"]) -> None:
     """Write a 16-bit gray PNG (steps of 1/65535), atomically.
 
     Args:
-        path: of the image.
+        path: the image file.
         matte: in [0, 1].
     """
     _write_levels(Path(path), matte, 16)
@@ -99,7 +99,7 @@ def read_matte(path: Path) -> Float[Array, "H W"]:
     """Read a matte: the mean of the channels of any image that `read_picture_srgb` reads, its values as they are.
 
     Args:
-        path: of the image.
+        path: the image file.
     """
     return read_picture_srgb(path, "linear").mean(-1, dtype=np.float32)
 

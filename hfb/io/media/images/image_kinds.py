@@ -112,7 +112,7 @@ def number(directory: Directory, tag: int, usual: int) -> int:
     """Return a tag's largest whole number.
 
     Args:
-        directory: of a TIFF.
+        directory: directory of a TIFF.
         tag: its number.
         usual: value where the tag is missing or damaged.
     """

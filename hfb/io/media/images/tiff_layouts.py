@@ -39,7 +39,7 @@ def read_unusual(path: Path, data: bytes, directory: Directory) -> tuple[Shaped[
     """Return the levels as stored (not turned), and the highest that their bits hold.
 
     Args:
-        path: of the file, for errors.
+        path: the file, named in errors.
         data: content of the file.
         directory: first one of the TIFF.
 

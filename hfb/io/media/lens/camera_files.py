@@ -30,10 +30,13 @@ class CalibratedCamera:
     """One camera of a calibration, in OpenCV's own pixel convention.
 
     Attributes:
-        K: camera matrix [px]. distortion: OpenCV's coefficients; all zero for a pinhole.
+        K: camera matrix [px].
+        distortion: OpenCV's coefficients; all zero for a pinhole.
         fisheye: whether they are of OpenCV's fisheye model, which is no pinhole with zeros either.
-        R_camera_world, t_m: world to camera, x = R X + t.
-        video: the file's name, where the calibration says it. first_frame: the recording's number of its frame 0.
+        R_camera_world: world to camera, x = R X + t.
+        t_m: world to camera, x = R X + t.
+        video: the file's name, where the calibration says it.
+        first_frame: the recording's number of its frame 0.
     """
 
     name: str
@@ -64,10 +67,10 @@ class CalibratedCamera:
         """Return, for each pixel of a window of the pinhole's image, its position (x, y) in the stored image [px].
 
         Args:
-            left: of the window [px].
-            top: of the window [px].
-            width: of the window [px].
-            height: of the window [px].
+            left: left edge of the window [px].
+            top: top edge of the window [px].
+            width: width of the window [px].
+            height: height of the window [px].
         """
         shifted = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         return np.stack(undistortion_maps(self.K, self.distortion, self.fisheye, shifted, (width, height)))
@@ -100,7 +103,7 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     """Read a Calib*.toml of Pose2Sim or a cameras.json; cameras in the file's order.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
@@ -119,7 +122,7 @@ def camera_of(cameras: tuple[CalibratedCamera, ...], video: str) -> CalibratedCa
     """Return the camera that took a video; see `number_of_camera`.
 
     Args:
-        cameras: of one calibration.
+        cameras: cameras of one calibration.
         video: file name of the video.
     """
     number = number_of_camera([(camera.name, camera.video) for camera in cameras], video)

@@ -43,8 +43,8 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
     Args:
         camera: entries of clip.toml.
         video: the footage's file name: a calibration of several cameras is searched by it where no name is given.
-        height: of the footage's frames [px].
-        width: of the footage's frames [px].
+        height: height of the footage's frames [px].
+        width: width of the footage's frames [px].
 
     Raises:
         InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of pictures of

@@ -34,8 +34,8 @@ class Lens:
         """Return whether an image of this size changes at all when it is undistorted.
 
         Args:
-            height: of the image [px].
-            width: of the image [px].
+            height: height of the image [px].
+            width: width of the image [px].
         """
         return _maps(self, height, width)[0] is not None
 
@@ -63,10 +63,10 @@ def undistortion_maps(
     """Return, for each pixel of a pinhole's image, its position (x, y) in the stored image [px].
 
     Args:
-        K: of the stored image, in OpenCV's convention.
-        distortion: of the stored image, in OpenCV's convention.
+        K: camera matrix of the stored image, in OpenCV's convention.
+        distortion: distortion of the stored image, in OpenCV's convention.
         fisheye: use OpenCV's fisheye model.
-        new_K: of the pinhole.
+        new_K: camera matrix of the pinhole.
         size: (width, height).
     """
     initialize = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap

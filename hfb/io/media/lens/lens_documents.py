@@ -21,7 +21,7 @@ def read_document(path: Path) -> dict[str, Any]:
     """Read a calibration file; empty where it is not a table of entries.
 
     Args:
-        path: of the file.
+        path: the file.
 
     Raises:
         InputError: missing, too large, damaged, or nested without end.

@@ -132,7 +132,7 @@ def plain(word: str) -> str:
     """Return a word without case, spaces and signs: ``Plumb_Bob`` is ``plumbbob``.
 
     Args:
-        word: of a file.
+        word: a word of a file.
     """
     return re.sub(r"[^a-z0-9]", "", word.lower())
 
@@ -141,8 +141,8 @@ def is_fisheye(entries: Mapping[str, Any], coefficients: Float[Array, "n"], wher
     """Return whether coefficients are those of OpenCV's fisheye model; else they are of its standard model.
 
     Args:
-        entries: of one camera in its file.
-        coefficients: of distortion.
+        entries: entries of one camera in its file.
+        coefficients: coefficients of distortion.
         where: begins an error.
 
     Raises:
@@ -173,7 +173,7 @@ def checked_coefficients(values: Float[Array, "n"], fisheye: bool, where: str) -
     """Check coefficients and return them as OpenCV expects them.
 
     Args:
-        values: of a file.
+        values: values of a file.
         fisheye: whether the model is OpenCV's fisheye.
         where: begins an error.
 

@@ -32,7 +32,7 @@ def read_on(
     """Yield frames `start` to `stop` (exclusive) of the `count` that a file has; ends early where the file does.
 
     Args:
-        path: of the video.
+        path: the video file.
         start: first frame.
         stop: frame after the last one.
         count: frames of the whole file.

@@ -34,7 +34,7 @@ class Scan:
         """Prepare the checks of a video.
 
         Args:
-            path: of the video, for errors.
+            path: the video file, named in errors.
             stated: see `stated_interlaced`.
         """
         self._path, self._stated = path, stated

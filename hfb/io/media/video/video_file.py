@@ -22,7 +22,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     """Open a container whose frames may be decoded; the caller closes it.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
         InputError: it holds no video stream, or frames of an absurd size.
@@ -77,9 +77,9 @@ def check_size(path: Path, width: int, height: int) -> None:
     """Check that a frame is not too large.
 
     Args:
-        path: of the video.
-        width: of the frame [px].
-        height: of the frame [px].
+        path: the video file.
+        width: width of the frame [px].
+        height: height of the frame [px].
 
     Raises:
         InputError: it has more pixels than `PIXEL_LIMIT`.

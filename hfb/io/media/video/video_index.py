@@ -35,7 +35,8 @@ class VideoIndex:
         stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
         keys: those of frames that decode by themselves.
         times_s: when they are shown, in seconds.
-        height, width: as shown: the container's rotation is applied, and pixels are square.
+        height: as shown: the container's rotation is applied, and pixels are square.
+        width: as shown: the container's rotation is applied, and pixels are square.
         rate: (frames per second, where that is from), should they have to be counted.
         aspect: width / height of a pixel as stored; see `hfb.io.media.video.video_pixels.pixel_aspect`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
@@ -104,7 +105,7 @@ class VideoIndex:
         """Yield some frames as `frames` does; those between are decoded or skipped.
 
         Args:
-            numbers: of the frames, ascending.
+            numbers: numbers of the frames, ascending.
         """
         worth_a_jump = 3 * len(self.stamps) / max(len(self.keys), 1)
         breaks = np.flatnonzero(np.diff(numbers) > worth_a_jump) + 1
@@ -197,7 +198,7 @@ def index_video(path: Path) -> VideoIndex:
     """Read the numbers of all packets; only one frame is decoded.
 
     Args:
-        path: of the video.
+        path: the video file.
 
     Raises:
         InputError: no video, no frame, high dynamic range, or an absurd size.

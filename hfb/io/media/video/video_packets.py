@@ -47,7 +47,7 @@ def read_packets(container: av.container.InputContainer, stream: av.VideoStream)
 
     Args:
         container: opened.
-        stream: of the video.
+        stream: stream of the video.
     """
     stamps: list[int | None] = []
     keys: list[int] = []
@@ -80,7 +80,7 @@ def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, 
     """Return (frames per second, their source) for frames whose time stamps cannot be used.
 
     Args:
-        stream: of the video.
+        stream: stream of the video.
         times_s: such stamps as there are, ascending [s].
     """
     # A bare stream has no stamps and no header: its "average" is FFmpeg's own assumption, the codec may know better.
@@ -99,7 +99,7 @@ def loss_of(
 
     Args:
         container: opened.
-        stream: of the video.
+        stream: stream of the video.
         packets: by `read_packets`.
         times_s: the packets' time stamps, ascending [s].
     """

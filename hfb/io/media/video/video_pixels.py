@@ -97,7 +97,7 @@ def pixel_aspect(stream: av.VideoStream) -> float:
     1 where the file does not say, says what no camera does, or is within a hundredth of it: encoders round.
 
     Args:
-        stream: of the video.
+        stream: stream of the video.
     """
     aspect = float(stream.sample_aspect_ratio or 1)
     believed = 1 / _MOST_STRETCH <= aspect <= _MOST_STRETCH and abs(aspect - 1) > _AS_GOOD_AS_SQUARE

@@ -23,7 +23,7 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
     """Yield frames `start` to `stop` of a video as sRGB in [0, 1], upright, in square pixels.
 
     Args:
-        path: of the video.
+        path: the video file.
         start: first frame.
         stop: frame after the last one; None for all.
 
@@ -58,7 +58,7 @@ def median_plate(path: Path, frames: Sequence[int], memory_bytes: int = PLATE_BY
     bands of rows, one pass through the video each, so that no more than `memory_bytes` are held.
 
     Args:
-        path: of the video.
+        path: the video file.
         frames: their numbers.
         memory_bytes: most memory that frames take at once.
 

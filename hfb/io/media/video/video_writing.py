@@ -31,7 +31,7 @@ class VideoWriter:
         """Prepare the file; it is created with the first image.
 
         Args:
-            path: of the file.
+            path: the file.
             fps: pictures per second; None where every picture says when it is to be shown.
             comment: kept in the file.
             to_look_at: a third of the work, for what nobody measures.
