@@ -37,10 +37,10 @@ class Body:
     """A body model in the SMPL layout: rest pose T, y up, facing +z, left is +x [m].
 
     Attributes:
-        name: what to call it in reports.
-        betas_space: whose shape coefficients these are; ``"hfb"`` betas mean nothing to SMPL, and the reverse.
+        name: name in reports.
+        betas_space: space of the shape coefficients; ``"hfb"`` betas are meaningless for SMPL, and vice versa.
         licence: terms of the model's file.
-        source: where it came from.
+        source: origin of the model.
         template: mean rest shape.
         shape_directions: displacement of each vertex per unit of beta.
         pose_directions: SMPL's pose blend shapes: displacement of each vertex per unit of the 9 entries of 23 matrices;
@@ -109,7 +109,7 @@ class Body:
         """Return the body in a device's memory; its mesh, which a rasteriser copies for itself, is not moved.
 
         Args:
-            device: where tensors are.
+            device: device for the tensors.
         """
         return self._with_tensors_to(device)
 

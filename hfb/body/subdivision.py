@@ -28,7 +28,7 @@ def subdivide(body: Body) -> Body:
     texture seams stay seams.
 
     Args:
-        body: to subdivide.
+        body: body to subdivide.
     """
     faces = body.mesh.faces.numpy()
     edge_of_side = _edges_of_sides(body.mesh)

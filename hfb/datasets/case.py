@@ -21,7 +21,7 @@ class Case:
     """Where the files of one case lie, and the few facts by which cases are sorted.
 
     Attributes:
-        number: from 1, its place in the set.
+        number: number in the set, from 1.
         blur_rate: mean over the frames of |union of R_S(i)| / |R_S(1)| - 1.
         facts: the whole content of case.json.
     """

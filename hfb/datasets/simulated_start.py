@@ -56,7 +56,7 @@ def simulated_starts(
         truth: its betas count in the body's own space.
         frames: rows of the truth belong to frames 0 .. frames - 1.
         blur_rate: blur rate of the case.
-        body: what the fit will use.
+        body: the model that the fit will use.
         camera: camera of the truth's silhouettes.
         rng: the only source of chance; the same state gives the same bodies.
     """

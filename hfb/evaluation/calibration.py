@@ -61,7 +61,7 @@ def fit_confidence(
         cases: fits whose errors are known.
         names: the features to use.
         exponent: exponent of the law, where it is known already.
-        prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
+        prior: model towards whose coefficients the fit is regularised; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]
     errors = [np.maximum(case.errors_mm[:, 1:].ravel(), _SMALLEST_ERROR_MM) for case in cases]
@@ -107,7 +107,7 @@ def held_out_reliability(
         names: the features to use.
         folds: parts into which the recordings are split.
         exponent: exponent of the law, where it is known already.
-        prior: whose coefficients regularise the fit; zero without one.
+        prior: model towards whose coefficients the fit is regularised; zero without one.
     """
     shares, ranks, radii, errors = [], [], [], []
     for part in _folds([case.recording for case in cases], folds):

@@ -38,7 +38,7 @@ class DirectionEvent:
         grouped: `group_probability` of them.
         agrees: whether each says as the result.
         right: whether the result was right.
-        whole: about the body, not about a limb.
+        whole: whether it concerns the body, not a limb.
         body_right: P(the body is right) in this frame; NaN where it hardly moves.
         signs: signs of the frame.
         frames: number of the fit's frames.

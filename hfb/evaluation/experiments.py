@@ -67,9 +67,9 @@ class Experiment(Record):
         place: its number in the paper, counted in the order of the source.
         label: its name there.
         count: cases of the paper (of ours, where it does not say).
-        methods: what runs by default; ``chains`` need networks or files that only a user can have.
+        methods: methods that run by default; ``chains`` need networks or files that only a user can have.
         start: the paper's row that HfB starts from, where the table has one.
-        differs: what keeps the two sides from being the same experiment, a sentence each.
+        differs: differences between the two experiments, a sentence each.
     """
 
     title: str
@@ -128,7 +128,7 @@ def find_experiment(name: str) -> Experiment:
     """Read one of the paper's tables or figures by its name, such as ``table1``.
 
     Args:
-        name: such as ``table1``.
+        name: name such as ``table1``.
 
     Raises:
         InputError: there is none of that name.

@@ -34,7 +34,7 @@ def mpjpe_mm(
     Args:
         predicted: joints [m].
         truth: joints [m], at the same instants.
-        joints: over which the mean is taken (the alignment uses all); every joint when not given.
+        joints: joints over which the mean is taken (the alignment uses all); every joint when not given.
     """
     return _mean_mm(_aligned_residual(predicted, truth), joints)
 
@@ -47,7 +47,7 @@ def pa_mpjpe_mm(
     Args:
         predicted: joints [m].
         truth: joints [m], at the same instants.
-        joints: over which is aligned and averaged; every joint when not given.
+        joints: joints over which is aligned and averaged; every joint when not given.
     """
     chosen = slice(None) if joints is None else list(joints)
     source, target = _float64(predicted)[:, chosen], _float64(truth)[:, chosen]

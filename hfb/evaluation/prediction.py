@@ -20,7 +20,7 @@ class Prediction:
         joints: joints of a method that estimates joints but no body (then ``motion`` is None): camera axes [m], only
             their places relative to each other count; NaN where the method does not know a joint of the 24.
         alternatives: other motions that the method thinks possible, with their probabilities.
-        joint_features: what the motion's ``joint_radius_mm`` was computed from, for later calibrations.
+        joint_features: features behind the motion's ``joint_radius_mm``, for later calibrations.
     """
 
     motion: SampledMotion | None

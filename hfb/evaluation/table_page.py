@@ -42,7 +42,7 @@ def table_markdown(
     """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
-        summary: what `summarize` returns (or summary.json holds).
+        summary: result of `summarize`, or content of summary.json.
         notes: on how it was made (starts, mattes, body ...); a line under the title.
         metrics: blocks in their order; the paper's of this set when not given.
         oracles: methods that see the truth: in italics, and never best. `is_oracle` tells when not given.
@@ -80,7 +80,7 @@ def number(value: float | None, digits: int) -> str:
 
     Args:
         value: or None where it is unknown.
-        digits: after the point.
+        digits: number of decimals.
     """
     return UNKNOWN if value is None else f"{value:.{digits}f}"
 
@@ -90,7 +90,7 @@ def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
 
     Args:
         bounds: low and high, or None.
-        digits: after the point.
+        digits: number of decimals.
         cases: n.
     """
     if bounds is None:

@@ -30,8 +30,8 @@ def summarize(
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as in cases.parquet.
         set_name: name of the set of cases.
-        count: how many cases were asked for.
-        skipped: what could not be used, and why.
+        count: number of cases that were asked for.
+        skipped: unusable cases with their reasons.
         seed: seed of the set.
         bins: intervals of blur rates, ascending; a rate on an edge belongs to the upper one, the last is closed.
         methods: their order; methods that are not named follow by name, named ones without rows have n = 0.

@@ -42,8 +42,8 @@ class ResultWarning(Record):
     Attributes:
         code: for programs, such as ``"trunk_spin"``.
         value: the figure that is out of bounds.
-        frames: where; empty where it is the whole input.
-        message: what is wrong and what to do, one sentence.
+        frames: numbers of the frames; empty for the whole input.
+        message: problem and remedy, one sentence.
     """
 
     code: str

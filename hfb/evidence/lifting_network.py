@@ -129,7 +129,7 @@ def lift_depth(
 
     Args:
         joints: in the units of their windows; only x and y are looked at.
-        start: what the fit began from.
+        start: start of the fit.
         lengths: as of `LiftingNetwork`.
         perspective: as of `LiftingNetwork`.
     """

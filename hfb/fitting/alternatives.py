@@ -148,7 +148,7 @@ def save_alternatives(
     Args:
         path: the file.
         alternatives: motions with their probabilities.
-        joint_features: what the joints' radii were computed from; calibrations read them.
+        joint_features: features behind the joints' radii; calibrations read them.
     """
     arrays = {name: np.asarray(getattr(alternatives, name)) for name in _ARRAYS}
     arrays |= {name: arrays[name].astype(np.float32) for name in ("poses", "trans", "joints")}

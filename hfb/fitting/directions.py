@@ -68,7 +68,7 @@ def search_directions(
     """Find the likeliest directions of a motion; the fitted motion stays bit for bit where none is likelier.
 
     Args:
-        found: what was fitted; its shape and texture are kept by every hypothesis.
+        found: fitted variables; every hypothesis keeps their shape and texture.
         coarse: the objective of the last stage at a small picture size: there hypotheses are refitted and compared.
         fine: the objective of the last stage: there the winner is polished, where it is another than what was fitted.
             Its motion prior is what knows time's arrow; without one a picture says nothing about the whole body.

@@ -110,9 +110,9 @@ def fit(
         body: the body model.
         config: options of the fit.
         seed: seed of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: called at the beginning of every stage and after every iteration; see `Progress`.
-        motion_prior: how people move, for the directions; the shipped one when not given.
+        motion_prior: prior of the motion, for the directions; the shipped one when not given.
         identity: known shape and texture, held fixed; the first bodies must have that shape.
 
     Raises:
@@ -145,7 +145,7 @@ def fit_all(
         body: the body model.
         config: options of all fits.
         seed: seed of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: as of `fit`; of a batch with the mean loss.
         motion_prior: as of `fit`.
         batch_size: on a device a batch is padded to this size, so that results do not depend on the other fits in it.

@@ -36,7 +36,7 @@ class StageClock:
         """Time the work inside as one stage.
 
         Args:
-            name: such as `stage_1`.
+            name: name such as `stage_1`.
         """
         self._name = name
         self._report(name.replace("_", " "))
@@ -61,7 +61,7 @@ class StageClock:
         """Count iterations that a stage ends without.
 
         Args:
-            n_iterations: that are left out.
+            n_iterations: number of iterations that are left out.
         """
         self._done += n_iterations
 

@@ -122,7 +122,7 @@ def cosine_decay(iteration: int, iterations: int) -> float:
     """Return the factor of the learning rate: from 1 to 1/20 along a half cosine.
 
     Args:
-        iteration: from 0 on.
+        iteration: number of the iteration, from 0 on.
         iterations: number of the stage's iterations.
     """
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2

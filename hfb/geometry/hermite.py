@@ -59,7 +59,7 @@ class Meeting:
         Args:
             away: time to the meeting, in exposures.
             side: 0 for the earlier motion.
-            reach: from there on nothing is added.
+            reach: distance from which on the correction is zero.
         """
         s = (1 - away / reach).clamp(0, 1)
         sign = 1 - 2 * side
@@ -78,7 +78,7 @@ class Meeting:
 
         Args:
             share: share of the interval in time, 0 to 1.
-            span: how long it lasts, in exposures.
+            span: length of the bridge, in exposures.
         """
         s = share
         lasts = span[:, None]
@@ -100,7 +100,7 @@ def blend_rotations(
     Args:
         one: unit quaternion at share 0.
         other: unit quaternion at share 1.
-        share: from 0 to 1.
+        share: weight of `other`, from 0 to 1.
     """
     return turned_by(one, share * log_about(one, other))
 

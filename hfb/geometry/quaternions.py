@@ -67,7 +67,7 @@ def rotate(quaternion: Float[Array, "*a 4"], vector: Float[Array, "*b 3"]) -> Fl
 
     Args:
         quaternion: (w, x, y, z).
-        vector: to rotate.
+        vector: vectors to rotate.
     """
     w, xyz = quaternion[..., :1], quaternion[..., 1:]
     across = 2 * np.cross(xyz, vector)

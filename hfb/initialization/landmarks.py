@@ -88,7 +88,7 @@ class Landmarks:
         world: metres, hips at the origin; x right, y down, z away along the view ray of the region's centre.
         visibility: probability that a point is inside the picture and not hidden.
         score: probability that there is a person in the region.
-        next_region: where the network would look for the same person again.
+        next_region: region for the next pass over the same person.
     """
 
     pixels: Float[Array, "33 2"]

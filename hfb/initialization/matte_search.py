@@ -224,7 +224,7 @@ def body_from_template(
     Args:
         templates: silhouettes of the bank.
         index: number of the template.
-        roll: about the optical axis [rad].
+        roll: angle about the optical axis [rad].
         moments: moments of the matte.
         camera: camera of the image.
         body: the body model.

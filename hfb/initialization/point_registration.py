@@ -196,7 +196,7 @@ def _shape_given_turns(
     """Fit betas by least squares: with the rotations known, posed points are linear in betas and translation.
 
     Args:
-        body: to fit.
+        body: body to fit.
         rotations: rotations of each joint in its parent's frame.
         goal: the points' targets [m].
         known: which targets are known.

@@ -131,7 +131,7 @@ def refine(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     return refine_all([first], None, matte, camera, body, rasterizer, stages, stay)[0][0]
 
@@ -156,7 +156,7 @@ def refine_swept(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     (found,), moved = refine_all([first], travel_m[None], matte, camera, body, rasterizer, stages, stay)
     assert moved is not None
@@ -183,7 +183,7 @@ def refine_all(
         body: the body model.
         rasterizer: renders the silhouettes.
         stages: image sizes and iterations.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
 
     Raises:
         ValueError: several bodies whose betas differ, or a stage that moves them.

@@ -94,7 +94,7 @@ def carried_along(
         camera: camera of the image.
         body: the body model.
         rasterizer: renders the silhouettes.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     rough = replace(_ROUGH, learning_rate=0.03)
     first, travel = refine_swept(first, path_m, matte, camera, body, rasterizer, [rough], stay)
@@ -112,7 +112,7 @@ def refined_swept(
         camera: camera of the image.
         body: the body model.
         rasterizer: renders the silhouettes.
-        stay: how strongly the start is held.
+        stay: weights that hold the result near the start.
     """
     first, travel = refine_swept(swept.first, swept.travel_m, matte, camera, body, rasterizer, [_FINE], stay)
     level = matte_level(matte, camera, _FINE.size_px)

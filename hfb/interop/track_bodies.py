@@ -123,7 +123,7 @@ def on_matte(
     known either, twelve are tried.
 
     Args:
-        first: to start from.
+        first: body to start from.
         turn_is_known: whether the root's rotation about the vertical is known.
         matte: matte of the frame, in [0, 1].
         camera: camera of the frame.

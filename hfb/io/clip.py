@@ -100,7 +100,7 @@ class ClipExposure(_ClipRecord):
         """Return the exposure [s] for a frame interval; None where the file does not state one.
 
         Args:
-            interval_s: from frame to frame.
+            interval_s: time from frame to frame.
         """
         if self.shutter_fraction is not None:
             return self.shutter_fraction * interval_s
@@ -115,7 +115,7 @@ class PersonChoice(_ClipRecord):
     Everyone: each of them in turn, as if each had been chosen.
 
     Attributes:
-        height_m: how tall the person is, where it is known.
+        height_m: the person's height, where it is known.
     """
 
     which: Literal["largest", "everyone"] = "largest"

@@ -90,7 +90,7 @@ def entries_below(folder: Path) -> Iterator[Path]:
     """Yield everything in a folder and in the folders below it that is no folder itself; links are not followed.
 
     Args:
-        folder: to list.
+        folder: folder to list.
 
     Raises:
         NotOrdinary: folders are nested more deeply than hfb nests any, or may not be read.
@@ -198,7 +198,7 @@ def check_readable(path: Path) -> None:
     """Check that a path, links followed, neither blocks nor acts when it is opened.
 
     Args:
-        path: that a user named.
+        path: path from the user.
 
     Raises:
         OSError: it is a named pipe, a device or a socket, or missing.

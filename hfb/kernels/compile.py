@@ -200,7 +200,7 @@ def entry(function):
     """Compile a function that Python calls, and cache the machine code for later processes.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**JIT)(function), function)
 
@@ -209,7 +209,7 @@ def loop_entry(function):
     """Apply `entry` to a function that allocates nothing.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**LOOP)(function), function)
 
@@ -218,6 +218,6 @@ def sum_entry(function):
     """Apply `loop_entry`, and let the compiler reorder sums.
 
     Args:
-        function: to compile.
+        function: function to compile.
     """
     return _cached(njit(**_SUM)(function), function)

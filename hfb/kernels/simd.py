@@ -22,7 +22,7 @@ def address(context, builder, array_type, array, position, count):
         context: numba's target context.
         builder: llvmlite's builder.
         array_type: numba's type of the array.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
         count: number of numbers.
     """
@@ -38,7 +38,7 @@ def load(context, builder, array_type, array, position, count):
         context: numba's target context.
         builder: llvmlite's builder.
         array_type: numba's type of the array.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
         count: number of numbers.
     """
@@ -151,7 +151,7 @@ def lanes(typingctx, number):
 
     Args:
         typingctx: numba's typing context.
-        number: to repeat.
+        number: number to repeat.
     """
     kind = _eight.get(number, _lanes)
 
@@ -201,7 +201,7 @@ def store_lanes(typingctx, array, position, value):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
         value: lanes.
     """
@@ -222,7 +222,7 @@ def load_apart(typingctx, array, position, stride):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
         stride: numbers from one lane to the next.
     """
@@ -247,7 +247,7 @@ def store_apart(typingctx, array, position, stride, value):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
         stride: numbers from one lane to the next.
         value: lanes.
@@ -338,7 +338,7 @@ def four(typingctx, number):
 
     Args:
         typingctx: numba's typing context.
-        number: to repeat.
+        number: number to repeat.
     """
     kind = _four[types.float64]
 
@@ -515,7 +515,7 @@ def insert_sorted(typingctx, sorted_lanes, number):
     Args:
         typingctx: numba's typing context.
         sorted_lanes: ascending.
-        number: to insert.
+        number: number to insert.
     """
 
     def codegen(context, builder, signature, arguments):
@@ -550,7 +550,7 @@ def prefetch(typingctx, array, position):
 
     Args:
         typingctx: numba's typing context.
-        array: to access.
+        array: array to access.
         position: position of the first number in the array.
     """
 

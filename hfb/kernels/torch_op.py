@@ -21,7 +21,7 @@ def arrays(*tensors: Tensor) -> list[Array]:
     """Return contiguous arrays of tensors, in the tensors' own memory where they are contiguous.
 
     Args:
-        *tensors: to convert.
+        *tensors: tensors to convert.
     """
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 

@@ -86,7 +86,7 @@ def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Floa
 
     Args:
         plate_linear: linear light in [0, 1], from the same camera in the same size.
-        movement: from frame to plate, by `find_movement`.
+        movement: movement from frame to plate, by `find_movement`.
     """
     # large pictures are shrunk before a matte is found, which removes what the higher degree keeps
     degree = _FINEST_DEGREE if max(plate_linear.shape[:2]) <= _LEVELS_PX[-1] else _DEGREE

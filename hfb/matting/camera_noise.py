@@ -48,7 +48,7 @@ def noise_srgb(
     Args:
         difference_srgb: frame minus plate.
         plate_srgb: in [0, 1].
-        empty: where certainly nobody is (the fit's sample).
+        empty: pixels that certainly show background only (the sample of the fit).
     """
     gray = cv2.GaussianBlur(plate_srgb.mean(-1), (0, 0), 0.7)
     contrast = cv2.blur(np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8, (3, 3))

@@ -34,7 +34,7 @@ def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
 
     Args:
         motion: camera coordinates.
-        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+        betas_space: space of the shape coefficients: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
     return known | {"betas_space": np.array(betas_space)}
@@ -46,7 +46,7 @@ def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
     Args:
         path: the .npz file.
         motion: camera coordinates.
-        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+        betas_space: space of the shape coefficients: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     write_arrays(path, motion_arrays(motion, betas_space))
 

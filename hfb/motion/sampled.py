@@ -25,8 +25,8 @@ class SampledMotion:
         times_s: time since the first shutter opened [s].
         frame_index: the frame each row belongs to.
         K: camera matrix of the full picture [px].
-        joint_radius_mm: where the method says how sure it is: the joint's error about the pelvis (after one rotation of
-            the sequence) is below it with a probability of one half; zero for the pelvis.
+        joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
+            method estimates it; zero for the pelvis.
     """
 
     poses: Float[Array, "R 72"]

@@ -33,7 +33,7 @@ class Trajectory:
     Attributes:
         rotation: coefficients, the constants first.
         translation: coefficients, the constants first.
-        anchor: where distances of the ``axis-angle`` kind are measured from [m].
+        anchor: origin of the distances of the ``axis-angle`` kind [m].
         origin: the u at which all higher terms vanish (0: start of the exposure, 0.5: its middle).
     """
 
@@ -103,7 +103,7 @@ def trajectory_at_rest(
         poses: axis-angle [rad], the root first.
         translations: SMPL's translation in camera coordinates [m].
         degree: degree of the polynomials.
-        kind: how rotations are parametrised.
+        kind: parametrisation of rotations.
         origin: time u at which powers are zero.
     """
     frames = poses.shape[0]

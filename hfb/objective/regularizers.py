@@ -15,7 +15,7 @@ def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23
     """Return L_P = 1/N sum_i prior(theta_i), eq. (6).
 
     Args:
-        prior: how unlikely each pose is, >= 0; a `hfb.priors.pose.PosePrior`.
+        prior: a `hfb.priors.pose.PosePrior`; its values are not negative.
         axis_angle: the joints below the root in every sub-frame [rad].
     """
     return prior(axis_angle).mean()

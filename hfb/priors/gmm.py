@@ -20,7 +20,7 @@ class GmmPrior:
         means: mu_k, axis-angle of joints 1 to 23 [rad].
         covariances: Sigma_k.
         weights: w_k; they are normalised to sum to one.
-        source: what to call the file in messages.
+        source: the file's name in messages.
 
     Raises:
         InputError: the sizes do not belong to SMPL's 69 angles, or a covariance is not positive definite.

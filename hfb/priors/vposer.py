@@ -83,7 +83,7 @@ class VPoserPrior:
 
         Args:
             state: with or without a prefix such as ``vp_model.`` before the names.
-            source: what to call the file in messages.
+            source: the file's name in messages.
 
         Raises:
             InputError: neither version's layers, or layers that do not fit together.

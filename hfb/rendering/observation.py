@@ -21,8 +21,8 @@ class Observation:
         frames_linear: the blurred pictures, in the light in which blur is an average.
         plate_linear: the clean background.
         mattes: the person's share of each pixel, alpha_in.
-        exposure_s: how long the shutter was open [s].
-        interval_s: from one opening to the next [s].
+        exposure_s: length of each exposure.
+        interval_s: time from one opening of the shutter to the next.
         light: which light ``_linear`` means here; ``"srgb"`` for sets whose blur was averaged in sRGB.
     """
 

@@ -42,7 +42,7 @@ def soft_mask(
 
     Args:
         xy: vertices on the screen [px].
-        faces: that contribute, whatever side they turn to the camera.
+        faces: faces that contribute, whatever side they turn to the camera.
         owners: numbers by which the result names the faces.
         covered: pixels inside the silhouette.
         camera: pinhole camera; its height and width are the image's.

@@ -58,7 +58,7 @@ class ClipFrames:
     Attributes:
         count: T.
         first: first of the video's frames.
-        average: how many of them make a picture.
+        average: number of them in each image.
         height: height of the pictures [px]; boxes outside of them are of nobody seen.
         width: width of the pictures [px]; boxes outside of them are of nobody seen.
     """
@@ -243,7 +243,7 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
 
     Args:
         path: the other system's file.
-        track_id: whose; may be left out where the file holds one person.
+        track_id: person's id; may be left out where the file has one person.
         frames: the clip's frames within the video.
 
     Raises:

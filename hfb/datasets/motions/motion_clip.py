@@ -12,7 +12,7 @@ class MotionClip:
     """A recorded or made motion in the SMPL layout; the world's y axis points up [m].
 
     Attributes:
-        name: what to call it in reports; unique within its source.
+        name: name in reports; unique within its source.
         poses: axis-angle [rad]; the root's turns the rest body (y up, facing +z, its left +x) into the world.
         translations: SMPL's translation [m].
         fps: frames per second of the recording.

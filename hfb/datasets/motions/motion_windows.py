@@ -27,9 +27,9 @@ class Split:
     """Which motions are for what, by their numbers in a source.
 
     Attributes:
-        trained: learned from.
-        held_out: for choosing.
-        tested: for a last measurement, never for choosing.
+        trained: motions to learn from.
+        held_out: motions for choices.
+        tested: motions for the final measurement, never for choices.
     """
 
     trained: tuple[int, ...]
@@ -83,7 +83,7 @@ def draw_columns(
     Args:
         source: source of the motions.
         numbers: numbers of the motions to use.
-        per_second: how many exposures per second of recording.
+        per_second: number of exposures per second of recording.
         seed: seed of the random times.
         refused: gets the reason by name for each motion that cannot be read.
         on_progress: called with (motions done, motions in all).

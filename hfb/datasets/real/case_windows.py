@@ -19,7 +19,7 @@ class RealWindow:
 
     Attributes:
         first: number of its first frame in the video.
-        remarks: what a reader of the results should know about the recording.
+        remarks: remarks on the recording for readers of the results.
     """
 
     recording: Recording
@@ -77,7 +77,7 @@ def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWin
     every prefix is spread out, and a longer choice begins with the shorter one.
 
     Args:
-        windows: to choose from.
+        windows: windows to choose from.
         count: largest number of chosen windows.
         seed: rotates the order.
     """

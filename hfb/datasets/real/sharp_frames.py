@@ -26,7 +26,7 @@ class Exposure:
     Attributes:
         mean: mean of the K sharp frames.
         matte: mean of their mattes, a pseudo truth as good as the matting.
-        masks: where each sharp matte is 0.5 or more.
+        masks: pixels in which each sharp matte is 0.5 or more.
         cutouts: the sharp frames nearest to u = i / 7, premultiplied with their mattes.
     """
 
@@ -62,7 +62,7 @@ def expose(
         plate: through the same view, linear.
         first: number of the case's first frame in the video.
         shutter: sharp frames per blurred one, and blurred frames.
-        boxes: where the person may be in each sharp frame, in the case's pictures; None for everywhere in the view.
+        boxes: possible region of the person in each sharp frame, in the case's images; None for the whole view.
         on_frame: called with every sharp frame and its matte.
 
     Raises:

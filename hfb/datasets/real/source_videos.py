@@ -39,11 +39,11 @@ class Footage:
     Attributes:
         path: the video file, or the first of its numbered pictures.
         pictures: the numbered pictures in order; empty for a video file.
-        stem: what files that belong to it are named after.
+        stem: name without ending, shared by its companion files.
         fps: frames per second; fps_known is False where nothing says and 30 was assumed.
         steady: for every frame but the last, whether the next one follows after one regular interval.
         clip: its clip.toml, or an empty one.
-        remarks: what a user should know of how it is read.
+        remarks: remarks for the user on how it is read.
     """
 
     path: Path

@@ -27,7 +27,7 @@ class SeenJoints:
     Attributes:
         joints: [m], NaN where unknown.
         smpl_joints: which joint of SMPL each one is.
-        source: what measured them (`truth_source.TruthKind`), or the estimator that saw them.
+        source: how they were measured (`truth_source.TruthKind`), or the estimator.
     """
 
     joints: Float[Array, "R P 3"]

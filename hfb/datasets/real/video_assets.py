@@ -31,7 +31,7 @@ class Recording:
         calibration: Calib*.toml or cameras.json that has the video's camera; None without one.
         joints: .trc or joints3d.npz; None without measured joints.
         y_up: whether the .trc has y up where the calibration's world has z up.
-        shift: how many rows the joints of a frame lie behind where the calibration says (see inspection.py).
+        shift: number of rows by which the joints lag behind the calibration's frames (see inspection.py).
     """
 
     video: Path

@@ -51,7 +51,7 @@ class View:
         height: height [px].
         camera: the pinhole of the case's pictures, in this project's pixel convention.
         source: for each pixel of the window where its light lies in the stored picture; None without distortion.
-        body: where the chosen person may be, in the case's pictures.
+        body: possible region of the chosen person, in the case's images.
     """
 
     footage: Footage
@@ -99,7 +99,7 @@ def make_view(
         full: the camera of the undistorted full picture.
         calibrated: the lens, or None.
         size_px: longer side of the case's pictures; a smaller window is not enlarged.
-        body: where the person may be, in a small full picture; None for everywhere.
+        body: possible region of the person, in a reduced full image; None for everywhere.
 
     Raises:
         InputError: the person is too small.

@@ -22,9 +22,9 @@ class Clock:
     """T exposures of one camera, in seconds of a recording.
 
     Attributes:
-        start_s: when the first shutter opens, from the recording's first frame.
+        start_s: first opening of the shutter, from the recording's first frame.
         exposure_s: length of each exposure.
-        interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
+        interval_s: time from opening to opening; exactly 1 / fps of the file that states it.
         instants: per exposure, both ends included.
     """
 

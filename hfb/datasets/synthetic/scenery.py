@@ -56,7 +56,7 @@ def draw_scenery(
     Args:
         backgrounds: folder of images, searched with its subfolders; generated where not given.
         textures: folder of images, likewise.
-        body: whose texture coordinates the texture is for.
+        body: model whose texture coordinates are used.
         size_px: side of the square background.
         rng: draws the choice.
 

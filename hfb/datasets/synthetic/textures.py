@@ -25,7 +25,7 @@ def clothes_texture(body: Body, size: int, rng: np.random.Generator) -> Float[Te
     rest body's own coordinates and so runs across the atlas' seams.
 
     Args:
-        body: whose texture coordinates are used.
+        body: model whose texture coordinates are used.
         size: A, the texture's side [texels].
         rng: draws colours and pattern.
     """

@@ -23,9 +23,9 @@ class View:
     """What is free in a camera that looks at a person.
 
     Attributes:
-        azimuth_deg: about the world's vertical, from the person's front.
-        elevation_deg: from above where positive.
-        roll_deg: about the line of sight.
+        azimuth_deg: angle about the world's vertical, from the person's front.
+        elevation_deg: elevation above the horizontal.
+        roll_deg: angle about the line of sight.
         diagonal_field_deg: between opposite corners of the picture.
         filled: share of the picture's side that the longer side of the person's box takes.
         aside: in [-1, 1], where the box lies (x, y) within what is left.

@@ -134,7 +134,7 @@ def regress_joints(vertices: Float[Array, "V 3"], body: Body, source: str) -> Fl
     Args:
         vertices: vertices of the mesh [m].
         body: the model whose regressor is used.
-        source: where the mesh is from, for the error message.
+        source: origin of the mesh, named in errors.
 
     Raises:
         InputError: the mesh is not the body model's.

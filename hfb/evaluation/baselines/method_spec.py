@@ -106,7 +106,7 @@ class MethodSpec(Record):
         name: as the user wrote it, without ``=FILE``; the name in every table.
         config: options of a fit; of every other method only the number of sub-frames and the seed count.
         frames_alone: each frame is fitted as if there were no others.
-        oracles: what truth it is given.
+        oracles: parts of the truth that it is given.
         estimator: estimator of a two-stage oracle.
         chain: chain of a deblur-then-estimate method.
         digests: networks, folders and priors it reads, by content: two specs are equal only if these are.
@@ -130,7 +130,7 @@ def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
     """Parse one entry of `--methods`.
 
     Args:
-        text: such as `best`, `best@true-matte` or `name=FILE`.
+        text: an entry such as `best`, `best@true-matte` or `name=FILE`.
         chains: a chains file, whose tables are methods too.
 
     Raises:

@@ -75,7 +75,7 @@ def poses_at(
 
     Args:
         times_s: times of the rows.
-        known_s: when the estimates hold, increasing.
+        known_s: times of the estimates, increasing.
         poses: axis-angle of the estimates [rad].
     """
     before, after, share = _between(times_s, known_s)

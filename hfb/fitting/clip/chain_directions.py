@@ -62,7 +62,7 @@ def agree_on_directions(
     Args:
         fits: fits of one clip, all with one kind, degree and origin of polynomials.
         shaped: the clip's person.
-        gaps_u: from each frame's closing shutter to the next one's opening, in exposures.
+        gaps_u: time from each frame's closing to the next one's opening, in exposures.
     """
     ordered = sorted(fits, key=lambda found: found.frames)
     nodes = _nodes(ordered)

@@ -46,7 +46,7 @@ class ChainMotion:
         frames: their numbers in the clip.
         early: per frame the motion of the window that ends in it.
         late: per frame the motion of the window that begins (or continues) in it.
-        gap_u: from a frame's closing to the next one's opening, in exposures.
+        gap_u: time from a frame's closing to the next one's opening, in exposures.
         rows: rows of the frames whose edge to the next one is closed.
         meeting: the gap at these edges, as fitted.
         owners: per frame the places of `early` and `late` in the windows: (window, frame of it) twice.
@@ -66,7 +66,7 @@ class ChainMotion:
 
         Args:
             ordered: windows in the order of the clip.
-            gaps_u: after every frame of the clip, in exposures.
+            gaps_u: gap after every frame of the clip, in exposures.
         """
         claims: dict[int, list[tuple[int, int]]] = {}
         passed: set[int] = set()

@@ -35,7 +35,7 @@ class JoinedMotion:
     Attributes:
         motion: a row per sub-frame of every frame but the gaps'; ``frame_index`` counts the clip's frames, ``times_s``
             are true times since the clip's first shutter opened.
-        edges: what was found, and what is left, between neighbouring frames.
+        edges: gaps between neighbouring frames, as fitted and as left.
         turned: limbs that a window had seen run the other way.
         gaps: (first, last) frame of every stretch without the person.
         filled: frames without any picture of the person that were bridged between their neighbours.

@@ -107,7 +107,7 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
     Args:
         windows: windows of one clip.
         matte_areas: matte area of every frame of the clip [px], a measure of how much of the person is visible.
-        count: how many are chosen at most.
+        count: largest number of chosen windows.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
     parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
@@ -174,8 +174,8 @@ def fit_windows(
         body: the body model.
         config: options of the fits.
         seed: seed of everything random.
-        pose_prior: how unlikely each pose is.
-        motion_prior: how people move; the shipped one when not given.
+        pose_prior: prior of the pose, L_P of eq. (6).
+        motion_prior: prior of the motion; the shipped one when not given.
     """
     batch_size = window_batch_size(config)
     found: dict[int, WindowFit] = {}
@@ -225,7 +225,7 @@ def save_window(path: Path, found: WindowFit) -> None:
     """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat.
 
     Args:
-        path: where it is written.
+        path: file to write.
         found: the window's result.
     """
     motion = found.trajectory

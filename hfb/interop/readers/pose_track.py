@@ -26,7 +26,7 @@ class PoseTrack:
     """One person over the frames in which a system saw them.
 
     Attributes:
-        system: whose result it is.
+        system: name of the system.
         person: the system's name or number for the person.
         frames: numbers of the video's frames, increasing, the first being 0.
         size: (height, width) of the pictures that K is about; None where the system does not say.
@@ -34,9 +34,9 @@ class PoseTrack:
             down, z forward), where K is None into those of an upright camera whose direction is not known.
         trans: SMPL's translation [m].
         betas: shape coefficients, `betas_space` says whose.
-        pelvis: where the root joint is [m], for systems that know it better than `trans`.
+        pelvis: position of the root joint [m], for systems that know it better than `trans`.
         joints: SMPL's joints [m], NaN where unknown; of systems without poses.
-        pixels: where the picture shows SMPL's joints [px], NaN where unknown; of systems that know no depth.
+        pixels: SMPL's joints in the image [px], NaN where unknown; for systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
         images: names of the pictures, of systems that go by names; see `picture_names`.
@@ -167,7 +167,7 @@ def save_track(path: Path, track: PoseTrack) -> None:
 
     Args:
         path: the .npz file.
-        track: to write.
+        track: track to write.
     """
     arrays = {name: getattr(track, name) for name in _SAVED if getattr(track, name) is not None}
     facts = {name: np.array(getattr(track, name)) for name in ("system", "person", "betas_space", "turn_is_known")}

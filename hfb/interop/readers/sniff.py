@@ -102,7 +102,7 @@ def choose_person(
     Args:
         tracks: tracks of one result.
         person: name, or None.
-        shown: how much of a person the pictures show.
+        shown: measure of how much of a person the images show.
 
     Raises:
         InputError: nobody, or nobody of that name.

@@ -31,7 +31,7 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
 
     Args:
         motion: camera coordinates.
-        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        betas_space: space of the betas, ``smpl`` or ``hfb``.
         rate: frames per second of the file.
 
     Raises:
@@ -68,7 +68,7 @@ def write_amass(path: Path, motion: SampledMotion, betas_space: BetasSpace, rate
     Args:
         path: the file.
         motion: camera coordinates.
-        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        betas_space: space of the betas, ``smpl`` or ``hfb``.
         rate: frames per second of the file.
     """
     write_arrays(path, amass_arrays(motion, betas_space, rate))

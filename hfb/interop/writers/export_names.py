@@ -42,7 +42,7 @@ def check_formats(formats: Sequence[MotionFormat]) -> None:
     """Check that libraries for the formats are installed.
 
     Args:
-        formats: to be written.
+        formats: formats that will be written.
 
     Raises:
         InputError: one is missing.

@@ -61,7 +61,7 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
 
     Args:
         motion: camera coordinates.
-        name: that the first line states.
+        name: file name that the first line states.
 
     Raises:
         InputError: the motion's instants are not in order.

@@ -100,7 +100,7 @@ def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
 
     Args:
         motion: camera coordinates.
-        times_s: from the motion's first to its last instant, in order.
+        times_s: instants from the motion's first to its last, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.
@@ -113,7 +113,7 @@ def present_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> Bool[Array,
 
     Args:
         motion: camera coordinates.
-        times_s: from the motion's first to its last instant, in order.
+        times_s: instants from the motion's first to its last, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.

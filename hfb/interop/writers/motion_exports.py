@@ -20,7 +20,7 @@ class Exported:
     """A person's motion and what belongs to it.
 
     Attributes:
-        betas_space: whose shape coefficients the motion has.
+        betas_space: space of the motion's shape coefficients.
         body: the model it was fitted with; None where only formats without a surface are asked for.
         texture_png: the person's texture as an sRGB picture.
     """
@@ -36,7 +36,7 @@ def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> P
     """Write one format's file, whole or not at all.
 
     Args:
-        folder: to write to.
+        folder: folder to write to.
         form: name of the format.
         exported: the motion with its body and texture.
 

@@ -38,16 +38,16 @@ class Footage:
     Attributes:
         source: the video, or the folder or first picture.
         files: the video, or the pictures in order.
-        times_s: when each frame was taken, on the footage's own clock; of an average, its first.
+        times_s: time of each frame on the footage's own clock; of an average, its first frame's.
         interval_s: nominal, from frame to frame.
-        average: how many frames of the file are averaged in one.
+        average: number of the file's frames that are averaged to one.
         first: number of the range's first frame in the file.
         bits: 8, or 16 where a frame holds more than 8 bits can.
         transfer: the light of the frames that `frames` yields.
-        loss: what a damaged file lost, one sentence.
+        loss: loss in a damaged file, one sentence.
         remarks: this and all else that a user should know.
         recorded_exposure: (seconds, where the file says so) of its metadata.
-        lens: whose distortion is taken out of every frame; see `through`.
+        lens: lens whose distortion is removed from every frame; see `through`.
         tick_s: the resolution of the clock of its time stamps.
     """
 
@@ -78,7 +78,7 @@ class Footage:
         """Return the footage with a lens' distortion removed from every frame.
 
         Args:
-            lens: to remove; None for none.
+            lens: lens whose distortion is removed; None for none.
         """
         return replace(self, lens=lens)
 
@@ -174,8 +174,8 @@ def open_footage(
         stop: range of frames of the file, `stop` exclusive.
         start_s: the same in seconds, on the file's clock from its first frame.
         stop_s: the same in seconds, on the file's clock from its first frame.
-        average: so many neighbouring frames become one, averaged in linear light.
-        transfer: how the file stores light.
+        average: number of neighbouring frames that are averaged to one, in linear light.
+        transfer: transfer curve of the file.
         fps: frame rate of images, which have no clock; it has priority over a video's own rate: its times are scaled.
         scan: ``progressive``: frames are whole pictures, whatever their flags say.
         on_progress: called with (frames looked at, of how many).

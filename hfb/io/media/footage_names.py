@@ -19,7 +19,7 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort by name, numbers in it as numbers: ``f2.png`` before ``f10.png``.
 
     Args:
-        paths: to sort.
+        paths: paths to sort.
     """
 
     def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
@@ -35,7 +35,7 @@ def pictures_in(folder: Path) -> list[Path]:
     """Return the images of a folder in their natural order; none where it cannot be read.
 
     Args:
-        folder: to list.
+        folder: folder to list.
     """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in PICTURE_SUFFIXES and not is_hidden(path)
@@ -46,7 +46,7 @@ def others_in(folder: Path) -> list[Path]:
     """Return files of a folder that a user may take for images although hfb reads none of their kind.
 
     Args:
-        folder: to list.
+        folder: folder to list.
     """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in _FOREIGN_SUFFIXES and not is_hidden(path)

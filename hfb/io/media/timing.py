@@ -16,11 +16,11 @@ class Timing:
     """The clock of a clip.
 
     Attributes:
-        exposure_s: how long the shutter was open, each time.
+        exposure_s: length of each exposure.
         interval_s: nominal, from one opening to the next.
-        openings_s: when it opened for every frame, since it opened for the first; true also where the rate varies.
+        openings_s: opening of the shutter for every frame, since the first one; true also where the rate varies.
         first_opening_s: on the footage's own clock.
-        source: where the exposure time comes from, one sentence.
+        source: source of the exposure time, one sentence.
     """
 
     exposure_s: float

@@ -68,7 +68,7 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
 
     Args:
         value: part of a file.
-        *shape: what it must be; None for a side of any length.
+        *shape: required shape; None for a side of any length.
         finite: false where a row that is not finite leaves the others as they are.
 
     Raises:

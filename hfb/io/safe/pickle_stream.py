@@ -46,7 +46,7 @@ class Bytes(io.BytesIO):
     """A stream over bytes in memory, parts of which can be had without a copy.
 
     Args:
-        steps: what reading it takes from; by default the bytes are taken for the file.
+        steps: limit of the work; by default that of a file of these bytes.
     """
 
     def __init__(self, data: bytes, steps: Steps | None = None) -> None:

@@ -171,7 +171,7 @@ def encode(text: Any, encoding: Any = "latin1") -> bytes:
     """Encode text as pickles of Python 2 store bytes.
 
     Args:
-        text: to encode.
+        text: text to encode.
         encoding: Latin-1.
 
     Raises:

@@ -36,8 +36,8 @@ class Target:
         plate: the clean background B.
         frame: I, in the same light.
         matte: alpha_in.
-        image_scales: how many scales each loss has, each half the last.
-        matte_scales: how many scales each loss has, each half the last.
+        image_scales: number of scales of L_I, each half the last.
+        matte_scales: number of scales of L_alpha, each half the last.
     """
 
     def __init__(

@@ -51,7 +51,7 @@ class Setting:
             lens: fx, fy, cx, cy, nearest depth used, width, height.
             soft: DIB-R's constants; zeros for exact coverage.
             mean: average the images.
-            threads: to draw with.
+            threads: number of threads.
         """
         faces, edge_vertices, edge_faces = (
             table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology
@@ -134,7 +134,7 @@ def bodies_at_once(count: int, threads: int, soft: bool) -> int:
 
     Args:
         count: number of all bodies.
-        threads: to draw with.
+        threads: number of threads.
         soft: whether silhouettes are DIB-R's.
     """
     return 1 if soft else min(LANES, max(-(-count // threads), 1))

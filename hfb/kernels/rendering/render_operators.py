@@ -136,7 +136,7 @@ def draw(
         lens: fx, fy, cx, cy, nearest depth used, width, height.
         soft: DIB-R's 1 / delta [1/px^2], reach [px] and number of faces; zeros for exact coverage.
         mean: average the pictures.
-        threads: to draw with.
+        threads: number of threads.
 
     Returns:
         pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
@@ -208,7 +208,7 @@ def draw_gradient(
         kept: saved by `draw`.
         of_vertices: compute the first one, else it is empty.
         of_texture: compute the second one, else it is empty.
-        threads: to draw with.
+        threads: number of threads.
     """
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]

@@ -196,9 +196,9 @@ def gather(
         projected: (B, V), x, y [px], 1/z [1/m].
         lenses: fx, fy, cx, cy of every image.
         subframes: bodies per image.
-        corner_begins: where each vertex's corners begin.
+        corner_begins: position of each vertex's first corner.
         corners: numbers 3 f + k of each vertex's corners.
-        end_begins: where each vertex's ends begin.
+        end_begins: position of each vertex's first end.
         ends: numbers 2 e + k of each vertex's ends.
         on_corners: (B, F, 3), by `pull_faces`.
         on_ends: (B, E, 2), by `pull_edges`.

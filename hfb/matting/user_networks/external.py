@@ -94,7 +94,7 @@ class BackgroundMattingV2:
         Args:
             path: the network's file.
             backbone_scale: size of the coarse pass relative to the image's.
-            refine_mode: how refined patches are chosen.
+            refine_mode: rule by which refined patches are chosen.
             refine_pixels: number of refined pixels.
             refine_threshold: error above which a pixel is refined.
             tile_px: larger frames are seen in tiles of this size.

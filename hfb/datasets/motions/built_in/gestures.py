@@ -41,7 +41,7 @@ class Gesture:
     """One cycle of a movement.
 
     Attributes:
-        seconds: how long a cycle takes.
+        seconds: length of a cycle.
         keys: (share of the cycle until the next key, the pose as differences from standing).
         mirrored: the second half of the cycle is the first one with left and right exchanged.
         turning: degrees that the body has turned to its left after a cycle.

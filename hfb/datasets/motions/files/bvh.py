@@ -30,8 +30,8 @@ class BvhMotion:
     Attributes:
         names: names of the joints.
         parents: number of each joint's parent, -1 for the root.
-        offsets: from the parent, in the parent's frame.
-        ends: where the file has an end site, from its joint; else 0.
+        offsets: offsets from the parent, in the parent's frame.
+        ends: offsets of the end sites from their joints; 0 without one.
         rotations: rotations of each joint in its parent's frame, unit quaternions (w, x, y, z).
         places: positions of each joint in its parent's frame: its position channels where it has them, else its offset.
     """

@@ -40,7 +40,7 @@ class JointMap:
         limbs: by SMPL's name (`left_knee`).
         pelvis: the joint that both legs and the trunk hang from.
         chest: the one that both arms hang from.
-        collars: what each shoulder hangs from, where that moves apart from the chest.
+        collars: parent of each shoulder, where it moves relative to the chest.
     """
 
     pelvis: int

@@ -38,7 +38,7 @@ class Limb:
         rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
 
         Args:
-            expected: where the axis is to be looked for if the limb never bends.
+            expected: axis to assume if the limb never bends.
         """
         across = np.cross(self.upper, self.lower)  # as long as the sine of the bend
         sine = np.linalg.norm(across, axis=-1, keepdims=True)

@@ -23,13 +23,13 @@ class Rest:
 
     Attributes:
         axes: rotation from the rest pose's axes to SMPL's.
-        world: from the file's world to one with y up.
+        world: rotation from the file's world to one with y up.
         upright: whether all angles zero make an upright person, so that every joint's frame is the world's there.
-        trunk: what takes SMPL's axes into the frames of `pelvis`, `chest` and `head`.
+        trunk: rotations from SMPL's axes to the frames of `pelvis`, `chest` and `head`.
         collars: rotation of each collar's frame at rest; None where it is not known.
         foot: direction from ankle to toes of a foot that is flat on the ground.
         leg_length: length of thigh and shin together, in the file's unit.
-        remarks: what the user should know about the file.
+        remarks: remarks for the user about the file.
     """
 
     axes: Float[Array, "4"]

@@ -39,8 +39,8 @@ class Picture:
 
     Attributes:
         pixels: RGB in [0, 1], encoded as sRGB, or as stored.
-        remarks: what a user should know of it, one sentence each.
-        seems_bits: how many bits it seems to have, where these are fewer than its 16 and nothing states it.
+        remarks: remarks for the user, one sentence each.
+        seems_bits: apparent number of bits, where these are fewer than its 16 and nothing states it.
     """
 
     pixels: Float[Array, "H W 3"]

@@ -21,7 +21,7 @@ def stated_interlaced(stream: av.VideoStream) -> bool:
     """Return whether the container says so for a codec without flags in its frames; else the frames' own flags count.
 
     Args:
-        stream: before decoding.
+        stream: stream before decoding.
     """
     codec = stream.codec_context
     return codec.field_order in _INTERLACED_ORDERS and codec.name not in _FLAGGED_BY_DECODER

@@ -34,18 +34,18 @@ class VideoIndex:
     Attributes:
         stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
         keys: those of frames that decode by themselves.
-        times_s: when they are shown, in seconds.
+        times_s: times at which they are shown.
         height: as shown: the container's rotation is applied, and pixels are square.
         width: as shown: the container's rotation is applied, and pixels are square.
         rate: (frames per second, where that is from), should they have to be counted.
         aspect: width / height of a pixel as stored; see `hfb.io.media.video.video_pixels.pixel_aspect`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
-        loss: what is known to be missing from the file, one sentence.
+        loss: known loss in the file, one sentence.
         tick_s: the resolution of `times_s`.
         colours: as the container states them; see `hfb.io.media.video.video_colours.stated_colours`.
         capture: (frames per second, where that stands) where the file says at what rate it was captured.
         interlaced: whether the container alone says so; see `hfb.io.media.video.interlacing.stated_interlaced`.
-        remarks: what else a user should know, one sentence each.
+        remarks: further remarks for the user, one sentence each.
     """
 
     path: Path
@@ -70,7 +70,7 @@ class VideoIndex:
         """Return the frames numbered at the stated rate; they are never read from the middle then.
 
         Args:
-            why: what is wrong with the file's time stamps, as the first words of a sentence.
+            why: problem of the file's time stamps, as the first words of a sentence.
         """
         numbers, (fps, source) = np.arange(len(self.stamps)), self.rate
         counted = (

@@ -26,12 +26,12 @@ class Packets:
     Attributes:
         stamps: presentation stamps of all whole packets that are shown, in the file's order; None where one has none.
         keys: those of packets that decode by themselves.
-        hidden: how many more there are that are not shown: a video that was trimmed without being encoded anew keeps
-            what its first frames refer to.
+        hidden: number of packets that are not shown: a video that was trimmed without re-encoding keeps the packets
+            that its first frames refer to.
         broken: whether the file breaks off.
         as_decoded: whether the stamps, for all that is known, follow the order of decoding, not that of showing. AVI
             stores none, and those that FFmpeg makes up for it do, where frames refer to later ones.
-        sound_s: when the file's sound ends, on the clock of its time stamps; 0 without.
+        sound_s: end of the file's sound, on the clock of its time stamps; 0 without.
     """
 
     stamps: list[int | None]
@@ -81,7 +81,7 @@ def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, 
 
     Args:
         stream: stream of the video.
-        times_s: such stamps as there are, ascending [s].
+        times_s: existing time stamps, ascending.
     """
     # A bare stream has no stamps and no header: its "average" is FFmpeg's own assumption, the codec may know better.
     stated = stream.average_rate if len(times_s) else stream.codec_context.framerate

@@ -121,7 +121,7 @@ def stretched(picture: Shaped[Array, "h w 3"], height: int, width: int) -> Shape
     Lanczos keeps what it shows in place to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
 
     Args:
-        picture: to resize.
+        picture: image to resize.
         height: [px].
         width: [px].
     """

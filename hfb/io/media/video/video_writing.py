@@ -59,7 +59,7 @@ class VideoWriter:
 
         Args:
             picture_srgb: in [0, 1]; height and width must be even, as H.264 needs them.
-            time_s: when it is shown, to a microsecond, later than the one before; where the video has no rate.
+            time_s: time at which it is shown, to a microsecond, later than the one before; where the video has no rate.
         """
         assert (time_s is None) == (self._fps is not None), "a picture has a time where the video has no rate"
         levels = np.round(np.clip(picture_srgb, 0, 1) * 255).astype(np.uint8)
