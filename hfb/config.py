@@ -1,4 +1,4 @@
-"""Every option of a run, as frozen records: what is not written here cannot influence a result.
+"""Every option of a run, as frozen records; nothing else influences a result.
 
 Light to import (pydantic only): the command line builds its flags from these records.
 """
@@ -43,7 +43,7 @@ def _in_order(schema: dict[str, Any]) -> None:
 
 
 class Record(BaseModel):
-    """Frozen, and an unknown key is an error: a typo never passes silently."""
+    """A frozen record that refuses unknown keys, so that a typo is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", json_schema_extra=_in_order)
 
@@ -74,19 +74,19 @@ FocalPx = Annotated[float, Field(gt=0), within(1, 1e7)]
 
 
 class BodyConfig(Record):
-    """Which body model is fitted."""
+    """The body model."""
 
     model: Path | None = Field(None, description="a SMPL .npz or .pkl file; the embedded body when not given")
 
 
 class CameraConfig(Record):
-    """The pinhole camera; a calibration in clip.toml wins over the guess."""
+    """The pinhole camera; a calibration in clip.toml has priority over the guess."""
 
     focal_px: FocalPx | None = Field(None, description="focal length [px]; the picture's diagonal when not given")
 
 
 class ExposureConfig(Record):
-    """When light was collected. Seconds scale the result's times; ratios matter to the fit of several frames."""
+    """The exposure's timing. Seconds scale the result's times; ratios matter to the fit of several frames."""
 
     seconds: ExposureSeconds | None = Field(
         None, description="exposure time [s]; the whole frame interval when not given"
@@ -98,7 +98,7 @@ class ExposureConfig(Record):
 
 
 class MattingConfig(Record):
-    """How the person's share of each pixel is found."""
+    """The matting method."""
 
     method: Literal["network", "known-background", "bgmv2", "rvm"] = Field(
         "network",
@@ -136,7 +136,7 @@ class MattingConfig(Record):
 
 
 class InitConfig(Record):
-    """How the first, static body is found."""
+    """The initialisation."""
 
     method: Literal["auto", "mediapipe", "matte", "metro", "file"] = Field(
         "auto",
@@ -289,7 +289,7 @@ class FitConfig(Record):
 
 
 class PriorConfig(Record):
-    """Which poses count as likely."""
+    """The pose prior."""
 
     pose: Path | None = Field(
         None, description="SMPLify's GMM, a VPoser checkpoint or one of hfb train-prior; built in when not given"
@@ -301,7 +301,7 @@ class PriorConfig(Record):
 
 
 class VideoConfig(Record):
-    """A whole clip: how it is cut into windows that are fitted by themselves and joined."""
+    """The fit of a whole clip in windows that are joined."""
 
     window: int = Field(2, ge=2, le=5, description="frames fitted jointly; neighbouring windows share one")
     average: int = Field(1, ge=1, description="of footage that is sharp, average this many frames in linear light")
@@ -335,7 +335,7 @@ AmassRate = Annotated[Literal[30, 60, 120], BeforeValidator(_number)]
 
 
 class ExportConfig(Record):
-    """What a run leaves for other programs, beside motion.npz."""
+    """Exported files for other programs, beside motion.npz."""
 
     formats: Annotated[tuple[MotionFormat, ...], BeforeValidator(_words)] = Field(
         ("amass", "glb", "bvh", "csv", "trc"),
@@ -350,7 +350,7 @@ class ExportConfig(Record):
 
 
 class RunConfig(Record):
-    """Everything one command needs besides its files."""
+    """All options of one command besides its files."""
 
     preset: Literal["paper", "best"] = Field("best", description="paper: the faithful method; best: what measured best")
     seed: int = Field(0, ge=0)

@@ -1,4 +1,4 @@
-"""sRGB and linear light, exactly as IEC 61966-2-1 has it.
+"""sRGB and linear light, by IEC 61966-2-1.
 
 A sensor averages linear light, picture files hold sRGB. Blurring sRGB values instead of light is off by up to
 48/255, and an alpha of 0.5 then reads as 0.705.

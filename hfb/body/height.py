@@ -1,4 +1,4 @@
-"""How tall a person stands, as a function of the betas, and the shape nearest to another that has a known height."""
+"""Height of a body as a function of the betas, and the nearest shape of a known height."""
 
 from functools import lru_cache
 

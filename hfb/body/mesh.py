@@ -1,4 +1,4 @@
-"""What a rasteriser needs of a body beside its vertices: triangles, texture coordinates and who shares which edge."""
+"""The constant mesh of a body: triangles, texture coordinates and edges."""
 
 from dataclasses import dataclass
 

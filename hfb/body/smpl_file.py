@@ -1,4 +1,4 @@
-"""SMPL's model files as a `Body`: their many dialects, their relatives that are not SMPL, their damage."""
+"""SMPL's model files as a `Body`: variants of the format, other models and damage are recognised."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The blur-rate intervals of the paper's tables, and how the cases of a set are dealt to them. Light to import."""
+"""The blur-rate intervals of the paper's tables, and the distribution of cases over them. Light to import."""
 
 from collections.abc import Sequence
 from typing import Literal

@@ -1,4 +1,4 @@
-"""A case on disk: what a user would have, and beside it what really happened.
+"""A case on disk: a user's files, and the truth beside them.
 
     case_0001/frame_0.png background.png clip.toml        what the methods see
               start_0.npz                                 the static estimate that every method starts from
@@ -18,7 +18,7 @@ from hfb.errors import InputError
 
 @dataclass(frozen=True)
 class Case:
-    """Where the files of one case lie, and the few facts by which cases are sorted.
+    """The files of one case, and the few facts by which cases are sorted.
 
     Attributes:
         number: number in the set, from 1.

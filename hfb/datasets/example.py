@@ -1,4 +1,4 @@
-"""The embedded example: one blurred picture of our own body in motion, with its truth."""
+"""The embedded example: one blurred image of the embedded body in motion, with its truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

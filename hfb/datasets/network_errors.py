@@ -1,4 +1,4 @@
-"""How pose networks err: they turn bones, alike along a limb, and into depth more than across the view."""
+"""A model of pose networks' errors: rotated bones, alike along a limb, larger in depth than across the view."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A static estimate per frame that errs as much as METRO's on the paper's BT-AMASS, blur rate by blur rate.
+"""Simulated static estimates with the errors of METRO on the paper's BT-AMASS, by blur rate.
 
 The paper starts every fit from METRO (Lin et al. 2021), whose weights are not free. Its tables 1 and 2 give METRO's
 errors: estimates with errors of that size let ratios stand beside the paper's.

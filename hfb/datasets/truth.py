@@ -1,4 +1,4 @@
-"""truth.npz: what really happened in a case, for evaluation only.
+"""truth.npz: the true motion of a case, for evaluation only.
 
 A synthetic case knows the whole motion and every silhouette (`Truth`); real video knows where some joints were
 (`JointTruth`). The file's members tell which it is.
@@ -28,7 +28,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class JointTruth:
-    """Where some joints of a person in a real video were.
+    """Positions of some joints of a person in a real video.
 
     Attributes:
         joints: camera coordinates [m]; NaN (all three numbers) where a joint is unknown at an instant.

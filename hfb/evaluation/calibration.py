@@ -1,4 +1,4 @@
-"""Fits the few numbers by which a fit says how sure it is to fits whose truth is known.
+"""Calibration of confidence on fits whose truth is known.
 
 Errors within a case hang together, so every case counts as one, and figures of how well it works are taken on cases of
 recordings that the coefficients were not fitted to.
@@ -23,7 +23,7 @@ _ODDS_RIDGE = 0.05
 
 @dataclass(frozen=True)
 class JointCase:
-    """One case's joints: what was known of them, and their errors.
+    """One case's joints: their features and errors.
 
     Attributes:
         recording: cases of one recording, or person, stay together when some are held out.

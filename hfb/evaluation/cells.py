@@ -1,4 +1,4 @@
-"""Rows of results, one per case and method, and the cell of a table that some of them make."""
+"""Rows of results, one per case and method, and their aggregation to a table's cell."""
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Fits how far the odds of directions can be trusted to fits whose truth is known, and counts how often they hold.
+"""Calibration of the odds of directions on fits whose truth is known, and their reliability.
 
 An event is one question with two answers: did the body, or a limb of it, move the way the result says in one frame?
 """
@@ -30,7 +30,7 @@ _CERTAIN = 1e-3
 
 @dataclass(frozen=True)
 class DirectionEvent:
-    """One question and its answer.
+    """One predicted direction and whether it was right.
 
     Attributes:
         person: events of a person stay together when some are held out.
@@ -95,7 +95,7 @@ def _right(path: Float[Array, "S J 3"], true: Float[Array, "S J 3"]) -> bool:
 
 
 class _Asked:
-    """Many events at once.
+    """Many events as arrays.
 
     Attributes:
         right: whether the results were right.

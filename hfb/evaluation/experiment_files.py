@@ -1,4 +1,4 @@
-"""Where the paper's experiments lie; light to import, so that a misspelt name is told at once."""
+"""Files of the paper's experiments; light to import, so that a misspelt name is reported at once."""
 
 from importlib import resources
 from importlib.resources.abc import Traversable

@@ -1,4 +1,4 @@
-"""The paper's tables and figures as data: what to run for each, its numbers, and ours beside them."""
+"""The paper's tables and figures as data: methods to run, the paper's numbers, and ours beside them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _DIGITS: Mapping[Metric, int] = {"mpjpe_mm": 1, "pa_mpjpe_mm": 1, "iou": 3}
 
 
 class Column(Record):
-    """A column of the paper's table: its heading, our interval of blur rates, its cases where the paper says them."""
+    """A column of the paper's table: its heading, our interval of blur rates, its number of cases where stated."""
 
     label: str
     blur: tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(gt=0)]]
@@ -38,7 +38,7 @@ class Column(Record):
 
 
 class PaperRow(Record):
-    """A row of the paper's table, and which of our methods stand beside it."""
+    """A row of the paper's table, and our methods that correspond to it."""
 
     name: str
     ours: tuple[str, ...] = ()
@@ -52,7 +52,7 @@ class PaperRow(Record):
 
 
 class Strips(Record):
-    """Which pictures stand beside a figure: of how many cases, by which methods, from which blur rates."""
+    """The image strips beside a figure: number of cases, methods and blur rates."""
 
     methods: tuple[str, ...] = Field(min_length=1)
     cases: int = Field(ge=1)

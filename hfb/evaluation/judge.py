@@ -1,4 +1,4 @@
-"""The judge: every number by which one answer to one case is compared with the truth and with the pictures."""
+"""Scores of one prediction of one case, against the truth and the images."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

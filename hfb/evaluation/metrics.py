@@ -1,4 +1,4 @@
-"""How far a motion is from the truth, and a picture from the one it explains.
+"""Metrics of motions against the truth, and of images.
 
 Joints are SMPL's 24 in metres, camera coordinates; R counts sub-frames, frame after frame. Everything is computed
 in float64, errors are in millimetres. A real video's truth knows only some joints, and those not always:
@@ -192,7 +192,7 @@ def better_of_both(
 
 @dataclass(frozen=True)
 class MotionErrors:
-    """What a results table needs of one clip; all lengths in mm.
+    """Errors of one clip for a results table; all lengths in mm.
 
     Attributes:
         mpjpe_mm: over SMPL's 24 joints, in the predicted direction of time.

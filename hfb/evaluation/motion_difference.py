@@ -1,4 +1,4 @@
-"""How far two motions are from each other, such as a run's and its repetition's."""
+"""Distance of two motions, such as a run's and its repetition's."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What a method claims: the motion during each exposure, as far as it knows it."""
+"""A method's prediction: the motion during each exposure, as far as the method provides it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ from hfb.typing import Array, Bool, Float
 
 @dataclass(frozen=True)
 class Prediction:
-    """One method's answer to one case; R = frames x sub-frames rows, frame after frame.
+    """One method's prediction of one case; R = frames x sub-frames rows, frame after frame.
 
     Attributes:
         motion: poses on the observation's clock; None for a method that knows no human body (SfB, MfB).

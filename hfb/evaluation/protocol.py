@@ -1,4 +1,4 @@
-"""What a fitted motion is judged by: the picture it explains and, where it is known, the truth."""
+"""Scores of a fitted motion: the re-blurred image and, where it is known, the truth."""
 
 from collections.abc import Sequence
 from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""Is a method as sure as it should be? What it said about its own errors, against what happened."""
+"""Reliability of predicted uncertainties: predicted against observed errors."""
 
 from typing import Any
 

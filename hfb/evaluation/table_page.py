@@ -17,7 +17,7 @@ _OTHER_METRICS: tuple[Metric, ...] = ("pa_mpjpe", "mpjpe")
 
 @dataclass(frozen=True)
 class _Block:
-    """How one metric is written."""
+    """The format of one metric."""
 
     title: str
     entry: str

@@ -1,4 +1,4 @@
-"""From rows of results to the paper's tables: a column per interval of blur rates, with intervals of confidence."""
+"""The paper's tables from rows of results: a column per interval of blur rates, with confidence intervals."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Signs that a result is wrong although nothing failed, each with its remedy.
+"""Checks of a finished result for signs of errors, each with a remedy.
 
 Every check compares what was seen with what was fitted; none needs the truth. Bounds lie well outside of what clean
 recordings give (tests/evaluation/test_warnings.py).
@@ -37,7 +37,7 @@ _NAMED = 8
 
 
 class ResultWarning(Record):
-    """One thing that went wrong.
+    """One problem of a result.
 
     Attributes:
         code: for programs, such as ``"trunk_spin"``.
@@ -54,7 +54,7 @@ class ResultWarning(Record):
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One frame as it was seen and as it is explained.
+    """One frame with its matte and the fitted body's silhouette.
 
     Attributes:
         matte: matte of the person.

@@ -1,4 +1,4 @@
-"""Motions that explain the pictures too: what was weighed, how likely each is, and what that leaves unknown."""
+"""Alternative motions with the same images: their terms and probabilities, and the remaining ambiguity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _ARRAYS = ("reversed_limbs", "poses", "trans", "joints", "probability", "chosen"
 
 @dataclass(frozen=True)
 class Alternatives:
-    """A motions of R = frames x sub-frames rows each, one of which became the result.
+    """A alternative motions of R = frames x sub-frames rows each, one of which is the result.
 
     Attributes:
         reversed_limbs: per frame which limbs (`LIMB_NAMES`) run backwards compared with what was first fitted.

@@ -1,4 +1,4 @@
-"""How far off each joint may be: a radius per joint and sub-frame that holds half of the errors, and the law beyond it.
+"""Confidence of joints: a radius per joint and sub-frame with half of the errors, and the law of larger ones.
 
 The error meant is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
 It is taken to follow a Weibull law with one exponent k and a median of its own for every joint and instant,

@@ -1,4 +1,4 @@
-"""How far the odds of directions can be trusted: what is said is drawn to even odds, by the start and by trouble.
+"""Calibration of the odds of directions by the kind of start and by signs of trouble.
 
 The odds of `hfb.fitting.direction_odds` were measured on fits that began near the truth. Either the motion prior knows
 a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted motion and how it was found.
+    """A fitted motion and facts about the fit.
 
     Attributes:
         motion: poses, translations and joints of every sub-frame.

@@ -1,4 +1,4 @@
-"""The pinhole camera: metres in front of the lens to pixels.
+"""The pinhole camera: projection from metres to pixels.
 
 Frame: OpenCV's (+x right, +y down, +z forward). The picture spans [0, W] x [0, H] and the centre of pixel
 (row 0, column 0) is at (0.5, 0.5), so that cropping shifts and resizing scales the matrix, nothing else.
@@ -13,7 +13,7 @@ from hfb.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Focal lengths and principal point [px] of a picture of height x width pixels; no distortion."""
+    """Focal lengths and principal point [px] of an image of height x width pixels; no distortion."""
 
     fx: float
     fy: float

@@ -1,4 +1,4 @@
-"""Two pieces of motion that should meet: how far apart they are, and the cubics that close the gap (Hermite's).
+"""Joining of two motions: the gap between them, and the cubic Hermite curves that close it.
 
 Rotations are looked at as logarithms about the rotation half-way between both sides: there they add up like places, and
 what is continuous in value and derivative is so as a rotation too.

@@ -1,4 +1,4 @@
-"""The static body that a fit starts from: by the pose networks where they are, else by the matte alone."""
+"""Initialisers of a fit's static body: by pose networks where available, else by the matte alone."""
 
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
@@ -41,7 +41,7 @@ _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
 @runtime_checkable
 class Initializer(Protocol):
-    """One static body for one frame."""
+    """Estimates one static body for one frame."""
 
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
@@ -83,7 +83,7 @@ class MatteInitializer:
 
 
 class LandmarkInitializer:
-    """MediaPipe's landmarks, registered to the body, then laid onto the matte without leaving the landmarks."""
+    """MediaPipe's landmarks, registered to the body, then refined to the matte while staying near the landmarks."""
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
@@ -127,7 +127,7 @@ class LandmarkInitializer:
 
 
 class AutoInitializer:
-    """The networks where they are there and sure, the matte's search where not, the better one where both doubt."""
+    """The networks where available and certain, else the matte's search; where both are uncertain the better one."""
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer

@@ -1,4 +1,4 @@
-"""From 2D keypoints to our body: what a picture shows of the joints, and a pose that people take.
+"""Registration of the body to 2D keypoints, with a prior of plausible poses.
 
 Reprojection and priors, as SMPLify (Bogo et al., ECCV 2016); depth is open where only pixels are known, so the nearest
 of some fifty poses, seen from all sides, are where it begins, and the most likely of what they become is kept.
@@ -68,7 +68,7 @@ def register_keypoints(
 
 @dataclass(frozen=True)
 class _Seen:
-    """Joints in the picture."""
+    """Joints in the image."""
 
     pixels: Float[Tensor, "S 24 2"]
     known: Bool[Tensor, "S 24"]

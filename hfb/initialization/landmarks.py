@@ -62,7 +62,7 @@ _REGION_SCALE = 1.25
 
 @dataclass(frozen=True)
 class Region:
-    """A turned square of the picture that should hold the whole person.
+    """A rotated square of the image around the whole person.
 
     Attributes:
         x: its centre [px], near the hips.
@@ -81,7 +81,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """What the second network says about one region.
+    """The second network's result in one region.
 
     Attributes:
         pixels: x, y [px of the picture] of the 33 points.

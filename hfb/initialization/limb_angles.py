@@ -1,4 +1,4 @@
-"""From joints to joint angles in closed form: a start for registration that is nearly right.
+"""Joint angles from joints in closed form, a close start for registration.
 
 Down the tree, every joint is turned so that the bones which leave it point the way they are seen to (Kabsch, the
 rotation between two sets of vectors that fits best). A bent elbow or knee tells the twist of its upper limb too.

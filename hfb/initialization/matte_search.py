@@ -53,7 +53,7 @@ class Templates:
 
 @dataclass(frozen=True)
 class Moments:
-    """Centre [px] and root mean square radius [px] of a picture's weight."""
+    """Centre [px] and root mean square radius [px] of an image's weight."""
 
     x: float
     y: float

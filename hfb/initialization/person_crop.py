@@ -1,4 +1,4 @@
-"""The square around a person that pose networks look at, and where their weak perspective puts a body."""
+"""The square crop around a person for pose networks, and the position of a body by weak perspective."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The landmarks of the person whom the matte shows: many proposals, the one that agrees best with the matte.
+"""Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
 Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
 regions come from the detector and from the matte itself, pictures are the frame and the person alone on gray, and

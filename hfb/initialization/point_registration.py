@@ -1,4 +1,4 @@
-"""From another body's joints or vertices to ours: rotations, translation and shape of one person at many instants.
+"""Registration of the body to another model's joints or vertices: rotations, translation and shape.
 
 The paper starts from a network's mesh, to which SMPL is fitted (IPNet's registration). Angles come in closed form
 (`hfb.initialization.limb_angles`), then Adam makes the most likely body of them: Gaussian distances of points, the
@@ -245,7 +245,7 @@ def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"]
 
 @dataclass(frozen=True)
 class Start:
-    """Where `fit_points` begins: turns, places [m] and betas, which may be held."""
+    """The start of `fit_points`: turns, positions [m] and betas, which may be held."""
 
     rotations: Float[Tensor, "S 24 3 3"]
     places: Float[Tensor, "S 3"]

@@ -1,4 +1,4 @@
-"""Some fifty everyday and athletic poses, written down as joint angles: where a search without networks starts.
+"""About fifty everyday and athletic poses as joint angles, the starts of a search without networks.
 
 Angles in degrees. An arm is (raise, azimuth, elbow): 0 hangs down, 90 is horizontal, 180 points up; azimuth 0 is
 sideways, 90 forward, -90 backward; the elbow's bend. A leg is (flexion, abduction, knee): flexion lifts the thigh

@@ -1,4 +1,4 @@
-"""From 33 landmarks to a body in the SMPL layout: pose, translation and a little shape, in camera coordinates.
+"""Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
 The body's joints and a few surface points (nose, ears, heels, toes) are laid onto the landmarks: their pixels fix
 where things appear, the metric landmarks fix in which direction bones point, an anatomical prior fixes the rest.
@@ -48,7 +48,7 @@ _LEAST_DEPTH_M = 0.5
 
 @dataclass(frozen=True)
 class Attachments:
-    """Where the landmarks sit on a body: joint plus offset [m] in the joint's rest frame."""
+    """Positions of the landmarks on a body: joint plus offset [m] in the joint's rest frame."""
 
     landmarks: Int[Tensor, "L"]
     joints: Int[Tensor, "L"]
@@ -238,7 +238,7 @@ def _spread(points: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
 
 @dataclass(frozen=True)
 class _Targets:
-    """What the body is laid onto: pixels with certainties, unit directions with weights and their landmark pairs."""
+    """Targets of the body: pixels with certainties, unit directions with weights and their landmark pairs."""
 
     pixels: Float[Tensor, "33 2"]
     sure: Float[Tensor, "33"]

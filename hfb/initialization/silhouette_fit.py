@@ -1,4 +1,4 @@
-"""Render and compare: move one static body until its silhouette covers the matte.
+"""Render and compare: refine one static body until its silhouette covers the matte.
 
 The matte of a blurred frame is the mean of many silhouettes; a static body can't equal it, but the one that
 shares most with it lies in the middle of the motion. Where a person crosses more than their own width, it covers the
@@ -38,7 +38,7 @@ class Level:
 
 @dataclass(frozen=True)
 class SilhouetteStage:
-    """A stretch of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
+    """A stage of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
 
     shape: whether the betas move too; without them an iteration costs a third.
     """
@@ -51,7 +51,7 @@ class SilhouetteStage:
 
 @dataclass(frozen=True)
 class Stay:
-    """How strongly variables are held at their start: per rad^2, per relative distance^2; and the priors' weights."""
+    """Weights that hold variables at their start, per rad^2 and per relative distance^2, and the priors' weights."""
 
     pose: float = 0.0
     root: float = 0.0

@@ -1,4 +1,4 @@
-"""From another system's result to first bodies before our camera.
+"""First bodies from another system's result.
 
 A system's camera is rarely the clip's: most assume a focal length, some of many metres. What a body looks like is
 kept: its root appears at the same pixel and in the same size, and is turned with the ray on which it is seen, since a

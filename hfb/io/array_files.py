@@ -1,4 +1,4 @@
-"""Named arrays out of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
+"""Reading of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
 
 import io
 import math

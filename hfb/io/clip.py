@@ -1,4 +1,4 @@
-"""clip.toml: what is known about a recording besides its pictures.
+"""clip.toml: facts about a recording besides its images.
 
     transfer = "srgb"              # how the files store light: "srgb" (default), "linear", "bt709" or "gamma22"
     video = "walk.mp4"             # or a folder of pictures, beside this file
@@ -47,13 +47,13 @@ _Row = tuple[float, float, float]
 
 
 class _ClipRecord(Record):
-    """Numbers are finite."""
+    """A record whose numbers are finite."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
 
 class ClipCamera(_ClipRecord):
-    """A calibration of the full picture [px]; pixel (0, 0)'s centre lies at (0.5, 0.5)."""
+    """A calibration of the full image [px]; the centre of pixel (0, 0) is at (0.5, 0.5)."""
 
     focal_px: FocalPx | None = None
     K: tuple[_Row, _Row, _Row] | None = None
@@ -79,7 +79,7 @@ class ClipCamera(_ClipRecord):
 
 
 class ClipExposure(_ClipRecord):
-    """When the shutter was open. At most one of the three lengths, or ``auto``: what the footage itself tells."""
+    """The exposure. At most one of the three lengths, or ``auto``, which reads the footage's metadata."""
 
     fps: FramesPerS | None = None
     seconds: ExposureSeconds | None = None
@@ -110,7 +110,7 @@ class ClipExposure(_ClipRecord):
 
 
 class PersonChoice(_ClipRecord):
-    """Whom to follow where several people are seen: the largest, who stands in a box, or a track of another system.
+    """The person to follow where several are seen: the largest, the one in a box, or another system's track.
 
     Everyone: each of them in turn, as if each had been chosen.
 
@@ -141,7 +141,7 @@ class PersonChoice(_ClipRecord):
 
 
 class Clip(_ClipRecord):
-    """The content of a clip.toml; ``Clip()`` knows nothing."""
+    """The content of a clip.toml; ``Clip()`` states nothing."""
 
     transfer: Literal["srgb", "linear", "bt709", "gamma22"] = "srgb"
     video: Path | None = None

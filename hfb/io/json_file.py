@@ -1,4 +1,4 @@
-"""JSON files that may come from anywhere: bounded, and refused in one sentence that names the file."""
+"""Reading of JSON files of unknown origin: limited in size, with errors that name the file."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Names of files as text: what a server, a record or a line of a log can hold. Light to import."""
+"""File names as text for servers, records and logs. Light to import."""
 
 
 def is_text(name: object) -> bool:

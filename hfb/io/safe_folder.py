@@ -1,4 +1,4 @@
-"""Access to folders that may come from somebody else: symbolic links and special files are refused, never followed.
+"""Access to folders of unknown origin: symbolic links and special files are refused, never followed.
 
 The folder that a user names may itself be a link or lie below one. Below it, every component of a path is opened with
 O_NOFOLLOW relative to the descriptor of its parent, and a file must be a regular file: a named pipe would block, a
@@ -26,7 +26,7 @@ _KINDS = {
 
 
 class NotOrdinary(TemporaryError):
-    """A symbolic link or a special file lies where hfb would open, list or remove something."""
+    """A symbolic link or a special file is where hfb would open, list or remove something."""
 
 
 def special_kind(path: Path) -> str | None:

@@ -1,4 +1,4 @@
-"""How kernels are compiled: once per machine, whatever the process, and again when any of their sources changes.
+"""Compilation and caching of kernels: once per machine, and again when any of their sources changes.
 
 All compiled code lives in this room and has one hash, which names the folder that keeps it: another clone, or a
 package that was moved, finds the kernels of the same sources; a change in any file compiles all of them again.
@@ -54,7 +54,7 @@ _log = logging.getLogger(__name__)
 
 
 class _SourcesLocator(_CacheLocator):
-    """Where a function's machine code is kept: a folder that is named by the sources, not by their place."""
+    """The cache folder of a function's machine code, named by the hash of the sources, not by their place."""
 
     def __init__(self, folder: Path, py_func, py_file):
         self._folder, self._py_file = folder, py_file
@@ -105,7 +105,7 @@ class _SourcesCacheImpl(CompileResultCacheImpl):
 
 
 class _SourcesCache(FunctionCache):
-    """Numba's own cache looks at the file of the cached function and its place; its callees here live in several files.
+    """A cache for functions whose callees are in several files; numba's own checks only the function's file.
 
     It goes into `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else into a temporary folder; a damaged one
     is made again. Of several processes that need a kernel which nobody has compiled, one compiles it.

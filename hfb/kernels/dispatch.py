@@ -1,4 +1,4 @@
-"""Which form of a formula runs: the compiled kernels, or the readable torch that they are tested against.
+"""The choice between compiled kernels and the readable torch formulas that they are tested against.
 
 Compiled kernels take tensors in the processor's memory, of one fit. The readable form runs on any device, and under
 `torch.func.vmap`, which gives tensors of many fits to a formula written for one.

@@ -1,4 +1,4 @@
-"""Compiled: how well moving layers explain a picture, the gradients of that, and the descent. In single precision."""
+"""Compiled objective of moving layers, its gradients and its descent, in single precision."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

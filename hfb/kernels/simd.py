@@ -1,4 +1,4 @@
-"""What kernels write in the compiler's own language: several neighbouring numbers at a time, in one register.
+"""SIMD operations of the kernels, written in LLVM: several neighbouring numbers in one register.
 
 The compiler that numba brings does not pack neighbouring numbers by itself where it cannot rule out that the arrays
 overlap, or tests for it at every call; so a few steps are written for it. Positions are counted in numbers from the
@@ -98,7 +98,7 @@ def positions(context, builder, signature, arguments, wanted):
 
 
 class _Lanes(types.Type):
-    """So many numbers side by side, in compiled code alone."""
+    """The type of several neighbouring numbers, in compiled code alone."""
 
     def __init__(self, number, count) -> None:
         super().__init__(name=f"{count} {number}")

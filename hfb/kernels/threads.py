@@ -1,4 +1,4 @@
-"""A few worker threads of our own for compiled kernels, which release Python's lock.
+"""Worker threads for compiled kernels, which release Python's lock.
 
 Not numba's: its default layer aborts the process when several Python threads use it, another kills a forked
 child. A child of fork() starts without workers (threads do not survive a fork) and makes its own.

@@ -1,4 +1,4 @@
-"""A plate that lies a pixel beside the frame: find the small movement between them, and undo it.
+"""Alignment of a plate that is shifted by some pixels.
 
 A tripod that was touched, a plate of another take, a phone's crop that follows the lens: every edge of the background
 would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray pictures, coarse to fine
@@ -30,7 +30,7 @@ _LEAST_EDGE = 0.004  # a plain wall cannot tell
 
 @dataclass(frozen=True)
 class Movement:
-    """Where the frame's pixels lie in the plate, about the picture's middle.
+    """A small similarity from the frame's pixels to the plate's, about the image's middle.
 
     Attributes:
         shift: right and down, as a share of the picture's longer side.

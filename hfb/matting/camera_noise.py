@@ -1,4 +1,4 @@
-"""How frame and plate differ where nobody is: a small exposure gain, and noise."""
+"""Differences of frame and plate in the background: a small exposure gain, and noise."""
 
 import cv2
 import numpy as np

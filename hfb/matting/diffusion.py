@@ -1,4 +1,4 @@
-"""Filling in from neighbours, coarse to fine: colours that are known in places, mattes that are sure in places."""
+"""Filling in from neighbours, coarse to fine, of colours and mattes that are partly known."""
 
 import cv2
 import numpy as np

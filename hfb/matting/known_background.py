@@ -36,7 +36,7 @@ _SMALLEST_COLOUR_PATCH_PX = 8
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one frame says before any body colour is known; all in units of the noise where not said otherwise."""
+    """Evidence of one frame before any body colour is known; in units of the noise where not stated otherwise."""
 
     frame: Float[Array, "H W 3"]  # linear
     plate: Float[Array, "H W 3"]  # linear, the frame's exposure

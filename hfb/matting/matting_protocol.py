@@ -1,4 +1,4 @@
-"""The person's share of each pixel, from a frame and the clean background: one Protocol, one default."""
+"""The protocol of matting, the default method, and common steps."""
 
 from typing import Protocol, runtime_checkable
 
@@ -25,7 +25,7 @@ MOST_SHARE = 0.75
 
 @runtime_checkable
 class Matting(Protocol):
-    """alpha of eq. (1): what share of the exposure a pixel saw the person."""
+    """Estimates alpha of eq. (1): the share of the exposure in which a pixel shows the person."""
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""

@@ -1,4 +1,4 @@
-"""A matte that a moving layer explains: a sharp outline and its colours, averaged on their way, before the plate.
+"""Matting by a moving layer: a sharp outline and its colours, averaged along its way, over the plate.
 
 I = mean_s (m c)(x - s v) + (1 - mean_s m(x - s v)) B, -1/2 < s < 1/2: the formation model of fast moving objects
 (Rozumnyi et al., "The World of Fast Moving Objects", CVPR 2017), with a way v that may differ from place to place.
@@ -27,7 +27,7 @@ _CELL_PX = 24
 
 
 class _Round(NamedTuple):
-    """All candidates go so many steps at a size [px^2], the best are kept; a free way may bend."""
+    """A round of the search: steps at a size [px^2] for all candidates, of which the best are kept."""
 
     area: int
     steps: int
@@ -63,7 +63,7 @@ _RATES = (0.15, 0.02, 0.3)
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is given, at one size: pictures in linear light and the network's matte; and, for the kernels, all of it."""
+    """The input at one size: images in linear light, the network's matte, and all of it as one array for kernels."""
 
     frame: Float[Array, "H W 3"]
     plate: Float[Array, "H W 3"]
@@ -100,7 +100,7 @@ class _Scene:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A candidate: an outline's logits, the square roots of its colours, its way and a grid that bends it [px]."""
+    """A candidate: an outline's logits, the square roots of its colours, its way and the grid added to it [px]."""
 
     logits: Float[Array, "H W"]
     roots: Float[Array, "H W 3"]
@@ -188,7 +188,7 @@ def _straight_ways(longer_px: int) -> list[Float[Array, "2"]]:
 
 
 class _Answer(NamedTuple):
-    """What a candidate leaves unexplained, counting softness more than it is fought; its matte and its way [px]."""
+    """A candidate's loss, in which softness counts more; its matte and its way [px]."""
 
     oddness: float
     alpha: Float[Array, "H W"]

@@ -1,4 +1,4 @@
-"""The matting network put to work: find the person in the whole frame, then look again at the crop around them."""
+"""Inference of the matting network: in the whole frame, then in the crop around the person."""
 
 from functools import lru_cache
 from importlib import resources
@@ -43,7 +43,7 @@ _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
 class NetworkMatting:
-    """Two small networks trained on blurred people (`hfb train matting`): a second or two, the same on every run.
+    """Two small networks trained on blurred people (`hfb train matting`): one or two seconds, deterministic.
 
     The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
     sees them, too. What its matte leaves open a moving layer explains (moving_layer.py).
@@ -111,7 +111,7 @@ class NetworkMatting:
 
 
 class RenderConditionedMatting:
-    """A crop around a person as the third network sees it, but for the fit: what it makes of a fit's picture there.
+    """The third network's input around a person without the fit; a fit's render gives the matte.
 
     Its alpha is what a matte and a fit show, weighed by the pixels. What lies far from both is somebody else, who was
     left out of the matte before. Where nobody is left it stays.

@@ -1,4 +1,4 @@
-"""Does a given plate lie on the frame, in the frame's exposure? Judged where nobody is, after both were mended.
+"""Check of a plate's alignment and exposure against the frame's background, after both are corrected.
 
 A plate farther beside the frame than alignment.py moves it makes a person's outline of every edge; another exposure
 than camera_noise.py evens out makes a person of the whole room. The matte shows it late: it is told in words before.

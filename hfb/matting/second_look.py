@@ -1,4 +1,4 @@
-"""What a first matte makes known: the body's colours, and the share of the way from plate to them at every pixel.
+"""Inputs of the second network that follow from a first matte: the body's colours, and alpha by them.
 
 alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
 far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,

@@ -1,4 +1,4 @@
-"""What a fit makes known: its own picture beside the frame, where its body is and in which colours.
+"""Inputs of the third network that follow from a fit: its render, silhouette and colours.
 
 A matte that was found before any fit errs where the person looks like the plate; the fitted body errs where a limb is
 not yet where it should be. Both see the same pixels, and where they disagree the pixels say who is right: how much of

@@ -1,4 +1,4 @@
-"""motion.npz: the lossless result, readable by numpy alone."""
+"""motion.npz: the lossless result, readable with numpy alone."""
 
 import io
 from collections.abc import Mapping

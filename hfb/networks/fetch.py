@@ -1,4 +1,4 @@
-"""`hfb models fetch`: MediaPipe's pose networks out of their owner's packages. No other code of hfb uses the network.
+"""`hfb models fetch`: download of MediaPipe's pose networks; the only code of hfb that uses the internet.
 
 The detector and the full landmark network are taken out of the wheel on the package index, the heavy one, which no
 wheel holds, out of the npm package. Archives and networks are checked against fixed digests before a byte of them is
@@ -45,7 +45,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class NetworkArchive:
-    """A package as its owner published it.
+    """A package as published by its owner.
 
     Attributes:
         source: as in `NetworkFile.source`.

@@ -1,4 +1,4 @@
-"""MediaPipe's pose networks: where they lie, and which of them a first body is found with. Offline.
+"""Local files of MediaPipe's pose networks, and the choice among them. Offline.
 
 They are not part of this project: `hfb models fetch` brings them (see fetch_networks.py).
 """
@@ -16,7 +16,7 @@ LandmarkChoice = Literal["auto", "heavy", "full"]
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """One network's file, known by its content.
+    """One network's file, identified by its digest.
 
     Attributes:
         source: the package that holds it.

@@ -1,4 +1,4 @@
-"""What a network's file is, by its first bytes and its archive's contents: told without torch."""
+"""Recognition of a network file by its first bytes and its archive's contents, without torch."""
 
 import zipfile
 from pathlib import Path

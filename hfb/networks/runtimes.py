@@ -32,12 +32,12 @@ _IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225], np.float32)[:, None, None]
 
 
 class PictureTooSmall(InputError):
-    """A network that chooses a fixed number of places was given fewer; a larger picture has enough."""
+    """The image has fewer positions than the network selects; a larger image has enough."""
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a network gave, in its own order.
+    """The outputs of a network, in its own order.
 
     Attributes:
         source: the network's file, for messages.
@@ -70,7 +70,7 @@ class Outputs:
 
 @runtime_checkable
 class Network(Protocol):
-    """Pictures in, arrays out."""
+    """A network from images to arrays."""
 
     def __call__(self, inputs: Sequence[Given]) -> Outputs:
         """Run it. Raises InputError where it fails, FloatingPointError where an output is not finite."""
@@ -97,7 +97,7 @@ def load_network(path: Path, settings: Mapping[str, float | str] | None = None, 
 
 
 class TorchNetwork:
-    """A `Network` out of a module of torch."""
+    """A `Network` of a torch module."""
 
     def __init__(self, path: Path, module: torch.nn.Module, half: bool = False) -> None:
         """`path`: where its weights are from, for messages. `half`: compute in 16 bits, in half the memory."""
@@ -123,7 +123,7 @@ class TorchNetwork:
 
 
 class TorchScriptNetwork(TorchNetwork):
-    """A `Network` out of torch.jit.save's archive."""
+    """A `Network` of torch.jit.save's archive."""
 
     def __init__(self, path: Path, settings: Mapping[str, float | str], half: bool = False) -> None:
         """Raises InputError where torch cannot read it."""

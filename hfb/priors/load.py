@@ -1,4 +1,4 @@
-"""Choosing a pose prior, and reading users' files without running any code in them."""
+"""Loading of pose priors; no code in a user's file is run."""
 
 import zipfile
 from collections import OrderedDict
@@ -87,7 +87,7 @@ def _read(path: Path) -> Mapping[str, object]:
 
 
 class _Ignored:
-    """Stands for whatever a training run left in its checkpoint beside the weights; holds state, runs nothing."""
+    """Stands for other content of a training run's checkpoint; holds state, runs nothing."""
 
     def __new__(cls, *_args: object, **_kwargs: object) -> OrderedDict:  # type: ignore[misc]
         return OrderedDict()

@@ -17,7 +17,7 @@ LIMITS_KEY = "joint_limits"
 
 
 class MixturePrior:
-    """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, and what lies beyond the joint limits.
+    """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, plus the excess of the joint limits.
 
     A mixture alone is smooth: a knee bent backwards by a few degrees lies as near to its means as one bent forwards.
 

@@ -1,4 +1,4 @@
-"""The coefficient matrix C in the one form that the motion prior knows, whatever kind of polynomials a fit uses.
+"""The coefficient matrix C in the motion prior's form, for any kind of polynomials.
 
 A fit's own coefficients mean different things: quaternions or axis and angle, time from the start or from the middle,
 the root seen by whatever camera. Here C is what the motion itself determines: unit quaternions at five instants, and

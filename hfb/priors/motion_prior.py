@@ -1,4 +1,4 @@
-"""The adversarial short motion prior: which way did it move? (the paper's section "Adversarial short motion prior")."""
+"""The adversarial short motion prior, which judges the direction of motion (the paper's section of that name)."""
 
 import copy
 from functools import lru_cache
@@ -21,7 +21,7 @@ _SHIPPED = torch.float32, torch.device("cpu")
 
 
 class MotionPrior:
-    """D and G, trained and frozen. It looks at the motion in the body's own frame: no camera changes its answer.
+    """D and G, trained and frozen, applied in the body's own frame, so that results do not depend on the camera.
 
     Args:
         discriminator: the networks; their weights are never changed through a prior.

@@ -1,4 +1,4 @@
-"""What a pose prior is."""
+"""The protocol of pose priors."""
 
 from typing import Protocol, runtime_checkable
 
@@ -7,7 +7,7 @@ from hfb.typing import Float, Tensor
 
 @runtime_checkable
 class PosePrior(Protocol):
-    """How unlikely a body pose is.
+    """The improbability of a body pose.
 
     All priors here are of one size: a few tens for an ordinary pose (each is about half a squared Mahalanobis
     norm over the pose's degrees of freedom), so one weight serves them all.

@@ -23,7 +23,7 @@ _BATCH_NORM_EPSILON = 1e-5
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where a version keeps its layers; each encoder layer is (batch norm before it or "", linear, slope after it)."""
+    """Names of a version's layers; each encoder layer is (batch norm before it or "", linear, slope after it)."""
 
     encoder: tuple[tuple[str, str, float], ...]
     decoder: tuple[tuple[str, str, float], ...]

@@ -1,4 +1,4 @@
-"""The fast rasteriser: compiled kernels, one body at a time, any number of threads, always the same bits."""
+"""The fast rasteriser: compiled kernels, bit-equal for any number of threads."""
 
 from typing import Literal
 

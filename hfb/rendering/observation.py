@@ -1,4 +1,4 @@
-"""What is seen: blurred frames of one static camera, their background plate and mattes."""
+"""The input of a fit: blurred frames of one static camera, their background plate and mattes."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -15,7 +15,7 @@ from hfb.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class Observation:
-    """T frames with everything a fit may know about them.
+    """T frames with everything that a fit uses of them.
 
     Attributes:
         frames_linear: the blurred pictures, in the light in which blur is an average.

@@ -1,4 +1,4 @@
-"""The one interface through which the forward model sees a body: R_F and R_S of the paper's eq. (1)."""
+"""The interface of rasterisers: R_F and R_S of the paper's eq. (1)."""
 
 from typing import Protocol, runtime_checkable
 

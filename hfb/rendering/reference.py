@@ -1,4 +1,4 @@
-"""The readable rasteriser: what the fast ones must agree with, in values and in gradients (by autograd).
+"""The readable rasteriser, the reference of the fast ones in values and in gradients (by autograd).
 
 Written for clarity, in plain torch, row of pixels by row of pixels: use it in tests and for small pictures.
 The silhouette is the exact share of each pixel covered by the union of the front faces, found here by another

@@ -1,4 +1,4 @@
-"""First bodies of a whole clip: a full search in some frames, their neighbours laid onto the mattes in between.
+"""First bodies of a whole clip: a full search in some frames, interpolation and refinement in between.
 
 A search sees one frame and cannot tell front from back in a silhouette; a clip can: people do not turn around between
 two frames. What a frame does not show at all is taken from its neighbours, and marked.
@@ -42,7 +42,7 @@ _DOUBT_M = 0.2
 
 @dataclass(frozen=True)
 class ClipBodies:
-    """One body per frame of a clip, as far as there is one.
+    """One body per frame of a clip, where there is one.
 
     Attributes:
         bodies: None where the person is absent.

@@ -1,4 +1,4 @@
-"""A second look at frames in which a followed person was not seen: the matting network finds whom small pictures miss.
+"""A second pass over frames without the tracked person, by the matting network at full size.
 
 A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small picture; the network
 looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about

@@ -1,4 +1,4 @@
-"""Pieces of one person: a body cut in two where clothes look like the background is told from two people.
+"""Merging of a person's pieces where clothes look like the background; two people stay two.
 
 Small pictures show both alike: one area above another. Between the pieces of one person the matting network sees the
 faint rest of a body, between two people nothing.

@@ -1,4 +1,4 @@
-"""Boxes of people out of other systems' files, row by row."""
+"""Reading of other systems' boxes of people, row by row."""
 
 import csv
 from collections.abc import Iterator, Sequence

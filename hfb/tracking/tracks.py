@@ -1,4 +1,4 @@
-"""Who is where in a clip: people as the areas that differ from the background, followed from frame to frame.
+"""Tracking of people in a clip, as the areas that differ from the background.
 
 Cheap on purpose: a small picture per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
 """
@@ -33,7 +33,7 @@ _MARGIN, _AROUND = 0.12, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """One person's way through a clip.
+    """One person's boxes in a clip.
 
     Attributes:
         name: for messages.
@@ -53,7 +53,7 @@ class Track:
 
 @dataclass(frozen=True)
 class ClipFrames:
-    """Which frames of a video a clip's pictures are: another system's tracks count the video's own.
+    """The correspondence of a clip's images to a video's frames, which other systems' tracks count.
 
     Attributes:
         count: T.

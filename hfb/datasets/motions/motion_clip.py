@@ -1,4 +1,4 @@
-"""A motion from outside, in the one form that every generator takes."""
+"""A recorded motion in the common form of all generators."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

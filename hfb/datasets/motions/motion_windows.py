@@ -1,4 +1,4 @@
-"""Short stretches of recorded motion, as long as a shutter is open, and single poses: what the priors learn from."""
+"""Training data of the priors: windows of recorded motion as long as an exposure, and single poses."""
 
 import fnmatch
 import zlib
@@ -24,7 +24,7 @@ OnProgress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Split:
-    """Which motions are for what, by their numbers in a source.
+    """Motions to train on, for choices and for tests, by their numbers in a source.
 
     Attributes:
         trained: motions to learn from.

@@ -1,4 +1,4 @@
-"""A recorded motion at any instants: the blur needs many more of them than a recording has frames."""
+"""Resampling of a recorded motion: a blurred frame needs more instants than a recording has."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Where motions come from: a folder of recordings, or the built-in ones."""
+"""Sources of motions: a folder of recordings, or the built-in ones."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Which stretches of which videos a case can be made from, and an order that spreads over all of them."""
+"""Windows of videos from which cases can be made, and an order that spreads over all of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""A first look at a video: does its camera stand still, and do its measured joints lie on the person, in time?"""
+"""Checks of a video: a static camera, and measured joints that match the person in place and time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ _CLEARLY_BETTER = 1.05
 
 @dataclass(frozen=True)
 class Inspection:
-    """What the first look found.
+    """Result of `inspect`.
 
     Attributes:
         recording: with the up axis of its joints settled.

@@ -1,4 +1,4 @@
-"""3D joints that somebody measured: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
+"""Measured 3D joints: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
 
 Marker-based skeletons, detectors and SMPL put their joints at slightly different places of the body: hips and shoulders
 lie 2 to 5 cm from SMPL's (see truth_source.py).

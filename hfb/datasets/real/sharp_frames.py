@@ -1,4 +1,4 @@
-"""One pass over the sharp frames of a case: what a long exposure sums up, and each frame's own matte."""
+"""One pass over the sharp frames of a case: the sum of each long exposure, and each frame's matte."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ OnFrame = Callable[[Float[Array, "H W 3"], Float[Array, "H W"]], None]
 
 @dataclass(frozen=True)
 class Exposure:
-    """One blurred frame and what it is made of, linear light.
+    """One blurred frame and the sharp frames behind it, linear light.
 
     Attributes:
         mean: mean of the K sharp frames.

@@ -1,4 +1,4 @@
-"""When K averaged frames of a video were exposed, on the clock of a fit.
+"""Exposure times of K averaged frames of a video, on the clock of a fit.
 
 A fit explains a picture as the mean of instants at u = 0 .. 1, both ends included. The mean of K sharp frames is
 exactly that with u = j / (K - 1), if u = 0 is the middle of the first frame's own exposure and u = 1 that of the

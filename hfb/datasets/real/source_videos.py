@@ -1,4 +1,4 @@
-"""Videos in a folder: files, or folders of numbered pictures. What they are, without holding any of them.
+"""Videos in a folder: files, or folders of numbered images; frames are read on demand.
 
 Frames count from 0. A folder is one video per name of its numbered pictures (f001.png, f002.png, ...), if there are
 eight or more of that name.

@@ -1,4 +1,4 @@
-"""The truth of a real case: joints that were measured, or those an estimator sees in every sharp frame."""
+"""The truth of a real case: measured joints, or an estimator's joints in every sharp frame."""
 
 from dataclasses import dataclass
 
@@ -98,7 +98,7 @@ def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> 
 
 
 class SharpEstimates:
-    """An estimator's answers to sharp frames, one after another."""
+    """An estimator's results in sharp frames, one after another."""
 
     def __init__(
         self, initializer: Initializer, body: Body, plate_linear: Float[Array, "H W 3"], camera: PinholeCamera

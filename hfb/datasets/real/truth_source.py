@@ -1,4 +1,4 @@
-"""What the measured joints of a real recording are, and how far they lie from SMPL's."""
+"""Kinds of measured joints in real recordings, and their offsets from SMPL's."""
 
 from typing import Literal
 

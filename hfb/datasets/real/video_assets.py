@@ -1,4 +1,4 @@
-"""What belongs to a video: its plate, its camera, its measured joints; found by name, checked against the picture."""
+"""Companion files of a video: plate, camera and measured joints; found by name, checked against the frames."""
 
 import re
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ _PICTURE_BYTES = 1 << 29
 
 @dataclass(frozen=True)
 class Recording:
-    """A video and the files that belong to it. Paths only: it travels between processes.
+    """A video and its companion files. Paths only, so that it can be sent between processes.
 
     Attributes:
         video: the video file, or the first of its numbered pictures.

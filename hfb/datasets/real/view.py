@@ -1,4 +1,4 @@
-"""The window through which a case sees its video: around the person, undistorted, at the case's size."""
+"""The window of a case on its video: around the person, undistorted, at the case's size."""
 
 from dataclasses import dataclass, replace
 

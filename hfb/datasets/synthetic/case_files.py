@@ -1,4 +1,4 @@
-"""Write a case: what the methods see, what really happened, and how it was made."""
+"""Writing of a case: the methods' input, the truth, and the record of how it was made."""
 
 import json
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ FORMAT = 1
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """Everything there is to tell about a case."""
+    """All facts about a case."""
 
     spec: SetSpec
     number: int

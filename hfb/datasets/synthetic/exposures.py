@@ -1,4 +1,4 @@
-"""The clocks of synthetic cases: how long the shutter may be open, and at which instants the truth is known."""
+"""The clocks of synthetic cases: possible exposures, and the instants of the truth."""
 
 import math
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Shutter:
-    """What may be chosen of a clock.
+    """The possible exposures of a set.
 
     Attributes:
         exposures_s: possible exposure times, ascending.

@@ -1,4 +1,4 @@
-"""Find the piece of a motion, and the camera, whose blur rate is wanted."""
+"""Search for a piece of a motion, and a camera, of a wanted blur rate."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class _Draw:
-    """Everything that is random about one try."""
+    """All random numbers of one attempt."""
 
     start: float
     gap: float
@@ -102,7 +102,7 @@ def candidates(
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A start and a camera; what is left is the exposure time."""
+    """A start and a camera; only the exposure time is open."""
 
     clip: MotionClip
     person: ShapedBody

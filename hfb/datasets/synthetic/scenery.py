@@ -1,4 +1,4 @@
-"""What a synthetic picture shows besides the body's shape: a background, the body's texture, the light on it."""
+"""The scenery of a synthetic image: background, texture of the body, and light."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache

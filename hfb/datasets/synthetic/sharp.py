@@ -1,4 +1,4 @@
-"""The true sub-frames of a case as one picture: eight cut-outs side by side, for people and for evaluation."""
+"""The true sub-frames of a case as one image: eight cut-outs side by side, to look at and for evaluation."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Take the pictures of a motion: many sub-frames, averaged in linear light over the plate, as a sensor would."""
+"""Rendering of a motion's frames: many sub-frames, averaged in linear light over the plate, with sensor noise."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ _HALF_LIGHT_NOISE, _PLATE_NOISE = (0.004, 0.01), (0.2, 0.5)
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One exposure before it meets the plate.
+    """One exposure before it is composed over the plate.
 
     Attributes:
         mean: mean of all sub-frames, premultiplied linear colour and silhouette.

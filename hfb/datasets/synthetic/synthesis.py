@@ -84,7 +84,7 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
 
 @dataclass(frozen=True, eq=False)
 class _Actor:
-    """A person: the mesh that is fitted, the one that is photographed, and what is worn over both."""
+    """A person: the mesh that is fitted, the one that is rendered, and the clothes of both."""
 
     fit_body: Body
     truth_body: Body
@@ -120,7 +120,7 @@ def _draw_actor(spec: SetSpec, rng: np.random.Generator) -> _Actor:
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What was photographed, and the exposures."""
+    """The scenery and the exposures."""
 
     found: Candidate
     truth: Truth
@@ -198,7 +198,7 @@ def _source(folder: Path | None, seed: int) -> MotionSource:
 
 
 class _Shelf:
-    """Motions read lately: a set draws from the same ones again and again."""
+    """A cache of motions that were read recently."""
 
     def __init__(self, source: MotionSource) -> None:
         self._source = source

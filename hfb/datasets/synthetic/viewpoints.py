@@ -20,7 +20,7 @@ _UPRIGHT = 0.3
 
 @dataclass(frozen=True)
 class View:
-    """What is free in a camera that looks at a person.
+    """The free parameters of a camera that looks at a person.
 
     Attributes:
         azimuth_deg: angle about the world's vertical, from the person's front.

@@ -1,4 +1,4 @@
-"""From a method's spec to the method."""
+"""Construction of a method from its spec."""
 
 from hfb.body.model import Body
 from hfb.config import InitConfig

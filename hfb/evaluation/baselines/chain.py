@@ -28,7 +28,7 @@ from hfb.typing import Array, Float, Tensor
 
 
 class Chain:
-    """Sub-frames out of every blurred frame, an estimate on each, interpolated to the clock of the prediction."""
+    """Sub-frames of every blurred frame, an estimate in each, interpolated to the clock of the prediction."""
 
     def __init__(self, name: str, chain: ChainSpec, subframes: int, body: Body) -> None:
         self.name = name

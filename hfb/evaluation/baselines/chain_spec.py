@@ -1,4 +1,4 @@
-"""chains.toml: deblur-then-estimate baselines out of a user's own networks, pictures and poses.
+"""chains.toml: deblur-then-estimate baselines with a user's own networks, images and poses.
 
     [bin-metro]                            # a method's name for --methods
     deblurrer = "bin.pt"                   # TorchScript or ONNX; or pictures = "DIR"; neither: the blurred frame itself
@@ -51,7 +51,7 @@ _BUILT_IN = ("mediapipe", "matte")
 
 
 class DeblurrerLayout(Record):
-    """What a deblurring network takes and gives."""
+    """Input and output of a deblurring network."""
 
     frames: Literal["one", "stacked", "list"] = "one"
     normalisation: Normalisation = "unit"
@@ -68,7 +68,7 @@ class DeblurrerLayout(Record):
 
 
 class EstimatorLayout(Record):
-    """What a pose network takes and gives."""
+    """Input and output of a pose network."""
 
     size_px: int = Field(224, ge=8, le=4096)
     margin: float = Field(1.2, gt=0, le=4)

@@ -1,4 +1,4 @@
-"""From a blurred frame to sharp sub-frames: by a user's network, or out of a folder that some system filled."""
+"""Deblurring of a frame to sharp sub-frames: by a user's network, or from another system's folder."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ class SharpPictures:
 
 
 class Deblurrer:
-    """What a chain's table says: a network, a folder of pictures, or nothing, which leaves the frames as they are."""
+    """The deblurrer of a chain's table: a network, a folder of images, or none, which keeps the frames."""
 
     def __init__(self, chain: ChainSpec) -> None:
         self._layout = chain.deblurrer_layout

@@ -1,4 +1,4 @@
-"""Single estimates of a body, whatever a system knows of it, and how they become a prediction."""
+"""Single estimates of a body, complete or not, and their conversion to a prediction."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from hfb.typing import Array, Float, Tensor
 
 @dataclass(frozen=True)
 class Estimate:
-    """One instant: a pose, or joints alone.
+    """The estimate at one instant: a pose, or joints alone.
 
     Attributes:
         pose: axis-angle [rad], camera frame; None where only joints are known.

@@ -1,4 +1,4 @@
-"""From a sharp picture to a body: a user's network, or one of the estimators that a fit starts from."""
+"""Pose estimation from a sharp image: by a user's network, or by an initialiser."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -25,7 +25,7 @@ _HALF_TURN = (torch.pi, 0.0, 0.0)  # about x: from y up, z towards the viewer, t
 
 @dataclass(frozen=True)
 class Sight:
-    """One sub-frame, as an estimator may see it.
+    """One sub-frame as the input of an estimator.
 
     Attributes:
         person: the box is around this matte's person; the blurred frame's matte does.
@@ -39,7 +39,7 @@ class Sight:
 
 @runtime_checkable
 class Estimator(Protocol):
-    """A body out of one picture."""
+    """Estimates a body from one image."""
 
     def __call__(self, sight: Sight, body: Body) -> Estimate:
         """Raises InputError where it finds nobody."""
@@ -47,7 +47,7 @@ class Estimator(Protocol):
 
 
 class InitializerEstimator:
-    """One of our own initialisers; the matte must belong to the very picture."""
+    """One of hfb's initialisers; the matte must belong to the same image."""
 
     def __init__(self, initializer: Initializer) -> None:
         self._initializer = initializer

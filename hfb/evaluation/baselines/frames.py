@@ -1,4 +1,4 @@
-"""Several frames, one by one."""
+"""Splitting of observations into single frames."""
 
 from dataclasses import replace
 

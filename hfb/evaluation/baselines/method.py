@@ -1,4 +1,4 @@
-"""What the judge compares: anything that turns an observation into a claim about the motion."""
+"""The interface of methods: an observation in, a predicted motion out."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -11,7 +11,7 @@ from hfb.rendering.observation import Observation
 
 @runtime_checkable
 class Method(Protocol):
-    """One method, ready to answer case after case; every answer is a function of its arguments alone."""
+    """A method that predicts case after case; every prediction is a function of its arguments alone."""
 
     name: str
 

@@ -1,4 +1,4 @@
-"""What `--methods` may name, and everything about a method that can change its result. Light to import."""
+"""Specification of a method by its name in `--methods` and all that can change its result. Light to import."""
 
 from __future__ import annotations
 
@@ -93,14 +93,14 @@ MODIFIERS: Mapping[str, str] = {
 
 
 class FileDigest(Record):
-    """A file or folder that a method reads, by its content."""
+    """A file or folder that a method reads, with its digest."""
 
     path: Path
     sha256: str
 
 
 class MethodSpec(Record):
-    """One method, frozen: equal specs give equal results on equal cases.
+    """The specification of one method: equal specs give equal results on equal cases.
 
     Attributes:
         name: as the user wrote it, without ``=FILE``; the name in every table.

@@ -1,4 +1,4 @@
-"""Methods that are told something of the truth; every one says so in its name."""
+"""Methods that use a part of the truth, which their names state."""
 
 import time
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
 
 
 class TrueMatte:
-    """Another method, shown the exact mattes in place of the estimated ones."""
+    """Another method with the exact mattes in place of the estimated ones."""
 
     def __init__(self, name: str, method: Method) -> None:
         self.name = name
@@ -48,7 +48,7 @@ class TrueMatte:
 
 
 class TrueStart:
-    """Another method, started from the true body in the middle of every exposure."""
+    """Another method that starts from the true body in the middle of every exposure."""
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name
@@ -73,7 +73,7 @@ class TrueStart:
 
 
 class TrueHeight:
-    """A fit that is told how tall the person is, as somebody may know who films."""
+    """A fit with the person's true height, which a user may know."""
 
     def __init__(self, name: str, method: HumanFromBlur, body: Body) -> None:
         self.name = name
@@ -94,7 +94,7 @@ class TrueHeight:
 
 
 class TwoStageOracle:
-    """An estimator on the TRUE sharp sub-frames with their exact mattes: what a perfect deblurring could give it."""
+    """An estimator on the TRUE sharp sub-frames with their exact mattes: the limit of perfect deblurring."""
 
     def __init__(self, name: str, initializer: Initializer | None, subframes: int, seed: int, body: Body) -> None:
         self.name = name

@@ -1,4 +1,4 @@
-"""From single estimates at some instants to the rows of a prediction."""
+"""Interpolation of single estimates to the rows of a prediction."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""The prototype of SfB and MfB: a sphere of triangles with a texture atlas, free to deform."""
+"""The prototype shape of SfB and MfB: a deformable sphere of triangles with a texture atlas."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Where SfB and MfB begin: an ellipsoid as large as the matte, some guesses of how it moves."""
+"""Initialisation of SfB and MfB: an ellipsoid as large as the matte, with several guesses of its motion."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _LEAST_SHARE = 0.25  # of the matte's variance along an axis that stays the obje
 
 @dataclass(frozen=True)
 class SphereStart:
-    """One guess.
+    """One start guess.
 
     Attributes:
         axes_m: half the extent of the ellipsoid along x, y and z.

@@ -1,4 +1,4 @@
-"""The estimates that a fit starts from, as methods of their own."""
+"""The static start estimates as methods."""
 
 import time
 from collections.abc import Sequence

@@ -144,7 +144,7 @@ def person_config(config: RunConfig) -> FitConfig:
 
 @dataclass(frozen=True)
 class WindowScene:
-    """A window and what its fit sees.
+    """A window and the input of its fit.
 
     Attributes:
         observation: observation of the window's frames alone.

@@ -1,4 +1,4 @@
-"""Rotations as other systems store them, as axis-angle."""
+"""Conversion of other systems' rotations to axis-angle."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""Which frames of a clip the pictures of a result are: by the clip's own file names where they have some."""
+"""Matching of a result's images to a clip's frames by file names."""
 
 import logging
 import re
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ClipPictures:
-    """The pictures that a result is matched with.
+    """The images that a result is matched with.
 
     Attributes:
         names: names of the clip's files, in the order of its frames; empty for a video.

@@ -1,4 +1,4 @@
-"""One person who comes as several tracks: trackers lose people and give them a new number."""
+"""Joining of several tracks of one person, since trackers lose people and give them a new number."""
 
 import logging
 from collections.abc import Sequence

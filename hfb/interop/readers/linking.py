@@ -1,4 +1,4 @@
-"""People without names: a person is who lies nearest to where they lay in the frames before."""
+"""Linking of people without names by their distance between neighbouring frames."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ _REMEMBERED, _MOST_IN_FRAME = 5, 128
 
 @runtime_checkable
 class Seen(Protocol):
-    """Somebody in a frame."""
+    """A person in a frame."""
 
     @property
     def number(self) -> int:

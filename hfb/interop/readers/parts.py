@@ -1,4 +1,4 @@
-"""Parts of a result by their names: looked at before they are copied, counted before they are read.
+"""Access to parts of a result by name, with limits on their number before they are read.
 
 A pickle of a few bytes can hold the same large part a thousand times.
 """

@@ -1,4 +1,4 @@
-"""What another system found, in hfb's conventions: the one form between their files and our first bodies."""
+"""Another system's result in hfb's conventions, the common form of all readers."""
 
 import logging
 from dataclasses import dataclass, replace

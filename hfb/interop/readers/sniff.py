@@ -1,4 +1,4 @@
-"""Whose result a file is, told by what is in it, and the person it is to be about."""
+"""Recognition of a result file's system by its content, and choice of a person."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path

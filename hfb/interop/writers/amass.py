@@ -1,4 +1,4 @@
-"""amass.npz: what AMASS's tools and Blender's SMPL add-on open (SMPL-H's 156 columns, z up, an even rate)."""
+"""amass.npz for AMASS's tools and Blender's SMPL add-on (SMPL-H's 156 columns, z up, an even rate)."""
 
 from pathlib import Path
 

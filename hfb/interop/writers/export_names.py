@@ -1,4 +1,4 @@
-"""What exported files are called, and which libraries they need. Light to import."""
+"""Names of exported files, and the libraries that they need. Light to import."""
 
 from collections.abc import Sequence
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""A motion as animation formats take it: instants that increase, rotations whose signs do not jump, even steps.
+"""A motion for animation formats: increasing instants, rotations without sign jumps, an even rate.
 
 A motion of hfb has the instants of exposures: dense while the shutter is open, none while it is closed, and where one
 exposure begins as the last one ends the same instant twice. Here each exposure is a cubic spline through its
@@ -51,7 +51,7 @@ class MotionKeys:
 
 @dataclass(frozen=True)
 class _Knots:
-    """Distinct instants with everything that is interpolated, and the exposure that each belongs to."""
+    """Distinct instants with all interpolated values, and the exposure of each."""
 
     times_s: Float[Array, "M"]
     values: Float[Array, "M c"]

@@ -1,4 +1,4 @@
-"""The motion files of a run, by the names that options and people use."""
+"""The motion files of a run, by the names of the option."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from hfb.motion.sampled import SampledMotion
 
 @dataclass(frozen=True)
 class Exported:
-    """A person's motion and what belongs to it.
+    """A person's motion and the data that exports need.
 
     Attributes:
         betas_space: space of the motion's shape coefficients.

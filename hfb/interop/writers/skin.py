@@ -1,4 +1,4 @@
-"""A person's surface as viewers and graphics cards take it: one index per corner, weights in sets of four."""
+"""A person's surface for viewers and graphics cards: one index per corner, weights in sets of four."""
 
 from dataclasses import dataclass
 

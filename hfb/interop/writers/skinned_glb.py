@@ -1,4 +1,4 @@
-"""motion.glb: the person with skin, skeleton, texture and two animations: as fast as it was, and slowed down.
+"""motion.glb: the person with skin, skeleton, texture and two animations, in real time and in slow motion.
 
 The world is glTF's (metres, y up); the camera that took the pictures is at its origin and looks along -z, as glTF's own
 cameras do. One node turns the camera's frame into that world, so that joints and animations below it are those of

@@ -1,4 +1,4 @@
-"""The rate at which a video was captured, where it is stored to be shown at another one: slow motion and time lapse."""
+"""The rate at which a video was captured, where it differs from that of its time stamps: slow motion, time lapse."""
 
 import re
 import struct

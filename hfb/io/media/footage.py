@@ -1,4 +1,4 @@
-"""Footage of one static camera: a video file, a folder of pictures or a list of them, as a stream of exact frames.
+"""Footage of one static camera: a video file, a folder or a list of images, as a stream of exact frames.
 
 A look through the whole range comes first: afterwards every frame is known to decode, and when it was taken. Frames are
 then read from wherever they are wanted; memory is that of a few frames, however long the footage is.
@@ -33,7 +33,7 @@ _Wanted = tuple[int, int | None, float | None, float | None, Path]
 
 @dataclass(frozen=True, eq=False)
 class Footage:
-    """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so it travels between processes.
+    """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so that it can be sent between processes.
 
     Attributes:
         source: the video, or the folder or first picture.

@@ -1,4 +1,4 @@
-"""Which files footage is made of: a video, or pictures in the order in which they were taken."""
+"""The files of footage: a video, or images in the order in which they were taken."""
 
 from collections.abc import Sequence
 from pathlib import Path

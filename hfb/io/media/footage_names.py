@@ -1,4 +1,4 @@
-"""Which files of a folder are frames, and which the empty scene, by their names alone. Light to import."""
+"""Names of frames and of background plates in a folder. Light to import."""
 
 import re
 from collections.abc import Iterable

@@ -1,4 +1,4 @@
-"""The clean background of footage: a picture of the empty scene or one made from the footage, and its checks."""
+"""The clean background of footage: an image of the empty scene or one made from the footage, and its checks."""
 
 from collections.abc import Callable
 from pathlib import Path

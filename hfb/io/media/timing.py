@@ -1,4 +1,4 @@
-"""When the shutter was open: what clip.toml and the options say, on the time stamps of the footage."""
+"""Exposure times by clip.toml and options, on the time stamps of the footage."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What another system left in a file, whatever container it is in: told by content, and no code of it is ever run."""
+"""Content of another system's file, whatever its container, recognised by content; its code is never run."""
 
 import bz2
 import json

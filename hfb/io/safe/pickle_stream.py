@@ -1,4 +1,4 @@
-"""The bytes that a pickle is read from, and how much it may make of them."""
+"""The byte stream of a pickle, with a limit on the work of reading it."""
 
 import io
 from typing import Any
@@ -12,7 +12,7 @@ _BYTES_PER_STEP = 1 << 12  # that a call copies
 
 
 class Steps:
-    """How many steps reading one file may take: all its pickles, and those within them, take from the same.
+    """The number of steps that reading one file may take, shared by all its pickles and those within them.
 
     Args:
         file_bytes: size of the file on disk; its unpacked content may have any size.
@@ -43,7 +43,7 @@ class Steps:
 
 
 class Bytes(io.BytesIO):
-    """A stream over bytes in memory, parts of which can be had without a copy.
+    """A stream over bytes in memory that returns parts without a copy.
 
     Args:
         steps: limit of the work; by default that of a file of these bytes.

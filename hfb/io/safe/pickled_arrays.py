@@ -1,4 +1,4 @@
-"""From what stands for arrays and tensors in a pickle to numpy arrays, rebuilt by hand from the bytes it held."""
+"""Conversion of placeholders of arrays and tensors to numpy arrays, from their bytes."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""What stands for the objects of a pickle, nothing but the values they were made with, and for its functions."""
+"""Placeholders of a pickle's objects, which hold only their constructor's values, and of its functions."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ _MAX_KEY_TEXT = 1 << 12  # a longer one would be compared, letter by letter, eac
 
 
 class Placeholder:
-    """An object of a class that is never imported: what it was called with, and its state."""
+    """An object of a class that is never imported: its constructor's arguments, and its state."""
 
     kind = "object"
     arguments: Sequence[Any] = ()
@@ -73,7 +73,7 @@ class ChumpyArray(Placeholder):
 
 
 class JoblibArray(Placeholder):
-    """Stands for joblib's NumpyArrayWrapper; the array's bytes lie in the stream right behind it.
+    """Stands for joblib's NumpyArrayWrapper; the array's bytes follow it in the stream.
 
     Attributes:
         data: the bytes, not copied; the pickled list of objects where the array is one of objects.
@@ -84,7 +84,7 @@ class JoblibArray(Placeholder):
 
 
 class TorchStorage(Placeholder):
-    """Stands for a storage of torch: `code` says what numbers, `data` gives their bytes."""
+    """Stands for a storage of torch: `code` is the type of its numbers, `data` gives their bytes."""
 
     kind = "torch storage"
     code = ""
@@ -98,7 +98,7 @@ class TorchTensor(Placeholder):
 
 
 class PlainDict(dict[Any, Any]):
-    """Stands for OrderedDict and defaultdict; attributes that hang on it are dropped."""
+    """Stands for OrderedDict and defaultdict; additional attributes are dropped."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(())

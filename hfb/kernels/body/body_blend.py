@@ -1,4 +1,4 @@
-"""Compiled parts of bodies with pose blend shapes: every vertex is displaced by its pose and skinned in one go.
+"""Compiled bodies with pose blend shapes: every vertex is displaced and skinned in one pass.
 
 Its directions, 3 x 207 numbers, are read from memory once there and once back: they are too many for the processor's
 cache, and are half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced vertices stay where they are for

@@ -1,4 +1,4 @@
-"""Joints along their chains and skinning as torch operators, so that autograd, torch.compile and export see them.
+"""Joints along their chains and skinning as torch operators, for autograd, torch.compile and export.
 
 The readable formulas they are tested against are in `hfb.body.skinning`.
 """

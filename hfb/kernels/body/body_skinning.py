@@ -1,4 +1,4 @@
-"""Compiled parts of the body: joints along their chains, and linear blend skinning, with their ways back.
+"""Compiled body: joints along their chains, linear blend skinning, and their gradients.
 
 Skinning works on all instants at once: the 12 entries of a joint's transform lie side by side for every instant
 ("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint that holds it, and the

@@ -1,4 +1,4 @@
-"""Compiled parts: the features of all instants' poses times a vertex's pose blend shapes, there and back.
+"""Compiled products of all instants' pose features with a vertex's pose blend shapes, and their gradients.
 
 Written out block by block, so that every number in reach of a register stays in one: what the compiler makes of loops
 loads most of them again and again.

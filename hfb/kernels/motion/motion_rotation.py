@@ -1,4 +1,4 @@
-"""Compiled logarithm of rotation matrices, with its way back."""
+"""Compiled logarithm of rotation matrices, with its gradient."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

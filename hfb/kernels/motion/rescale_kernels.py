@@ -1,4 +1,4 @@
-"""Compiled: a motion as it is for a person with other betas, seen alike, with its way back."""
+"""Compiled rescaling of a path for other betas that keeps the size in the image, with gradients."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 

@@ -1,4 +1,4 @@
-"""The anatomical prior as a torch operator, so that autograd, torch.compile and export see it."""
+"""The anatomical prior as a torch operator, for autograd, torch.compile and export."""
 
 from hfb.kernels.objective import anatomy_kernels as kernels
 from hfb.kernels.torch_op import operator

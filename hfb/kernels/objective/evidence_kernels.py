@@ -1,4 +1,4 @@
-"""Compiled parts: how far joints are from what the joint network saw, with the gradients.
+"""Compiled distances of joints from the joint network's predictions, with gradients.
 
 `joints` are (T, S, 24, 3) [m, camera] at S instants, the last of them the middle of the exposure, the first its opening
 and the last but one its closing; lenses (T, 5) as `hfb.evidence.joint_network.in_units` takes them.

@@ -1,4 +1,4 @@
-"""Compiled parts: the image and the matting loss at several scales, and their gradient.
+"""Compiled image and matting losses at several scales, and their gradient.
 
 Both losses are made of *differences*, four numbers a pixel: the three colours of eq. (1) minus those seen, and the
 silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its difference:

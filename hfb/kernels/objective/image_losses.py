@@ -1,4 +1,4 @@
-"""What one frame's mean drawing is compared with: the image and the matting loss, and their gradient, by kernels.
+"""Image and matting losses of one frame's mean render, and their gradient, by kernels.
 
 The readable formulas that this is tested against are in `hfb.objective.pyramid`.
 """
@@ -21,7 +21,7 @@ _levels = lru_cache(kernels.levels)
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What the gradient of a drawing's losses is made of; see `kernels_pictures.compare`."""
+    """Values saved for the gradient of a render's losses; see `image_kernels.compare`."""
 
     window: Int[Array, "4"]
     difference: Float[Array, "n 4"]
@@ -30,7 +30,7 @@ class Compared:
 
 
 class Target:
-    """A frame, the plate behind it and its matte, and what of both losses is known before anything is drawn.
+    """A frame, its plate and its matte, with precomputed sums of both losses.
 
     Args:
         plate: the clean background B.

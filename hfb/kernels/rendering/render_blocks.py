@@ -1,4 +1,4 @@
-"""All bodies of one exposure: every one drawn by compiled kernels, added up in a fixed order, and the way back.
+"""Rendering of all bodies of one exposure: drawn in blocks, added in a fixed order, with gradients.
 
 The result has the same bits for any number of threads; nothing is shared between calls.
 """
@@ -26,7 +26,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Setting:
-    """What is the same for all bodies; the fields are as in `hfb.kernels.rendering.render_operators.draw`."""
+    """The arguments common to all bodies; fields as in `hfb.kernels.rendering.render_operators.draw`."""
 
     uv: Array
     faces: Array

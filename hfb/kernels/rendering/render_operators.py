@@ -1,4 +1,4 @@
-"""The fast rasteriser in torch: operators that autograd, torch.compile and export see, and a short cut past them.
+"""The fast rasteriser in torch: operators for autograd, torch.compile and export, and a faster path without them.
 
 `draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
 same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
@@ -30,7 +30,7 @@ def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
 
 
 class _Pictures(torch.autograd.Function):
-    """`draw` with its way back, the bodies' traces kept as they are."""
+    """`draw` with its backward pass, the bodies' traces kept as they are."""
 
     @staticmethod
     def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:

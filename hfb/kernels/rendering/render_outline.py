@@ -1,4 +1,4 @@
-"""Compiled parts: the exact share of each pixel that lies inside the outline of the front faces.
+"""Compiled coverage: the exact share of each pixel inside the outline of the front faces.
 
 The front faces of a body form an oriented patchwork; the edges where it ends are its outline. The number of
 front layers over a point is the winding number of the projected outline about it (Stokes), and the mean of

@@ -1,4 +1,4 @@
-"""Compiled parts: the exact covered share of the few pixels in which layers of the body may overlap.
+"""Compiled coverage of the few pixels in which layers of the body may overlap.
 
 An arm's outline before the torso's: the mean winding counts their common area twice. There the pixel is cut
 into slabs at every height where a piece of outline begins, ends or crosses another; within a slab the order of

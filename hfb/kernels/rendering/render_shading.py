@@ -1,4 +1,4 @@
-"""Compiled parts: the point of the body that a pixel shows, its colour there, and the way back, in batches of pixels.
+"""Compiled shading: the visible point of each pixel, its colour, and gradients, in batches of pixels.
 
 The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body but the
 pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the body's colour,

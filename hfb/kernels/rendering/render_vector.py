@@ -1,4 +1,4 @@
-"""Compiled parts: four channels of a picture or a texture at a time, in one register.
+"""SIMD operations on four channels of an image or a texture.
 
 Positions as in `hfb.kernels.simd`.
 """

@@ -1,4 +1,4 @@
-"""Warp kernels: from the pull on what pixels show to the gradient of the vertices.
+"""Warp kernels: gradients by the vertices from those by the pixels.
 
 Every sum belongs to one thread, which adds in a fixed order: a face over the pixels that show it, an outline edge over
 its pieces, a vertex over its faces and edges. No two threads write to one place.

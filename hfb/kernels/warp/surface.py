@@ -1,4 +1,4 @@
-"""Warp kernels: the texture's colour at each pixel, the pictures' means, and the way back of both to what is seen.
+"""Warp kernels: the texture's colour at each pixel, the images' means, and their gradients.
 
 As in `kernels_surface`. The way back gathers: a face collects from the pixels that show it, an outline edge from its
 own pieces (`cuda_kernels_gradient`), so nothing but the texture's gradient is added to by several threads, and that one

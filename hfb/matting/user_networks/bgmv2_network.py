@@ -67,7 +67,7 @@ class MattingNetwork(nn.Module):
 
 
 class AtrousPooling(nn.Module):
-    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the picture's mean."""
+    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the image's mean."""
 
     def __init__(self, channels: int, inner: int = 256) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class AtrousPooling(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Four doublings, each with the encoder's map of that size beside it."""
+    """Four doublings, each with the encoder's map of that size as a skip connection."""
 
     def __init__(self, channels: tuple[int, ...], beside: tuple[int, ...]) -> None:
         super().__init__()

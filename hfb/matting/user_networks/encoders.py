@@ -16,7 +16,7 @@ _DILATED_FROM = 14
 
 
 class Bottleneck(nn.Module):
-    """1 x 1, 3 x 3 (strided or dilated), 1 x 1, beside the identity or a projection."""
+    """1 x 1, 3 x 3 (strided or dilated), 1 x 1 convolutions, plus the identity or a projection."""
 
     def __init__(self, before: int, inner: int, stride: int, dilation: int) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ def _stage(before: int, inner: int, blocks: int, stride: int, dilation: int = 1)
 
 
 class InvertedResidual(nn.Module):
-    """Expand, filter every channel by itself, project; the identity beside where sizes agree."""
+    """Expansion, depthwise convolution, projection; plus the identity where sizes agree."""
 
     def __init__(self, before: int, after: int, expansion: int, stride: int, dilation: int) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class InvertedResidual(nn.Module):
 
 
 class MobileNetV2(nn.Module):
-    """Up to its last block."""
+    """MobileNetV2 up to its last block."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()

@@ -169,7 +169,7 @@ class BackgroundMattingV2:
 
 
 class RobustVideoMatting:
-    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not looked at."""
+    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not used."""
 
     def __init__(self, path: Path, tile_px: int | None = None, half: bool = False) -> None:
         """Raises InputError where the file cannot be used."""

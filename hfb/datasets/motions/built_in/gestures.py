@@ -1,4 +1,4 @@
-"""Movements by their key poses, in the words of anatomy: what the built-in motions are made of.
+"""Movements as anatomical key poses, from which the built-in motions are made.
 
 Angles in degrees from standing upright with hanging arms: a thigh or an arm goes `forward`, `out` to its side and is
 `turn`-ed outwards; a knee and an elbow bend; toes go `up`; the trunk bends forward, leans to its left, turns to its

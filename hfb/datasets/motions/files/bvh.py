@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class BvhMotion:
-    """What the file says, in its own units and axes; parents come before their children.
+    """The content of a file, in its own units and axes; parents come before their children.
 
     Attributes:
         names: names of the joints.

@@ -1,4 +1,4 @@
-"""Which joint of a foreign skeleton is which of SMPL's: limbs and head by name, trunk by how they hang together."""
+"""Correspondence of a foreign skeleton's joints to SMPL's: limbs and head by name, the trunk by its chain."""
 
 import re
 from collections import Counter

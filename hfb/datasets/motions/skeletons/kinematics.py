@@ -1,4 +1,4 @@
-"""The SMPL skeleton's chains in numpy: rotations from and to the world's frame, and where the joints are."""
+"""Forward kinematics of the SMPL skeleton in numpy: rotations from and to the world's frame, joint positions."""
 
 from functools import lru_cache
 

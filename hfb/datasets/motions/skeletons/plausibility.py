@@ -1,4 +1,4 @@
-"""Joints of a retargeted motion that no person can turn so: axes were misunderstood, or the recording is broken."""
+"""Impossible joints of a retargeted motion, a sign of misread axes or a broken recording."""
 
 import numpy as np
 import torch

@@ -1,4 +1,4 @@
-"""Which way a foreign skeleton looks when it is at rest."""
+"""The rest pose of a foreign skeleton and its axes."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ _FLAT_FOOT = np.array([0, -np.sin(np.deg2rad(13.5)), np.cos(np.deg2rad(13.5))])
 
 @dataclass(frozen=True)
 class Rest:
-    """What is known of a skeleton's rest pose, in SMPL's axes (x to the person's left, y up, z forward).
+    """Facts about a skeleton's rest pose, in SMPL's axes (x to the person's left, y up, z forward).
 
     Attributes:
         axes: rotation from the rest pose's axes to SMPL's.

@@ -1,4 +1,4 @@
-"""A foreign skeleton's motion on SMPL's skeleton.
+"""Retargeting of a foreign skeleton's motion to SMPL's skeleton.
 
 The directions of the limbs' bones are kept exactly; trunk, head, collars and feet keep their rotations relative to the
 skeleton's rest pose. How an arm or a leg is turned about its own bone shows in the plane in which elbow or knee bend:
@@ -66,7 +66,7 @@ class _Source:
 
 
 class Retargeted(NamedTuple):
-    """Poses (axis-angle [rad], y up) and translations [m]; what the user should know about the file."""
+    """Poses (axis-angle [rad], y up) and translations [m], with remarks for the user."""
 
     poses: Float[Array, "F 24 3"]
     translations: Float[Array, "F 3"]
@@ -126,7 +126,7 @@ def _set_trunk(world: Float[Array, "F 24 4"], source: _Source) -> None:
 
 @dataclass(frozen=True)
 class _Turned:
-    """World rotations of a limb's upper and lower joint, its hinge, and what was turned round the upper bone first."""
+    """World rotations of a limb's upper and lower joint, its hinge, and the correction about the upper bone."""
 
     upper: Float[Array, "F 4"]
     lower: Float[Array, "F 4"]

@@ -1,4 +1,4 @@
-"""How pelvis, chest and head are turned within their joints' frames.
+"""Rotations of pelvis, chest and head within their joints' frames.
 
 A joint's frame says how a part of the body is turned only where it is known how the part lies in it. The rest pose
 tells, where it is one. Else the motion does: on average hips, shoulders and spine show the part's own axes.

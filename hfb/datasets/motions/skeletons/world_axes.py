@@ -1,4 +1,4 @@
-"""Which way is up in a recording: told by how the person stands in it, not by the rest pose alone.
+"""The vertical axis of a recording, by the person's posture in it and by the rest pose.
 
 Exporters write skeletons whose rest pose has another up than the world (y up beside z up), and rest poses that are no
 pose, with all bones along one axis.

@@ -76,7 +76,7 @@ _REACH = 0.4
 
 
 class _Detection(NamedTuple):
-    """Somebody in a picture: its number, the keypoints, and its name where it has one."""
+    """A person in an image: its number, the keypoints, and its name where it has one."""
 
     number: int
     points: Float[Array, "_ c"]

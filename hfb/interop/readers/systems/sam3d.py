@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Seen:
-    """A person in a frame: joints [m], NaN where unknown, and the camera; the picture's name where it is known."""
+    """A person in a frame: joints [m], NaN where unknown, and the camera; the image's name where it is known."""
 
     number: int
     image: str | None

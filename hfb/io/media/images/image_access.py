@@ -1,4 +1,4 @@
-"""Getting at a picture file: its bytes within limits, and what to say of one that is none."""
+"""Access to an image file: its bytes within limits, and errors for other files."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Colours of a picture that are not sRGB's: what its file says of them, and the way to sRGB.
+"""Conversion of colours to sRGB by what an image file states.
 
 Where a curve per channel and a matrix say it (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries), levels are
 converted exactly, 16 bits too. Profiles that are tables (of printers and scanners) are littleCMS's work, with 8 bits.

@@ -1,4 +1,4 @@
-"""Picture files decoded: levels of 8 to 16 bits, upright, in sRGB's colours, with what a user should know of them."""
+"""Decoding of image files: levels of 8 to 16 bits, upright, in sRGB's colours, with remarks for the user."""
 
 import io
 import warnings
@@ -35,7 +35,7 @@ _DEPTHS, _SURELY_DARK = (10, 12, 14), 12
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A decoded picture.
+    """A decoded image.
 
     Attributes:
         pixels: RGB in [0, 1], encoded as sRGB, or as stored.
@@ -50,7 +50,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class _Levels:
-    """As stored: levels up to `full`, with what the file says of their colours."""
+    """Stored levels up to `full`, with the file's statement of their colours."""
 
     levels: Shaped[Array, "H W 3"]
     full: int

@@ -1,4 +1,4 @@
-"""Still pictures in and out: float32 RGB in [0, 1], sRGB as stored, upright."""
+"""Reading and writing of still images: float32 RGB in [0, 1], sRGB as stored, upright."""
 
 import warnings
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The lens that clip.toml names: out of Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
+"""The lens that clip.toml names: from Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
 
 Where the camera stands is not asked for: a lens has no place.
 """

@@ -1,4 +1,4 @@
-"""A lens as it was calibrated: pictures made free of its distortion."""
+"""A calibrated lens, and the removal of its distortion."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ _HARMLESS_PX = 0.05
 
 @dataclass(frozen=True)
 class Lens:
-    """OpenCV's standard or fisheye model; numbers only, so it travels with the footage.
+    """OpenCV's standard or fisheye model; numbers only, so that it can be sent with the footage.
 
     Attributes:
         K: fx, fy, cx, cy [px] in OpenCV's convention: the first pixel's centre is at (0, 0).

@@ -1,4 +1,4 @@
-"""Frames that can only be counted: a decoder rests where one reader stopped, for the next one to read on.
+"""Frames that can only be counted: a decoder is kept where one reader stopped, for the next one.
 
 A clip is read a few frames at a time; decoded from its start each time, it would cost the square of its length.
 """

@@ -1,4 +1,4 @@
-"""Interlaced video: frames that hold two instants, told by their flags, by the container, or by how they look."""
+"""Detection of interlaced video by the frames' flags, by the container, or by the image."""
 
 import shlex
 from pathlib import Path
@@ -28,7 +28,7 @@ def stated_interlaced(stream: av.VideoStream) -> bool:
 
 
 class Scan:
-    """Watches frames go by in the order in which they are shown."""
+    """Checks frames in the order of display for interlacing."""
 
     def __init__(self, path: Path, stated: bool) -> None:
         """Prepare the checks of a video.

@@ -1,4 +1,4 @@
-"""How a video's numbers are meant as colours, where its frames, its container or the practice of players tell it."""
+"""Colours of a video by its frames' tags, its container's, or the convention of players."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Opening a video: the file alone, as a container that hfb knows, with frames of a bounded size."""
+"""Opening of a video: a local file, in a supported container, with frames of a bounded size."""
 
 from pathlib import Path
 

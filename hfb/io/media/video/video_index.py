@@ -1,4 +1,4 @@
-"""Where every frame of a video lies: exact time stamps, and reading from the middle as if from the start."""
+"""An index of a video's frames: exact time stamps, and exact reading from the middle."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""What a video file says of itself without being decoded: time stamps, rate, and how much of it ought to be there."""
+"""Facts about a video without decoding: time stamps, rate, and missing packets."""
 
 import re
 from dataclasses import dataclass

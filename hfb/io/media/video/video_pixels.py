@@ -1,4 +1,4 @@
-"""A decoded frame as a picture: RGB, turned and mirrored as players do it, with square pixels as players show them."""
+"""A decoded frame as an image: RGB, turned, mirrored and stretched to square pixels as by players."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Video in: exact frames, averages in linear light (a longer exposure), a clean plate from the median.
+"""Reading of video: exact frames, averages in linear light (a longer exposure), a clean plate by the median.
 
 Frames stream: nothing here ever holds a whole video. `stop` is exclusive, frames count from 0.
 """

@@ -1,4 +1,4 @@
-"""Video out: H.264 that browsers and players show, written beside its place and renamed when whole."""
+"""Writing of video: H.264 for browsers and players, renamed into place when complete."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from fractions import Fraction
@@ -19,7 +19,7 @@ _TICK = Fraction(1, 1_000_000)
 
 
 class VideoWriter:
-    """Takes sRGB pictures of one size, one after another; the file appears when the `with` block ends well.
+    """Writes sRGB images of one size; the file appears when the `with` block ends without an error.
 
     The file says how its colours are meant (players guess differently where it does not), and its index comes first, so
     that a browser shows it while it loads. A picture is encoded while the next one is drawn.
