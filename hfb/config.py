@@ -178,7 +178,7 @@ class Weights(Record):
 
 
 class Stage(Record):
-    """A stretch of iterations at one picture size."""
+    """A stretch of iterations at one image size."""
 
     size_px: int = Field(ge=16, description="longer side of the region of interest [px]")
     iterations: int = Field(ge=0)
@@ -384,7 +384,7 @@ _BEST = FitConfig(
     stages=(
         Stage(size_px=64, iterations=60),
         Stage(size_px=128, iterations=50),
-        Stage(size_px=256, iterations=25),  # before each of these three the fit's own picture is looked at
+        Stage(size_px=256, iterations=25),  # before each of these three the fit's own image is looked at
         Stage(size_px=256, iterations=25),
         Stage(size_px=256, iterations=50, cosine=True),
     ),

@@ -1,6 +1,6 @@
 """sRGB and linear light, by IEC 61966-2-1.
 
-A sensor averages linear light, picture files hold sRGB. Blurring sRGB values instead of light is off by up to
+A sensor averages linear light, image files hold sRGB. Blurring sRGB values instead of light is off by up to
 48/255, and an alpha of 0.5 then reads as 0.705.
 """
 

@@ -12,7 +12,7 @@ BLUR_BINS: tuple[Interval, ...] = (
 """BT-AMASS, tables 1 and 2."""
 
 SINGLE_COUNTS: tuple[int, ...] = (123, 206, 154, 139, 106, 108, 81, 79, 76, 52)
-"""Pictures per interval in table 1."""
+"""Images per interval in table 1."""
 
 PAIR_COUNTS: tuple[int, ...] = (35, 39, 47, 42, 38, 32, 25, 19, 13, 15)
 """Videos per interval in table 2."""

@@ -11,7 +11,7 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Float, Tensor
 
 _ACROSS_VIEW = 0.2
-"""Turns that move a bone across the view, which a picture shows, relative to those into depth, which it hides."""
+"""Turns that move a bone across the view, which an image shows, relative to those into depth, which it hides."""
 _SHARED_BY_LIMB, _SHARED_BY_TORSO = 0.5, 0.7
 _SHARED_BY_FRAMES = 0.6
 _PROBE_RAD = 0.35

@@ -23,7 +23,7 @@ from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
 from hfb.typing import Array, Float, Int, Tensor
 
-# METRO's rows of the paper's tables 1 (one picture) and 2 (two frames), per interval of `BLUR_BINS`.
+# METRO's rows of the paper's tables 1 (one image) and 2 (two frames), per interval of `BLUR_BINS`.
 _SINGLE_MPJPE_MM = (70.0, 71.9, 84.1, 101.2, 121.3, 121.4, 132.8, 143.4, 147.1, 146.4)
 _SINGLE_IOU = (0.632, 0.637, 0.615, 0.590, 0.540, 0.500, 0.489, 0.428, 0.421, 0.423)
 _PAIR_MPJPE_MM = (68.9, 69.6, 71.6, 67.0, 98.6, 99.6, 108.5, 111.3, 116.8, 121.1)
@@ -154,7 +154,7 @@ def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"
 def _place(
     poses: Float[Tensor, "T 24 3"], true_joints: Float[Array, "T 24 3"], person: ShapedBody
 ) -> Float[Tensor, "T 3"]:
-    """SMPL translations that show the estimate's joints as large as the person's and at the same place in the picture.
+    """SMPL translations that show the estimate's joints as large as the person's and at the same place in the image.
 
     The depth takes up what the mean body is smaller or larger than the person.
     """

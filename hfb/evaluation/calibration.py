@@ -130,7 +130,7 @@ def held_out_reliability(
 def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
     """Fit coefficients of `EVIDENCE`, none below zero, to pairs of hypotheses of which one is nearer to the truth.
 
-    Logistic regression, each pair weighing as much as depends on it. Of one frame the picture's evidence is fitted on
+    Logistic regression, each pair weighing as much as depends on it. Of one frame the image's evidence is fitted on
     hypotheses whose arrow of time does not count (the better of a motion and its reverse), what knows time's
     arrow on each motion and its reverse; of several frames there is the first kind alone.
 

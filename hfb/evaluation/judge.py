@@ -52,7 +52,7 @@ def judge(
         observation: the blurred frames with their mattes and clock.
         truth: the case's truth.
         body: the model in which the prediction's poses are given.
-        sharp: the true sub-frames at u = i / 7, for the pictures' scores.
+        sharp: the true sub-frames at u = i / 7, for the images' scores.
 
     Returns:
         the numbers of a row of cases.parquet; None where the method, or the truth, does not say.
@@ -178,7 +178,7 @@ def _silhouettes(prediction: Prediction, body: Body, truth: Truth) -> Bool[Array
 
 
 def _explained(pictures: Float[Array, "R H W 4"], observation: Observation) -> Scores:
-    """How well the re-blurred pictures explain those that were seen."""
+    """How well the re-blurred images explain those that were seen."""
     frames = observation.mattes.shape[0]
     blurred = pictures.reshape(frames, -1, *pictures.shape[1:]).mean(1)
     return dict(picture_scores(torch.from_numpy(blurred), observation))

@@ -285,7 +285,7 @@ def psnr_db(
     Args:
         predicted: image in [0, 1].
         truth: true image in [0, 1].
-        mask: weight per pixel, such as the matte; the whole picture when not given, or when it is empty.
+        mask: weight per pixel, such as the matte; the whole image when not given, or when it is empty.
     """
     squared = ((_float64(predicted) - _float64(truth)) ** 2).mean(-1)
     weighted = mask is not None and mask.sum() > 0
@@ -304,10 +304,10 @@ def ssim(
         predicted: image in [0, 1].
         truth: true image in [0, 1].
         mask: weight per pixel of the map of similarities, such as the matte; when not given, or when it is empty, the
-            mean is over the picture but for a rim of half a window.
+            mean is over the image but for a rim of half a window.
 
     Raises:
-        ValueError: a picture smaller than the window.
+        ValueError: an image smaller than the window.
     """
     if min(predicted.shape[:2]) < 2 * _SSIM_RIM_PX + 1:
         raise ValueError(f"a picture of {predicted.shape[1]} x {predicted.shape[0]} px is smaller than SSIM's window")

@@ -7,7 +7,7 @@ It is taken to follow a Weibull law with one exponent k and a median of its own 
 
 whose features f_i are read off the fit. The coefficients are fitted by maximum likelihood to fits whose truth is known
 (`hfb train confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
-from a start that was estimated from its picture as from a simulated one. A new feature is a new entry in
+from a start that was estimated from its image as from a simulated one. A new feature is a new entry in
 `hfb.fitting.joint_features`.
 """
 

@@ -69,9 +69,9 @@ def search_directions(
 
     Args:
         found: fitted variables; every hypothesis keeps their shape and texture.
-        coarse: the objective of the last stage at a small picture size: there hypotheses are refitted and compared.
+        coarse: the objective of the last stage at a small image size: there hypotheses are refitted and compared.
         fine: the objective of the last stage: there the winner is polished, where it is another than what was fitted.
-            Its motion prior is what knows time's arrow; without one a picture says nothing about the whole body.
+            Its motion prior is what knows time's arrow; without one an image says nothing about the whole body.
         config: options of the search.
     """
     with torch.no_grad():
@@ -127,7 +127,7 @@ def _hypotheses(
     doubtful = [index for index, one in enumerate(turned) if low < one.loss < high]
     if not doubtful:
         return [start, *turned]
-    # What was fitted is compared at its best at this picture size too, but it stays what it was; what is not refitted
+    # What was fitted is compared at its best at this image size too, but it stays what it was; what is not refitted
     # is taken to gain as much.
     compared = _refit(start, found, objective, config.iterations, _REFIT_RATE)
     gain = start.loss - compared.loss
@@ -194,7 +194,7 @@ def _refit(start: _Hypothesis, found: Variables, objective: Objective, iteration
     rotation, translation = (one.detach().clone().requires_grad_() for one in (given.rotation, given.translation))
     free = given.with_coefficients(rotation, translation)
     optimizer = Adam([rotation, translation], _ADAM_EPSILON)
-    best = replace(start, loss=math.inf)  # the start's own loss may be of another picture size
+    best = replace(start, loss=math.inf)  # the start's own loss may be of another image size
     for iteration in range(iterations + 1):
         terms = _terms(free, found, objective)
         total = objective.total(terms)

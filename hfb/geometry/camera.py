@@ -1,6 +1,6 @@
 """The pinhole camera: projection from metres to pixels.
 
-Frame: OpenCV's (+x right, +y down, +z forward). The picture spans [0, W] x [0, H] and the centre of pixel
+Frame: OpenCV's (+x right, +y down, +z forward). The image spans [0, W] x [0, H] and the centre of pixel
 (row 0, column 0) is at (0.5, 0.5), so that cropping shifts and resizing scales the matrix, nothing else.
 """
 

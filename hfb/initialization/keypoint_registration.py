@@ -20,7 +20,7 @@ from hfb.typing import Array, Bool, Float, Tensor
 
 LEAST_KEYPOINTS = 6
 _SPREAD = 0.01
-"""Of keypoints, in units of the person's size in the picture."""
+"""Of keypoints, in units of the person's size in the image."""
 _ROBUST = 5.0  # spreads from where on one is taken for wrong
 _WIDE = 8.0  # times the spread to begin with: from farther away, too, a joint is drawn to its keypoint
 _YAWS, _PITCHES = 16, (-0.35, 0.0, 0.35)
@@ -33,7 +33,7 @@ _NEAREST_M = 0.3
 def register_keypoints(
     pixels: Float[Array, "S 24 2"], camera: PinholeCamera, body: Body, betas: Float[Tensor, "K"] | None = None
 ) -> Registered:
-    """Lay the body onto where a picture shows its joints.
+    """Lay the body onto where an image shows its joints.
 
     Args:
         pixels: SMPL's joints [px], NaN where not seen.
@@ -42,7 +42,7 @@ def register_keypoints(
         betas: shape of the person, the mean one's where not given.
 
     Returns:
-        poses before the camera; `residual_m` is what the picture shows, at the body's depth [m].
+        poses before the camera; `residual_m` is what the image shows, at the body's depth [m].
 
     Raises:
         InputError: fewer than six joints are seen at some instant.

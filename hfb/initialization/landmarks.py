@@ -2,7 +2,7 @@
 
 The networks are used as their model cards describe them: a detector proposes regions (centre of the hips, size
 and upright direction of the whole body), a second network finds the landmarks in the turned square region, in the
-picture and in metres. The decoding is written from those descriptions. Input pictures are sRGB.
+image and in metres. The decoding is written from those descriptions. Input images are sRGB.
 """
 
 from dataclasses import dataclass
@@ -84,9 +84,9 @@ class Landmarks:
     """The second network's result in one region.
 
     Attributes:
-        pixels: x, y [px of the picture] of the 33 points.
+        pixels: x, y [px of the image] of the 33 points.
         world: metres, hips at the origin; x right, y down, z away along the view ray of the region's centre.
-        visibility: probability that a point is inside the picture and not hidden.
+        visibility: probability that a point is inside the image and not hidden.
         score: probability that there is a person in the region.
         next_region: region for the next pass over the same person.
     """
@@ -137,7 +137,7 @@ class PoseNetworks:
         side = max(height, width)
         left, top = (side - width) / 2, (side - height) / 2
         scale = _DETECTOR_PX / side
-        # Pixel centres lie at half-integers in the picture, at integers in OpenCV.
+        # Pixel centres lie at half-integers in the image, at integers in OpenCV.
         warp = np.array([[scale, 0, (left + 0.5) * scale - 0.5], [0, scale, (top + 0.5) * scale - 0.5]])
         reduced = _reduce(picture_srgb, scale)
         warp[:, :2] *= picture_srgb.shape[0] / reduced.shape[0]
@@ -201,7 +201,7 @@ def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int
     scale = reduced.shape[0] / picture_srgb.shape[0]
     cosine, sine = np.cos(region.angle), np.sin(region.angle)
     step = region.size / side_px
-    # Crop pixel centre (i + 0.5) -> offset from the region's centre -> picture -> reduced picture's index.
+    # Crop pixel centre (i + 0.5) -> offset from the region's centre -> image -> reduced image's index.
     linear = np.array([[cosine, -sine], [sine, cosine]]) * step
     offset = linear @ np.full(2, 0.5 - side_px / 2) + (region.x, region.y)
     warp = np.hstack([linear * scale, (offset * scale - 0.5)[:, None]])

@@ -25,7 +25,7 @@ from hfb.typing import Array, Float, Tensor
 _YAWS = 12
 _ROLLS_DEG = (0.0, 20.0, -20.0, 40.0, -40.0)
 _SIDE_PX = 48
-_SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised picture
+_SPREAD_PX = 9.0  # root mean square distance from the centre, in the normalised image
 _TEMPLATE_DEPTH_M = 3.5
 _TEMPLATE_PX = 72
 _ROLL_COST = 0.04  # per 40 degrees

@@ -1,7 +1,7 @@
 """Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
 Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
-regions come from the detector and from the matte itself, pictures are the frame and the person alone on gray, and
+regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and
 every answer is drawn as a stick figure and compared with the matte.
 """
 
@@ -113,7 +113,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
     size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
     target = cv2.resize(matte[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
     figure = draw_stick_figure((landmarks.pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
-    # Parts of the figure outside the picture count against it only where the picture could have shown them.
+    # Parts of the figure outside the image count against it only where the image could have shown them.
     return float(np.minimum(target, figure).sum() / max(np.maximum(target, figure).sum(), 1e-6))
 
 

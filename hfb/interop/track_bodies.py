@@ -2,7 +2,7 @@
 
 A system's camera is rarely the clip's: most assume a focal length, some of many metres. What a body looks like is
 kept: its root appears at the same pixel and in the same size, and is turned with the ray on which it is seen, since a
-body at the picture's edge is seen from the front by a lens far away, and a little from the side by a wide one.
+body at the image's edge is seen from the front by a lens far away, and a little from the side by a wide one.
 """
 
 from dataclasses import replace
@@ -156,7 +156,7 @@ def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], bod
 
     Args:
         track: with poses or joints.
-        frame: the system's number of the matte's picture.
+        frame: the system's number of the matte's image.
         matte: matte of the frame, in [0, 1].
         body: model that gives the joints of poses.
     """

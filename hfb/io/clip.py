@@ -1,8 +1,8 @@
 """clip.toml: facts about a recording besides its images.
 
     transfer = "srgb"              # how the files store light: "srgb" (default), "linear", "bt709" or "gamma22"
-    video = "walk.mp4"             # or a folder of pictures, beside this file
-    scan = "progressive"           # its frames are whole pictures, although they are flagged as interlaced
+    video = "walk.mp4"             # or a folder of images, beside this file
+    scan = "progressive"           # its frames are whole images, although they are flagged as interlaced
     start_s = 1.5                  # time range of the video [s], or in frames: start = 45, stop = 90 (exclusive)
     stop_s = 3.0
     background = "plate.png"       # or "median" (over time), or "still" (a span in which nobody moves)
@@ -23,7 +23,7 @@
     frame = 0
     track = "tracks.csv"           # or a track of another system's file, with its id
     id = 3
-    height_m = 1.82                # soles to crown, where it is known: no picture shows it
+    height_m = 1.82                # soles to crown, where it is known: no image shows it
 
 Every entry may be left out. Files are named relative to this one and lie in its folder, or below: a clip that somebody
 hands over must not be able to show what lies elsewhere.

@@ -1,7 +1,7 @@
 """Alignment of a plate that is shifted by some pixels.
 
 A tripod that was touched, a plate of another take, a phone's crop that follows the lens: every edge of the background
-would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray pictures, coarse to fine
+would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray images, coarse to fine
 (Lucas and Kanade 1981), with weights that leave the person out (Geman and McClure), exposure gain and offset beside it.
 Between pixels both search and result take B-splines. OpenCV's cubic kernel (a = -0.75) lands up to 0.05 px too
 far, its Lanczos kernel rounds places to 1/32 px, and linear interpolation blurs, which biases the search.
@@ -22,7 +22,7 @@ _SETTLED_PX = 0.001
 _DEGREE, _FINEST_DEGREE = 3, 5  # of splines
 _LEAST_PX = 0.02
 MOST_PX = 4.0
-"""How far a plate is moved, in a picture of 640 px."""
+"""How far a plate is moved, in an image of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
 _EDGE_SHARE = 0.3
 _LEAST_EDGE = 0.004  # a plain wall cannot tell
@@ -33,7 +33,7 @@ class Movement:
     """A small similarity from the frame's pixels to the plate's, about the image's middle.
 
     Attributes:
-        shift: right and down, as a share of the picture's longer side.
+        shift: right and down, as a share of the image's longer side.
         scale: x' = x + scale x - turn y, y' = y + turn x + scale y.
         turn: x' = x + scale x - turn y, y' = y + turn x + scale y.
     """
@@ -88,7 +88,7 @@ def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Floa
         plate_linear: linear light in [0, 1], from the same camera in the same size.
         movement: movement from frame to plate, by `find_movement`.
     """
-    # large pictures are shrunk before a matte is found, which removes what the higher degree keeps
+    # large images are shrunk before a matte is found, which removes what the higher degree keeps
     degree = _FINEST_DEGREE if max(plate_linear.shape[:2]) <= _LEVELS_PX[-1] else _DEGREE
     channels = np.moveaxis(plate_linear, -1, 0)
     moved = [_moved(_spline(channel, degree), movement, degree) for channel in channels]

@@ -18,9 +18,9 @@ _DETECTION_PX = 480
 _SOLUTION_PX = 640
 _SEEN = 8.0  # in hundredths of alpha: what surely belongs to somebody
 LEAST_SHARE = 2e-4
-"""Of the picture's area; less is no person."""
+"""Of the image's area; less is no person."""
 MOST_SHARE = 0.75
-"""Of the picture's area; where more changed the plate is another one."""
+"""Of the image's area; where more changed the plate is another one."""
 
 
 @runtime_checkable
@@ -117,7 +117,7 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
         largest = 1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax())
         clear = np.unique(labels[keep & (alpha > 0.6)])  # a shoe cut off by dark trousers, not a patch of shade
         keep = np.isin(labels, [*clear, largest])
-    # As far again as the faint end of a ramp over a tenth of the picture reaches below what counts as seen.
+    # As far again as the faint end of a ramp over a tenth of the image reaches below what counts as seen.
     reach = 2 * max(1, round(0.02 * max(alpha.shape))) + 1
     near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     alpha = np.clip(alpha, 0, 1) * cv2.blur(near.astype(np.float32), (3, 3))

@@ -20,7 +20,7 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
 _LENGTHS = (0.03, 0.06, 0.11, 0.2, 0.3)
-"""Of the straight ways to begin with, as shares of the picture's longer side."""
+"""Of the straight ways to begin with, as shares of the image's longer side."""
 _DIRECTIONS = 8
 _CELL_PX = 24
 """Of the grid that bends a way."""
@@ -49,7 +49,7 @@ _ROBUST = 1.5  # standard deviations from where on errors count singly
 _MATTE, _SOFT, _COLOURS, _OUTLINE, _BEND = 0.3, 2.0, 5.0, 2.5, 1.0
 """Weights: the network's matte, what is neither in nor out, changes of colour, of the outline, of the way [1/px^2]."""
 _CHOICE = 30.0
-"""Added to _SOFT where candidates are compared: a soft outline that stands still explains a moving picture, too, and
+"""Added to _SOFT where candidates are compared: a soft outline that stands still explains a moving image, too, and
 its colours change less. So much while descending would leave a body of several ways nothing to make up for it with."""
 _FAR = 0.03
 """Of the longer side: where a way is this long a pixel may go twice as far from the network's matte as where it stands
@@ -85,7 +85,7 @@ class _Scene:
     def trusted_less(self, far: Float[Array, "H W"]) -> "_Scene":
         """The network's matte counts the less the farther a place goes: a smear is where it is wrong most.
 
-        Not where the picture differs from the plate beside the person, too: shadows would be explained as a body.
+        Not where the image differs from the plate beside the person, too: shadows would be explained as a body.
         """
         told = self.told.copy()
         told[..., _TRUST] /= 1 + np.exp(-self._strayed() / _STRAYED) * (far / _FAR) ** 2
@@ -176,7 +176,7 @@ def explained_matte(
 
 
 def _far(way: Float[Array, "h w 2"], size: tuple[int, int]) -> Float[Array, "H W"]:
-    """How long a way is, as shares of the picture's longer side, at (width, height)."""
+    """How long a way is, as shares of the image's longer side, at (width, height)."""
     return _resized(np.linalg.norm(way, axis=-1) / max(way.shape[:2]), size)
 
 

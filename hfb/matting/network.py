@@ -136,7 +136,7 @@ class RenderConditionedMatting:
         """Return alpha once a fit is known.
 
         Args:
-            fitted: the fit's blurred picture, premultiplied linear light and alpha.
+            fitted: the fit's blurred image, premultiplied linear light and alpha.
             network: the shipped third one when not given.
         """
         (height, width), beside = self._matte.shape, shrink(fitted, self._longer)
@@ -188,7 +188,7 @@ def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 
 
 
 def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """Alpha and the logarithm of its expected error, means of the picture and its mirror image."""
+    """Alpha and the logarithm of its expected error, means of the image and its mirror image."""
     height, width = seen.shape[1:]
     wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
     picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]

@@ -2,7 +2,7 @@
 
 A matte that was found before any fit errs where the person looks like the plate; the fitted body errs where a limb is
 not yet where it should be. Both see the same pixels, and where they disagree the pixels say who is right: how much of
-a fitted colour is there, and what the fit's picture leaves unexplained. The third network has learned to weigh that
+a fitted colour is there, and what the fit's image leaves unexplained. The third network has learned to weigh that
 from people beside somebody posed and shaped a little otherwise, and from fits.
 """
 
@@ -32,11 +32,11 @@ def fit_evidence(
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.
         plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        fitted: the fit's blurred picture, premultiplied linear light and alpha.
+        fitted: the fit's blurred image, premultiplied linear light and alpha.
 
     Returns:
         the fit's colours in sRGB, spread to where it is not (3); alpha by them, how far they are from the plate, what
-        they leave unexplained (3); the fit's alpha (1); signed logarithm of what its picture leaves unexplained, in
+        they leave unexplained (3); the fit's alpha (1); signed logarithm of what its image leaves unexplained, in
         units of the noise (3).
     """
     colour, alpha = fitted[..., :3], fitted[..., 3]

@@ -24,7 +24,7 @@ class SampledMotion:
         joints: joint positions [m].
         times_s: time since the first shutter opened [s].
         frame_index: the frame each row belongs to.
-        K: camera matrix of the full picture [px].
+        K: camera matrix of the full image [px].
         joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
             method estimates it; zero for the pelvis.
     """

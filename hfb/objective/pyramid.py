@@ -51,7 +51,7 @@ def image_over_scales(
     matte: Float[Tensor, "H W"],
     scales: int,
 ) -> Float[Tensor, ""]:
-    """Return L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame.
+    """Return L_I, eq. (3), between the re-blurred image, eq. (1), and the frame.
 
     Args:
         mean: mean premultiplied colour and silhouette of the sub-frames.

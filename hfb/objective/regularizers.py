@@ -64,7 +64,7 @@ def background_loss(
 
     |B - R_F|_1 is read as one number per sub-frame, the mean over channels and over the pixels inside the
     silhouette (each with its covered share): a reciprocal per pixel explodes at the first pixel whose colour
-    happens to match. A sub-frame without a body in the picture counts as zero and gets no gradient.
+    happens to match. A sub-frame without a body in the image counts as zero and gets no gradient.
 
     Args:
         background: B, the clean plate.

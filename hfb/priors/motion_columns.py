@@ -33,7 +33,7 @@ LIMBS: dict[str, tuple[int, ...]] = {
     "left arm": (13, 16, 18, 20, 22),
     "right arm": (14, 17, 19, 21, 23),
 }
-"""Columns that a picture confuses together: which way a limb moved is one question per limb."""
+"""Columns that an image confuses together: which way a limb moved is one question per limb."""
 
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:

@@ -18,7 +18,7 @@ class Observation:
     """T frames with everything that a fit uses of them.
 
     Attributes:
-        frames_linear: the blurred pictures, in the light in which blur is an average.
+        frames_linear: the blurred images, in the light in which blur is an average.
         plate_linear: the clean background.
         mattes: the person's share of each pixel, alpha_in.
         exposure_s: length of each exposure.
@@ -53,7 +53,7 @@ class Observation:
     def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
         """Return left, top, width, height [px] of the box around all mattes, widened by a share of its size.
 
-        The box may reach outside the picture: the body may too.
+        The box may reach outside the image: the body may too.
 
         Args:
             margin: added on each side, as a share of the longer side.

@@ -15,7 +15,7 @@ class Rasterizer(Protocol):
     """Draws bodies, one per sub-frame: differentiable in the vertices and in the texture.
 
     vertices: [m], camera coordinates (OpenCV). texture: linear RGB, row 0 is v = 0; None where only the
-    silhouette is wanted (its colours are then zero). A body outside the picture, behind the lens or of zero
+    silhouette is wanted (its colours are then zero). A body outside the image, behind the lens or of zero
     size draws nothing and receives zero gradients.
     """
 

@@ -1,6 +1,6 @@
 """The readable rasteriser, the reference of the fast ones in values and in gradients (by autograd).
 
-Written for clarity, in plain torch, row of pixels by row of pixels: use it in tests and for small pictures.
+Written for clarity, in plain torch, row of pixels by row of pixels: use it in tests and for small images.
 The silhouette is the exact share of each pixel covered by the union of the front faces, found here by another
 way than in the kernels (whole rows are cut into slabs, nothing is accumulated), so that each checks the other.
 """

@@ -13,7 +13,7 @@ from hfb.geometry.camera import PinholeCamera
 from hfb.typing import Bool, Float, Int, Tensor
 
 INVERSE_DELTA = 7000.0
-"""1 / delta, for distances in units of half the picture's longer side."""
+"""1 / delta, for distances in units of half the image's longer side."""
 REACH = 0.02
 """A face reaches the pixels within its bounding box enlarged by this, in the same unit."""
 NEAREST_FACES = 30

@@ -1,6 +1,6 @@
 """The body's texture: lookup of colours, texels of each face, and visible texels.
 
-A texture is a square picture in linear RGB; texture coordinates (u, v) span it from its left and TOP border,
+A texture is a square image in linear RGB; texture coordinates (u, v) span it from its left and TOP border,
 texel centres lie at half-integer positions, and beyond the outermost centres the border's colour goes on.
 """
 

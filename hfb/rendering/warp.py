@@ -67,7 +67,7 @@ class WarpRasterizer:
             mesh: faces, edges and texture coordinates of the body.
 
         Raises:
-            ValueError: cameras of several picture sizes, or bodies or textures that do not share out evenly.
+            ValueError: cameras of several image sizes, or bodies or textures that do not share out evenly.
         """
         sizes = {(camera.height, camera.width) for camera in cameras}
         groups = 1 if textures is None else len(textures)
@@ -92,7 +92,7 @@ class WarpRasterizer:
         Args:
             vertices: vertices of each image's sub-frames [m], camera coordinates.
             textures: image p uses number p G / P; colours are zero without any.
-            cameras: one per picture, all of one size.
+            cameras: one per image, all of one size.
             mesh: faces, edges and texture coordinates of the body.
         """
         pictures = draw_by_warp(*self.arguments(vertices.flatten(0, 1), textures, cameras, mesh))[0]

@@ -1,6 +1,6 @@
 """A second pass over frames without the tracked person, by the matting network at full size.
 
-A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small picture; the network
+A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small image; the network
 looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about
 as large as before and after, where they can have got to, and nearer to them than to anybody else.
 """

@@ -1,6 +1,6 @@
 """Merging of a person's pieces where clothes look like the background; two people stay two.
 
-Small pictures show both alike: one area above another. Between the pieces of one person the matting network sees the
+Small images show both alike: one area above another. Between the pieces of one person the matting network sees the
 faint rest of a body, between two people nothing.
 """
 

@@ -1,6 +1,6 @@
 """Tracking of people in a clip, as the areas that differ from the background.
 
-Cheap on purpose: a small picture per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
+Cheap on purpose: a small image per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -20,14 +20,14 @@ from hfb.typing import Array, Bool, Float
 
 _LOOK_PX = 240
 _LEAST_SHARE = 0.0015
-"""Of the picture's area; a smaller change is no person."""
+"""Of the image's area; a smaller change is no person."""
 _LEAST_OF_LARGEST = 0.15
 """Of the frame's largest change: less is a part of somebody, a shade, a reflection."""
 _FARTHEST, _LONGEST_ABSENCE = 0.4, 30
 """How far somebody who was lost goes per frame, in their own height, and for how many frames they are looked for."""
 _SHORTEST = 2
 _LEAST_SEEN = 4
-"""Frames, of everyone: less is a shade or somebody at the picture's edge, and no motion."""
+"""Frames, of everyone: less is a shade or somebody at the image's edge, and no motion."""
 _MARGIN, _AROUND = 0.12, 0.3
 
 
@@ -59,8 +59,8 @@ class ClipFrames:
         count: T.
         first: first of the video's frames.
         average: number of them in each image.
-        height: height of the pictures [px]; boxes outside of them are of nobody seen.
-        width: width of the pictures [px]; boxes outside of them are of nobody seen.
+        height: height of the images [px]; boxes outside of them are of nobody seen.
+        width: width of the images [px]; boxes outside of them are of nobody seen.
     """
 
     count: int
@@ -239,7 +239,7 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
     ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
     ``box`` (N, 4: left, top, right, bottom).
 
-    A picture that is the mean of several frames has the box around all of theirs.
+    An image that is the mean of several frames has the box around all of theirs.
 
     Args:
         path: the other system's file.

@@ -13,7 +13,7 @@ from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 MOST_SHIFT = 4
-"""How many frames joints and pictures may lie apart and still be brought together."""
+"""How many frames joints and images may lie apart and still be brought together."""
 
 _LOOK_PX = 240
 _LOOK_FRAMES = 240
@@ -33,7 +33,7 @@ class Inspection:
     Attributes:
         recording: with the up axis of its joints settled.
         depths: for each shift of the joints by -MOST_SHIFT .. MOST_SHIFT frames, how deep inside what moved the
-            limbs lie, summed over frames and weighted by their speed in the picture; zeros without joints.
+            limbs lie, summed over frames and weighted by their speed in the image; zeros without joints.
     """
 
     recording: Recording

@@ -1,6 +1,6 @@
 """Videos in a folder: files, or folders of numbered images; frames are read on demand.
 
-Frames count from 0. A folder is one video per name of its numbered pictures (f001.png, f002.png, ...), if there are
+Frames count from 0. A folder is one video per name of its numbered images (f001.png, f002.png, ...), if there are
 eight or more of that name.
 """
 
@@ -37,8 +37,8 @@ class Footage:
     """One video of a static camera.
 
     Attributes:
-        path: the video file, or the first of its numbered pictures.
-        pictures: the numbered pictures in order; empty for a video file.
+        path: the video file, or the first of its numbered images.
+        pictures: the numbered images in order; empty for a video file.
         stem: name without ending, shared by its companion files.
         fps: frames per second; fps_known is False where nothing says and 30 was assumed.
         steady: for every frame but the last, whether the next one follows after one regular interval.
@@ -117,11 +117,11 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
     """Look at one video: how many frames, how fast; nothing is decoded.
 
     Args:
-        path: the video file, or the first of the pictures.
-        pictures: its numbered pictures, for a video that is a folder of them; found again when not given.
+        path: the video file, or the first of the images.
+        pictures: its numbered images, for a video that is a folder of them; found again when not given.
 
     Raises:
-        InputError: no video, too short, pictures missing in between, or a clip.toml that is wrong.
+        InputError: no video, too short, images missing in between, or a clip.toml that is wrong.
     """
     if not pictures and path.suffix.lower() in PICTURE_SUFFIXES:
         pictures = dict(_picture_runs(path.parent)).get(path, ())
@@ -152,7 +152,7 @@ def _looked_at(footage: Footage) -> Footage:
 
 
 def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """Every (first file, pictures) in the order of their paths."""
+    """Every (first file, images) in the order of their paths."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     videos: list[tuple[Path, tuple[Path, ...]]] = [(p, ()) for p in files if p.suffix.lower() in VIDEO_SUFFIXES]
     for inner in sorted({path.parent for path in files if path.suffix.lower() in PICTURE_SUFFIXES}):
@@ -161,7 +161,7 @@ def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """The numbered pictures of one folder, one run per common name, by number."""
+    """The numbered images of one folder, one run per common name, by number."""
     runs: dict[tuple[str, str], list[tuple[int, Path]]] = {}
     for path in sorted(folder.iterdir()):
         numbered = _NUMBERED.fullmatch(path.stem)
@@ -172,7 +172,7 @@ def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _stem_of_pictures(pictures: tuple[Path, ...]) -> str:
-    """The pictures' common name, or their folder's where they are mere numbers (or one letter and a number)."""
+    """The images' common name, or their folder's where they are mere numbers (or one letter and a number)."""
     numbered = _NUMBERED.fullmatch(pictures[0].stem)
     name = numbered[1].rstrip("_-. ") if numbered else ""
     return name if len(name) > 1 else pictures[0].parent.name

@@ -26,8 +26,8 @@ class Recording:
     """A video and its companion files. Paths only, so that it can be sent between processes.
 
     Attributes:
-        video: the video file, or the first of its numbered pictures.
-        plate: the picture of the empty scene; None for the temporal median.
+        video: the video file, or the first of its numbered images.
+        plate: the image of the empty scene; None for the temporal median.
         calibration: Calib*.toml or cameras.json that has the video's camera; None without one.
         joints: .trc or joints3d.npz; None without measured joints.
         y_up: whether the .trc has y up where the calibration's world has z up.
@@ -84,7 +84,7 @@ def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
         footage: the video.
 
     Raises:
-        InputError: a calibration or a joint file that cannot be read, or a picture size that is not the video's.
+        InputError: a calibration or a joint file that cannot be read, or an image size that is not the video's.
     """
     folder, remarks = footage.path.parent, list(footage.remarks)
     recording = Recording(footage.path, find_plate(footage))

@@ -23,7 +23,7 @@ _LEAST_PX = 48  # a person who is smaller shows no limbs
 
 @dataclass(frozen=True)
 class Box:
-    """left, top, right, bottom in pixels of the full picture, spanning [0, W] x [0, H]."""
+    """left, top, right, bottom in pixels of the full image, spanning [0, W] x [0, H]."""
 
     left: float
     top: float
@@ -49,8 +49,8 @@ class View:
         top: top edge [px].
         width: width [px].
         height: height [px].
-        camera: the pinhole of the case's pictures, in this project's pixel convention.
-        source: for each pixel of the window where its light lies in the stored picture; None without distortion.
+        camera: the pinhole of the case's images, in this project's pixel convention.
+        source: for each pixel of the window where its light lies in the stored image; None without distortion.
         body: possible region of the chosen person, in the case's images.
     """
 
@@ -96,9 +96,9 @@ def make_view(
     Args:
         footage: the video.
         box: box of the person in all frames of the case.
-        full: the camera of the undistorted full picture.
+        full: the camera of the undistorted full image.
         calibrated: the lens, or None.
-        size_px: longer side of the case's pictures; a smaller window is not enlarged.
+        size_px: longer side of the case's images; a smaller window is not enlarged.
         body: possible region of the person, in a reduced full image; None for everywhere.
 
     Raises:
@@ -164,11 +164,11 @@ def box_of_change(recording: Recording, footage: Footage, first: int, count: int
 
 
 def _seen_region(view: View, body: Bool[Array, "h w"], full: PinholeCamera) -> Bool[Array, "H W"]:
-    """A region of a small full picture, a little widened, in the case's pictures."""
+    """A region of a small full image, a little widened, in the case's images."""
     reach = 2 * max(2, round(0.015 * max(body.shape))) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     near = cv2.dilate(body.astype(np.uint8), disc)
-    # Centres of the case's pixels in the small picture's pixels: nearest neighbour.
+    # Centres of the case's pixels in the small image's pixels: nearest neighbour.
     rows = view.top + (np.arange(view.camera.height) + 0.5) * view.height / view.camera.height
     columns = view.left + (np.arange(view.camera.width) + 0.5) * view.width / view.camera.width
     at_rows = (rows * body.shape[0] / full.height).astype(int).clip(0, body.shape[0] - 1)

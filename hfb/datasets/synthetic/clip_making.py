@@ -51,7 +51,7 @@ class MadeClip:
     """Files of one synthetic clip.
 
     Attributes:
-        source: the folder of its pictures, or its video.
+        source: the folder of its images, or its video.
         background: the clean plate.
         clip: its clip.toml.
         truth: the true motion (a motion file, many instants per exposure); frames without the person are left out.

@@ -36,7 +36,7 @@ class Clock:
 
     @property
     def fps(self) -> float:
-        """Pictures per second."""
+        """Images per second."""
         return 1 / self.interval_s
 
     def times_s(self) -> Float[Array, "R"]:

@@ -34,7 +34,7 @@ class Candidate:
     Attributes:
         clip: the motion.
         number: number of that motion in its source.
-        blur_rate: roughly, from small pictures.
+        blur_rate: roughly, from small images.
     """
 
     clip: MotionClip
@@ -174,7 +174,7 @@ class _Piece:
         return clock, camera, float(blur_rates(by_frame).mean())
 
     def _fastest_px(self, joints: Float[Array, "R 24 3"], camera: PlacedCamera) -> float:
-        """The greatest speed of any joint in the full picture [px per exposure]."""
+        """The greatest speed of any joint in the full image [px per exposure]."""
         here = joints @ camera.R_camera_world.T + camera.offset
         screen = camera.lens.fx * here[..., :2] / np.maximum(here[..., 2:], 0.2)
         by_frame = screen.reshape(self.frames, _COARSE_INSTANTS, *screen.shape[1:])

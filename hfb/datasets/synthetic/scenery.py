@@ -37,7 +37,7 @@ class Scenery:
         background: name of the background's file, or "generated".
         texture: name of the texture's file, or "generated".
         light: factor by which the room's light changed the texture.
-        skipped: pictures that could not be read, with the reason.
+        skipped: images that could not be read, with the reason.
     """
 
     plate_linear: Float[Tensor, "H W 3"]
@@ -61,7 +61,7 @@ def draw_scenery(
         rng: draws the choice.
 
     Raises:
-        InputError: a folder holds no picture that can be read.
+        InputError: a folder holds no image that can be read.
     """
     for_plate, for_texture = rng.spawn(2)
     skipped: dict[str, str] = {}
@@ -82,7 +82,7 @@ def draw_scenery(
 
 
 def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str]) -> tuple[Float[Array, "h w 3"], str]:
-    """A random picture of a folder and its name there; those that are damaged are passed over and noted."""
+    """A random image of a folder and its name there; those that are damaged are passed over and noted."""
     names = _pictures_in(folder)
     reasons: dict[str, str] = {}
     for index in rng.permutation(len(names)):
@@ -99,7 +99,7 @@ def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str
 
 @lru_cache(maxsize=8)
 def _pictures_in(folder: Path) -> tuple[str, ...]:
-    """Relative paths of what looks like a picture, in an order that no file system decides."""
+    """Relative paths of what looks like an image, in an order that no file system decides."""
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give a folder of PNG or JPEG files")
     found = (path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
@@ -107,7 +107,7 @@ def _pictures_in(folder: Path) -> tuple[str, ...]:
 
 
 def _crop(picture_srgb: Float[Array, "h w 3"], size_px: int, rng: np.random.Generator) -> Float[Array, "H W 3"]:
-    """A random square of a picture at the wanted size, averaged in linear light."""
+    """A random square of an image at the wanted size, averaged in linear light."""
     height, width = picture_srgb.shape[:2]
     side = max(int(min(height, width) * rng.uniform(*_CROP)), 1)
     top, left = (int(rng.integers(0, room + 1)) for room in (height - side, width - side))

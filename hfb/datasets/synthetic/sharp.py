@@ -19,7 +19,7 @@ SHARP_SUBFRAMES = 8
 def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:
     """Write premultiplied linear sub-frames as straight sRGB with alpha, 8 bit; return their common box.
 
-    The box is (left, top, width, height) [px] within the full picture; the file holds eight of it, side by side.
+    The box is (left, top, width, height) [px] within the full image; the file holds eight of it, side by side.
 
     Args:
         path: the PNG file.

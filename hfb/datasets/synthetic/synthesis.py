@@ -57,7 +57,7 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
         folder: written to.
 
     Raises:
-        InputError: no motion has the blur that is wanted, or a folder of pictures holds none.
+        InputError: no motion has the blur that is wanted, or a folder of images holds none.
     """
     if not usable:
         raise InputError("no motion can be read; give a folder with AMASS .npz or .bvh files, or none")
@@ -135,7 +135,7 @@ class _Scene:
 def _find_scene(
     spec: SetSpec, usable: Sequence[int], wanted: Interval, actor: _Actor, scenery: Scenery, rng: np.random.Generator
 ) -> _Scene:
-    """The first candidate whose full-size truth has the wanted blur rate and keeps off the picture's border."""
+    """The first candidate whose full-size truth has the wanted blur rate and keeps off the image's border."""
     found = candidates(
         _loader(spec),
         usable,

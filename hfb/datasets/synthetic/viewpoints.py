@@ -12,7 +12,7 @@ _AZIMUTH_DEG, _ELEVATION_DEG, _ROLL_DEG = 70.0, (-5.0, 20.0), 3.0
 _DIAGONAL_FIELD_DEG = (35.0, 65.0)
 _FILLED = (0.55, 0.85)
 _MARGIN = 0.05
-"""Of the picture's side, kept free on every side of the person."""
+"""Of the image's side, kept free on every side of the person."""
 _ROUNDS = 8
 _UPRIGHT = 0.3
 """A front whose horizontal part is shorter than this is no direction to look from: the person lies, or bends far."""
@@ -26,8 +26,8 @@ class View:
         azimuth_deg: angle about the world's vertical, from the person's front.
         elevation_deg: elevation above the horizontal.
         roll_deg: angle about the line of sight.
-        diagonal_field_deg: between opposite corners of the picture.
-        filled: share of the picture's side that the longer side of the person's box takes.
+        diagonal_field_deg: between opposite corners of the image.
+        filled: share of the image's side that the longer side of the person's box takes.
         aside: in [-1, 1], where the box lies (x, y) within what is left.
     """
 
@@ -99,7 +99,7 @@ def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], siz
     down = np.cross(forward, right)
     right, down = np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right
     R_camera_world = np.stack([right, down, forward])
-    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of a picture of side 1
+    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of an image of side 1
     seen = R_camera_world @ points.T
     extent = np.ptp(seen, axis=1)
     offset = -(seen.min(1) + seen.max(1)) / 2

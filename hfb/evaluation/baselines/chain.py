@@ -76,7 +76,7 @@ class Chain:
         return estimates
 
     def _matte(self, picture_srgb: Float[Array, "H W 3"], observation: Observation) -> Float[Tensor, "H W"]:
-        """Of a deblurred picture: the blurred frame's would show where the person was at other times."""
+        """Of a deblurred image: the blurred frame's would show where the person was at other times."""
         picture = srgb_to_linear(picture_srgb) if observation.light == "linear" else picture_srgb
         return torch.from_numpy(self._matting(picture.astype(np.float32), observation.plate_linear))
 

@@ -42,7 +42,7 @@ class Deblurrer:
         """Sub-frames of all frames.
 
         Raises:
-            InputError: the network fails, or the folder lacks this case's pictures.
+            InputError: the network fails, or the folder lacks this case's images.
         """
         frames = [frame.numpy() for frame in observation.to_srgb(observation.frames_linear)]
         if self._network is not None:
@@ -107,7 +107,7 @@ def _planes(array: Float[Array, "..."], size: tuple[int, ...], source: Path) -> 
 
 
 def _stored(folder: Path, frame: int, shape: tuple[int, ...]) -> Float[Array, "M H W 3"]:
-    """A system's pictures of one frame, in the order of their names, or those of a video."""
+    """A system's images of one frame, in the order of their names, or those of a video."""
     inner, video = folder / f"frame_{frame}", folder / f"frame_{frame}.mp4"
     if inner.is_dir():
         pictures = [read_picture_srgb(path) for path in sorted(inner.iterdir()) if not path.name.startswith(".")]

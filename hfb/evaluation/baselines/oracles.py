@@ -101,7 +101,7 @@ class TwoStageOracle:
         self._subframes = subframes
         self._seed = seed
         self._body = body
-        self._initializer = initializer  # None: the simulated estimator, which needs no pictures
+        self._initializer = initializer  # None: the simulated estimator, which needs no images
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
         """Poses alone, interpolated between the eight sub-frames of the truth."""

@@ -80,7 +80,7 @@ class ShapeFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Silhouettes and pictures of the object; no pose: it knows no body. Neither case nor starts are looked at."""
+        """Silhouettes and images of the object; no pose: it knows no body. Neither case nor starts are looked at."""
         started = time.perf_counter()
         with one_torch_thread():
             if self._together:
@@ -106,7 +106,7 @@ class ShapeFromBlur:
             return self._rasterizer.render(vertices, best.texture, observation.camera, self._sphere.mesh)
 
     def _optimise(self, start: _Free, window: Observation, size_px: int, iterations: int) -> tuple[float, _Free]:
-        """Adam at one picture size; the loss and the iterate that were best."""
+        """Adam at one image size; the loss and the iterate that were best."""
         seen = window.resized(size_px)
         tau = shutter_tau(seen, self._subframes)
         free = start.detached()

@@ -38,7 +38,7 @@ class JoinedMotion:
         edges: gaps between neighbouring frames, as fitted and as left.
         turned: limbs that a window had seen run the other way.
         gaps: (first, last) frame of every stretch without the person.
-        filled: frames without any picture of the person that were bridged between their neighbours.
+        filled: frames without any image of the person that were bridged between their neighbours.
     """
 
     motion: SampledMotion
@@ -66,7 +66,7 @@ def join_windows(
         identity: the one that all windows were fitted with.
         timing: timing of the whole clip.
         subframes: N, rows per frame.
-        K: camera matrix of the full picture [px].
+        K: camera matrix of the full image [px].
         longest_fill: stretches of at most so many frames without the person are bridged, longer ones are gaps.
 
     Raises:

@@ -51,7 +51,7 @@ def number_in(name: str) -> int | None:
 def by_pictures(tracks: Sequence[PoseTrack], clip: ClipPictures) -> list[PoseTrack]:
     """Return the tracks with the clip's own frame numbers where they know the names of their images.
 
-    Rows of pictures that the clip does not have are left out. Where no name fits all stay as they are.
+    Rows of images that the clip does not have are left out. Where no name fits all stay as they are.
 
     Args:
         tracks: tracks of one result.
@@ -73,7 +73,7 @@ def _numbered(track: PoseTrack, frames: dict[str, int]) -> PoseTrack:
 
 
 def _frames_of(images: set[str], clip: ClipPictures) -> dict[str, int]:
-    """The clip's frame of each picture; empty where the numbers in the names are to be believed."""
+    """The clip's frame of each image; empty where the numbers in the names are to be believed."""
     own = {stem(name): frame for frame, name in enumerate(clip.names)}
     if len(own) == len(clip.names):
         same = {name: own[stem(name)] for name in images if stem(name) in own}

@@ -70,7 +70,7 @@ def _way(one: PoseTrack, other: PoseTrack) -> float | None:
 
 
 def _places(track: PoseTrack) -> Float[Array, "R 3"] | None:
-    """Where the person is in the pictures, and how tall [px]; None where the system does not tell."""
+    """Where the person is in the images, and how tall [px]; None where the system does not tell."""
     if track.pixels is not None:
         spread = np.nanmax(track.pixels, 1) - np.nanmin(track.pixels, 1)
         return np.column_stack([np.nanmedian(track.pixels, 1), np.maximum(spread.max(1), 1.0)])

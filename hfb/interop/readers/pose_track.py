@@ -29,7 +29,7 @@ class PoseTrack:
         system: name of the system.
         person: the system's name or number for the person.
         frames: numbers of the video's frames, increasing, the first being 0.
-        size: (height, width) of the pictures that K is about; None where the system does not say.
+        size: (height, width) of the images that K is about; None where the system does not say.
         poses: axis-angle of the 24 joints [rad]; the root's takes the rest body into the camera's axes (x right, y
             down, z forward), where K is None into those of an upright camera whose direction is not known.
         trans: SMPL's translation [m].
@@ -39,7 +39,7 @@ class PoseTrack:
         pixels: SMPL's joints in the image [px], NaN where unknown; for systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
-        images: names of the pictures, of systems that go by names; see `picture_names`.
+        images: names of the images, of systems that go by names; see `picture_names`.
         rate_hz: frame rate of a motion with its own clock; its frame numbers are then its own, too, not the video's.
     """
 
@@ -81,7 +81,7 @@ class PoseTrack:
             width: width of the images [px].
 
         Raises:
-            InputError: pictures of another shape: they are not the same ones.
+            InputError: images of another shape: they are not the same ones.
         """
         if self.size is None or self.size == (height, width) or self.K is None:
             return self

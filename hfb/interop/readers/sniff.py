@@ -51,10 +51,10 @@ def read_tracks(
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
         height: height of the images [px], for systems that do not state it.
         width: width of the images [px], for systems that do not state it.
-        clip: the names of the pictures, for systems that go by names.
+        clip: the names of the images, for systems that go by names.
 
     Raises:
-        InputError: damaged, a pickle that names code, unknown, or about other pictures.
+        InputError: damaged, a pickle that names code, unknown, or about other images.
     """
     path, *others = files
     content = read_contents(path)

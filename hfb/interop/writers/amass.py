@@ -27,7 +27,7 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
     same world, ``hfb_times_s``, ``hfb_observed`` (the shutter was open), ``hfb_present`` (the person was there),
     ``betas_space``.
 
-    The camera is taken to be level: up in the picture is up in the world.
+    The camera is taken to be level: up in the image is up in the world.
 
     Args:
         motion: camera coordinates.

@@ -2,7 +2,7 @@
 
 Offsets are the person's own bones in the rest pose (T, facing +z). The root's offset is zero and its position channels
 are its place, so that programs that add the two and those that do not agree. Rows follow at the rate of the sub-frames:
-a program that shows one row per picture shows slow motion.
+a program that shows one row per image shows slow motion.
 """
 
 import warnings

@@ -79,7 +79,7 @@ def write_meshes(
         motion: camera coordinates.
         body: model of the motion.
         form: ``obj`` or ``ply``.
-        texture_png: the person's texture as an sRGB picture; .obj files refer to it.
+        texture_png: the person's texture as an sRGB image; .obj files refer to it.
 
     Raises:
         TemporaryError: see `earlier_meshes`.

@@ -22,7 +22,7 @@ class Exported:
     Attributes:
         betas_space: space of the motion's shape coefficients.
         body: the model it was fitted with; None where only formats without a surface are asked for.
-        texture_png: the person's texture as an sRGB picture.
+        texture_png: the person's texture as an sRGB image.
     """
 
     motion: SampledMotion

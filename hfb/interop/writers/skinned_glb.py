@@ -1,6 +1,6 @@
 """motion.glb: the person with skin, skeleton, texture and two animations, in real time and in slow motion.
 
-The world is glTF's (metres, y up); the camera that took the pictures is at its origin and looks along -z, as glTF's own
+The world is glTF's (metres, y up); the camera that took the images is at its origin and looks along -z, as glTF's own
 cameras do. One node turns the camera's frame into that world, so that joints and animations below it are those of
 motion.npz. Each animation has one key per sub-frame, at its exact time.
 
@@ -44,7 +44,7 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
     Args:
         motion: camera coordinates.
         body: the model that the motion was fitted with.
-        texture_png: the person's texture as an sRGB picture; a plain colour where there is none.
+        texture_png: the person's texture as an sRGB image; a plain colour where there is none.
 
     Raises:
         InputError: the motion's instants are not in order.

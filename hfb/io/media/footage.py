@@ -36,8 +36,8 @@ class Footage:
     """Frames 0 .. count - 1 of the chosen range; paths and numbers only, so that it can be sent between processes.
 
     Attributes:
-        source: the video, or the folder or first picture.
-        files: the video, or the pictures in order.
+        source: the video, or the folder or first image.
+        files: the video, or the images in order.
         times_s: time of each frame on the footage's own clock; of an average, its first frame's.
         interval_s: nominal, from frame to frame.
         average: number of the file's frames that are averaged to one.
@@ -169,7 +169,7 @@ def open_footage(
     """Look through footage: how many frames decode, when each was taken, what is lost.
 
     Args:
-        source: a video, a folder of pictures (in the natural order of their names), or pictures in the given order.
+        source: a video, a folder of images (in the natural order of their names), or images in the given order.
         start: range of frames of the file, `stop` exclusive.
         stop: range of frames of the file, `stop` exclusive.
         start_s: the same in seconds, on the file's clock from its first frame.
@@ -177,11 +177,11 @@ def open_footage(
         average: number of neighbouring frames that are averaged to one, in linear light.
         transfer: transfer curve of the file.
         fps: frame rate of images, which have no clock; it has priority over a video's own rate: its times are scaled.
-        scan: ``progressive``: frames are whole pictures, whatever their flags say.
+        scan: ``progressive``: frames are whole images, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
-        InputError: nothing there, nothing decodes, an empty range, pictures of different sizes, an absurd size,
+        InputError: nothing there, nothing decodes, an empty range, images of different sizes, an absurd size,
             interlaced or high dynamic range video.
     """
     if average < 1:

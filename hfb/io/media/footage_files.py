@@ -42,10 +42,10 @@ def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
         files: images of a clip, in order.
 
     Raises:
-        InputError: one is no picture, of another size, or too large.
+        InputError: one is no image, of another size, or too large.
 
     Raises:
-        InputError: one is no picture, of another size, or too large.
+        InputError: one is no image, of another size, or too large.
     """
     sizes = [picture_size(path) for path in files]
     height, width, _ = sizes[0]
@@ -68,7 +68,7 @@ def sample_remarks(files: Sequence[Path], transfer: Transfer) -> tuple[str, ...]
         transfer: the light that the user states.
 
     Raises:
-        InputError: one is no picture, or all seem to be of fewer bits than their files are.
+        InputError: one is no image, or all seem to be of fewer bits than their files are.
     """
     chosen = sorted({0, len(files) // 2, len(files) - 1})
     seen = [decode_picture(files[number], transfer) for number in chosen]

@@ -30,7 +30,7 @@ _LEAST_EDGES_KEPT = 0.5
 _GHOST_RATE, _GHOST_SHARE, _CLEARLY = 0.3, 0.25, 1.5
 _CONSTANT, _CONSTANT_SHARE = 0.05, 0.6
 _SURE_FROM = _LOOKS
-"""Frames from which a picture of the user's is refused: before bricks or stripes a plainly dressed figure that has
+"""Frames from which an image of the user's is refused: before bricks or stripes a plainly dressed figure that has
 hardly moved looks like a ghost (49 of 240 such empty plates over two frames, 20 over eight, 7 over fifteen)."""
 
 
@@ -41,12 +41,12 @@ def find_plate(
 
     Args:
         footage: the clip's footage.
-        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
+        how: an image's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
             the longest stretch in which nothing moves and nobody stands.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
-        InputError: the picture cannot be read, nothing is ever still, or see `check_plate`.
+        InputError: the image cannot be read, nothing is ever still, or see `check_plate`.
     """
     if isinstance(how, Path):
         picture = decode_picture(how, footage.stored)
@@ -68,7 +68,7 @@ def find_plate(
 
 
 def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[Array, "H W 3"]:
-    """A picture taken out of a video whose pixels are not square, as its frames are read; it may be turned already."""
+    """An image taken out of a video whose pixels are not square, as its frames are read; it may be turned already."""
     height, width = stored.shape[:2]
     aspect = footage.index.aspect if footage.index else 1.0
     if aspect != 1 and (footage.height, footage.width) in (
@@ -80,7 +80,7 @@ def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[
 
 
 def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float[Array, "H W 3"], str]:
-    """The longest stretch without movement whose picture is the empty scene: somebody may wait in the longest."""
+    """The longest stretch without movement whose image is the empty scene: somebody may wait in the longest."""
     refused: InputError | None = None
     for first, last in _still_spans(footage, on_progress)[:_MOST_SPANS]:
         plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)
@@ -213,7 +213,7 @@ def _largest_area(mask: Bool[Array, "h w"]) -> int:
 
 
 def _slope(gray: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """How steep a picture is [per pixel]."""
+    """How steep an image is [per pixel]."""
     gray = np.asarray(gray, np.float32)
     return np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8
 
@@ -264,7 +264,7 @@ def _median(footage: Footage, chosen: Array, on_progress: OnProgress | None) -> 
     plate = np.empty((footage.height, footage.width, 3), np.float32)
     for top in range(0, footage.height, _BAND):
         band = slice(top, top + _BAND)
-        # Sorted as 16 bits along the last axis: many times faster than a median across pictures of 8 bits.
+        # Sorted as 16 bits along the last axis: many times faster than a median across images of 8 bits.
         levels = np.sort(np.stack([one[band] for one in stack], -1).astype(np.uint16), axis=-1)
         plate[band] = (levels[..., low].astype(np.float32) + levels[..., high]) / (2 * full)
     return plate

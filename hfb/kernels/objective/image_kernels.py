@@ -7,7 +7,7 @@ one pyramid does for both losses. It is one list of pixels, level after level, r
 
 Where nothing is drawn the differences are known beforehand. So only a window is looked at, which holds all that is
 drawn and whole pixels of the coarsest level, and what the losses sum up of the rest comes from `seen`: sums of
-(squared differences, mattes) of a picture without anybody, over everything above and left of a corner of pixels.
+(squared differences, mattes) of an image without anybody, over everything above and left of a corner of pixels.
 
 A `table` of the levels has rows (first pixel in the list, height, width, first corner in `seen`), the finest level
 first, and a last row with the numbers of pixels in the list and of corners.

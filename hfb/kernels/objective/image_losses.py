@@ -16,7 +16,7 @@ from hfb.kernels.objective import image_kernels as kernels
 from hfb.typing import Array, Float, Int, Tensor
 
 _levels = lru_cache(kernels.levels)
-"""Of a picture's size and a number of scales; not to be changed."""
+"""Of an image's size and a number of scales; not to be changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Target:
             box: left, top, right and bottom [px] of all that is drawn; elsewhere `mean` is zero.
 
         Raises:
-            ValueError: the picture is not of the frame's size.
+            ValueError: the image is not of the frame's size.
         """
         if mean.shape[:2] != self.size:
             raise ValueError(f"a picture of {mean.shape[:2]} pixels is compared with one of {self.size}")

@@ -21,7 +21,7 @@ Block = tuple[Array, ...]
 """The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
 
 Box = tuple[int, int, int, int]
-"""Of a picture: left, top, right and bottom [px], the last two not in it."""
+"""Of an image: left, top, right and bottom [px], the last two not in it."""
 
 
 @dataclass(frozen=True)

@@ -135,11 +135,11 @@ def draw(
             else int32.
         lens: fx, fy, cx, cy, nearest depth used, width, height.
         soft: DIB-R's 1 / delta [1/px^2], reach [px] and number of faces; zeros for exact coverage.
-        mean: average the pictures.
+        mean: average the images.
         threads: number of threads.
 
     Returns:
-        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
+        images (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
         and for each block of bodies in turn the parts of its trace (see `kernels`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)

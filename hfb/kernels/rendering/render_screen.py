@@ -78,7 +78,7 @@ def code_of(seen, mask):
 
 @njit(**INLINE)
 def _bound(left, top, right, bottom, lens, box):
-    """Fill `box` with bounds cut to the picture."""
+    """Fill `box` with bounds cut to the image."""
     width, height = lens[5], lens[6]
     if left > right:
         box[0], box[1], box[2], box[3] = 0, 0, 0, 0

@@ -43,12 +43,12 @@ B1, B2, B1_X, B1_Y, B2_X, B2_Y = (BATCH * row for row in range(16, 22))
 OFF_X, OFF_Y = B2_X, B2_Y
 # 1 / (sum of weights / z), texture coordinates, shares of the next texel, weights of the four texels.
 SCALE, U, V, RIGHT, DOWN, W00, W01, W10, W11 = (BATCH * row for row in range(22, 31))
-# Way back: the picture's gradient times each of the four texels; then, in rows that have done their part, what is asked
+# Way back: the image's gradient times each of the four texels; then, in rows that have done their part, what is asked
 # of the corners.
 G00, G01, G10, G11, D0, D1, D2 = (BATCH * row for row in range(31, 38))
 OF_ALPHA, OF_B1, OF_B2, PULL_X, PULL_Y = G00, G01, G10, G11, SCALE
 FOUND = 38 * BATCH
-# Rows of a batch's places (int32): the pixel's place in its list and in the picture, corners in (V, 4), first texel.
+# Rows of a batch's places (int32): the pixel's place in its list and in the image, corners in (V, 4), first texel.
 SLOT, AT, CORNER_0, CORNER_1, CORNER_2, TEXEL = (BATCH * row for row in range(6))
 PLACES = 6 * BATCH
 TINY_PX2 = 1e-30  # twice the area of a face that is a line
@@ -238,7 +238,7 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
 
 @njit(**LOOP)
 def _ask_texels(n, texture, picture_gradient, table, places, texture_gradient):
-    """The picture's gradient times each of the four texels; adds the texture's own gradient where it is wanted."""
+    """The image's gradient times each of the four texels; adds the texture's own gradient where it is wanted."""
     size = texture.shape[0]
     right = 4 * min(size - 1, 1)
     down = right * size

@@ -69,16 +69,16 @@ def draw_by_warp(
 
     Args:
         vertices: (B, V, 3) [m].
-        textures: (G, A, A, 3), linear RGB, each of a run of pictures; with A = 0 only silhouettes are drawn.
+        textures: (G, A, A, 3), linear RGB, each of a run of images; with A = 0 only silhouettes are drawn.
         uv: (F, 3, 2) float64, of the faces' corners.
         topology: int32 tables faces, edge_vertices, edge_faces, and where each vertex's corners begin, the corners,
             where its edges' ends begin, the ends (see `gather`).
-        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every picture; B is a multiple of P.
+        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every image; B is a multiple of P.
         size: height, width.
         near: nearest depth used [m].
 
     Returns:
-        pictures (P, H, W, 4), or (P, H, W, 1) of silhouettes; projected vertices, front faces,
+        images (P, H, W, 4), or (P, H, W, 1) of silhouettes; projected vertices, front faces,
         first piece of each edge, places and shares of the pieces, coverage and codes of the pixels.
     """
     height, width = size

@@ -188,7 +188,7 @@ def network_of(state: Mapping[str, Tensor]) -> MattingNetwork:
 
 
 def _patches(picture: Tensor, side: int, step: int, chosen: Bool[Tensor, "B a b"]) -> Float[Tensor, "n C side side"]:
-    """Windows of a padded picture, one per chosen patch."""
+    """Windows of a padded image, one per chosen patch."""
     windows = picture.permute(0, 2, 3, 1).unfold(1, side, step).unfold(2, side, step)
     return windows[chosen]
 

@@ -1,6 +1,6 @@
 """The encoders of BackgroundMattingV2: ResNet (He et al. 2015) and MobileNetV2 (Sandler et al. 2018).
 
-Both give their maps at 1/16, 1/8, 1/4, 1/2 and 1/1 of the picture: the last halving is replaced by a dilation of two.
+Both give their maps at 1/16, 1/8, 1/4, 1/2 and 1/1 of the image: the last halving is replaced by a dilation of two.
 Parameters are named as in the weights that are published everywhere.
 """
 

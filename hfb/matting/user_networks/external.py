@@ -27,10 +27,10 @@ _COARSE_PX = 480
 """Longer side of BackgroundMattingV2's first pass: 1/4 of an HD frame, as its authors recommend."""
 _COARSE_SCALES = (0.125, 0.5)
 _REFINED_PIXELS = 80_000
-"""At HD and below, as its authors recommend; of larger pictures the same share (4K: 320,000)."""
+"""At HD and below, as its authors recommend; of larger images the same share (4K: 320,000)."""
 _REFINED_SHARE = _REFINED_PIXELS / (1920 * 1080)
 _MOST_ENLARGED = 8
-"""A network whose file fixes the number of refined pixels fails on a small picture, which is then shown larger."""
+"""A network whose file fixes the number of refined pixels fails on a small image, which is then shown larger."""
 _RVM_PX = 512
 _RVM_LOOKS = 4
 """How often a recurrent network sees the same frame: frames are computed beside each other, none waits for another."""
@@ -151,7 +151,7 @@ class BackgroundMattingV2:
         )
 
     def _network(self, height: int, width: int) -> Network:
-        """With the coarse scale and the refined pixels for a picture of this size."""
+        """With the coarse scale and the refined pixels for an image of this size."""
         scale = self._scale or float(np.clip(_COARSE_PX / max(height, width), *_COARSE_SCALES))
         # More pixels than there are, and the network's own choice of the worst fails.
         usual = max(_REFINED_PIXELS, round(_REFINED_SHARE * height * width))

@@ -1,7 +1,7 @@
 """HybrIK: res.pk, a dictionary of arrays over the frames (pred_thetas as 24 matrices, transl, bbox, ...).
 
 Its camera has a focal length of 1000 px for a crop of 256 px, scaled with the box (x1, y1, x2, y2), and looks through
-the middle of the picture; `transl` is where the root joint stands.
+the middle of the image; `transl` is where the root joint stands.
 """
 
 import re
@@ -77,7 +77,7 @@ def _sides(one: dict[str, Any], count: int) -> tuple[int, int] | None:
 
 
 def _frames(one: dict[str, Any], count: int) -> Int[Array, "N"]:
-    """From the pictures' names, which HybrIK counts from 1: before the first detection frames are left out."""
+    """From the images' names, which HybrIK counts from 1: before the first detection frames are left out."""
     found = [re.search(r"(\d+)\.\w+$", name) for name in texts(one.get("img_path"))]
     numbered = [int(match[1]) - 1 for match in found if match]
     if len(numbered) == count and len(set(numbered)) == count and min(numbered, default=-1) >= 0:

@@ -9,7 +9,7 @@ COCO's and AlphaPose's results: a JSON list of {image_id, keypoints: [x, y, conf
 image's number is its id, or the last digits of its name; names are matched with the clip's own. People are told apart
 by track_id or idx, else a person is who lies nearest from frame to frame.
 MMPose's: {instance_info: [{frame_id, instances: [{keypoints, keypoint_scores}]}]}, frames counted from 1.
-OpenPose's: {people: [{pose_keypoints_2d}]}, one picture.
+OpenPose's: {people: [{pose_keypoints_2d}]}, one image.
 """
 
 import math
@@ -195,7 +195,7 @@ def _points(value: Any) -> Float[Array, "J 3"]:
 def _person(
     name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
 ) -> PoseTrack:
-    """A camera is assumed, whose focal length is the picture's diagonal: it only says how large a person is."""
+    """A camera is assumed, whose focal length is the image's diagonal: it only says how large a person is."""
     found = sorted(found, key=lambda detection: detection.number)
     height, width = size
     K = pinhole(math.hypot(height, width), width / 2, height / 2)

@@ -1,6 +1,6 @@
 """PHALP and 4D-Humans: results/*.pkl, {frame: {time, tid, tracked_time, smpl, camera, size, ...}}.
 
-`camera` is the translation before a camera of 5000 px for a picture of 256, whose longer side the frame fills: the
+`camera` is the translation before a camera of 5000 px for an image of 256, whose longer side the frame fills: the
 focal length is 5000 / 256 max(W, H), through the middle. `smpl` holds matrices.
 """
 

@@ -1,6 +1,6 @@
 """PyMAF (and VIBE, whose layout it took over): output.pkl, {person: {pose, betas, orig_cam, frame_ids, ...}}.
 
-`orig_cam` is weak perspective in the whole picture: x appears at (sx (x + tx) + 1) W / 2, y at (sy (y + ty) + 1) H / 2.
+`orig_cam` is weak perspective in the whole image: x appears at (sx (x + tx) + 1) W / 2, y at (sy (y + ty) + 1) H / 2.
 A pinhole very far away shows the same.
 """
 
@@ -15,7 +15,7 @@ from hfb.typing import Array, Float
 
 SYSTEM = "PyMAF"
 _FAR = 150.0
-"""Focal length in picture sides: the depth of a body then moves no point by a pixel."""
+"""Focal length in image sides: the depth of a body then moves no point by a pixel."""
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
@@ -51,7 +51,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
 
 
 def _size(one: dict[str, Any], camera: Float[Array, "N 4"]) -> tuple[int, int] | None:
-    """The pictures' size, which is in the file only as the ratio of its two cameras: sx = s h / W, sy = s h / H."""
+    """The images' size, which is in the file only as the ratio of its two cameras: sx = s h / W, sy = s h / H."""
     if one.get("pred_cam") is None or one.get("bboxes") is None:
         return None
     scale = numbers_at(one, "pred_cam", len(camera), 3, finite=False)[:, 0]

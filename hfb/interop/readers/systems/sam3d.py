@@ -68,7 +68,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _frames(content: Any) -> list[tuple[int, str | None, list[Any]]]:
-    """(frame number, picture's name, people) of each frame, as far as it looks like frames."""
+    """(frame number, image's name, people) of each frame, as far as it looks like frames."""
     if isinstance(content, dict) and len(content) == 1:
         (inner,) = content.values()
         if not has_keys(inner, _NEEDED) and not (isinstance(inner, list) and _are_people(inner)):

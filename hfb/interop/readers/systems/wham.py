@@ -1,6 +1,6 @@
 """WHAM: wham_output.pkl, {person: {pose, trans, betas, frame_ids, pose_world, ...}}.
 
-`pose` and `trans` are SMPL's in the camera's axes, before a camera whose focal length is the picture's diagonal.
+`pose` and `trans` are SMPL's in the camera's axes, before a camera whose focal length is the image's diagonal.
 """
 
 import math

@@ -165,7 +165,7 @@ def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
         profile: ICC profile.
 
     Raises:
-        UnreadableProfile: it is damaged, or another picture's.
+        UnreadableProfile: it is damaged, or another image's.
     """
     try:
         source, target = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")

@@ -71,7 +71,7 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
             become sRGB's; else the values stay as they are.
 
     Raises:
-        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+        InputError: missing, empty, truncated, too large, or no image; the text names the fix.
     """
     data = read_bytes(path)
     try:
@@ -92,7 +92,7 @@ def picture_size(path: Path) -> tuple[int, int, int]:
         path: the image file.
 
     Raises:
-        InputError: missing, or no picture.
+        InputError: missing, or no image.
     """
     try:
         with warnings.catch_warnings(), path.open("rb") as file:

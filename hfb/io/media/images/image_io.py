@@ -36,7 +36,7 @@ def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "
         transfer: the light that the user knows it to store; the values stay as they are unless it is ``srgb``.
 
     Raises:
-        InputError: missing, empty, truncated, too large, or no picture; the text names the fix.
+        InputError: missing, empty, truncated, too large, or no image; the text names the fix.
     """
     return decode_picture(Path(path), transfer).pixels
 
@@ -48,7 +48,7 @@ def stored_png(path: Path) -> bytes:
         path: the image file.
 
     Raises:
-        InputError: as `read_picture_srgb`, or it is a picture of another kind.
+        InputError: as `read_picture_srgb`, or it is an image of another kind.
     """
     decode_picture(path)
     data = path.read_bytes()

@@ -93,7 +93,7 @@ class CalibratedCamera:
         return pixels
 
     def pinhole(self) -> PinholeCamera:
-        """Return the camera of the undistorted picture, in this project's pixel convention."""
+        """Return the camera of the undistorted image, in this project's pixel convention."""
         K = self.K
         fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5))
         return PinholeCamera(fx, fy, cx, cy, self.height, self.width)

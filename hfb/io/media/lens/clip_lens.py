@@ -47,7 +47,7 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
         width: width of the footage's frames [px].
 
     Raises:
-        InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of pictures of
+        InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of images of
             another size.
     """
     path = camera.calibration

@@ -42,7 +42,7 @@ class Lens:
     def undistorted(self, picture: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
         """Resample an image as a pinhole camera of the same matrix takes it; its border repeats outside.
 
-        A lens that moves no pixel by more than a twentieth of one leaves the picture as it is.
+        A lens that moves no pixel by more than a twentieth of one leaves the image as it is.
 
         Args:
             picture: as stored.

@@ -22,7 +22,7 @@ class _Resting:
     frames: Numbered
 
 
-# One, since a decoder holds pictures. A thread that takes it out has it for itself: both ends are atomic.
+# One, since a decoder holds images. A thread that takes it out has it for itself: both ends are atomic.
 _resting: deque[_Resting] = deque(maxlen=1)
 
 

@@ -30,7 +30,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     """
     if path.is_file():
         with path.open("rb") as file:
-            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC picture for videos
+            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC image for videos
                 raise InputError(f"{path}: {kind}.")
     # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
     name = f"file:{path.absolute()}"

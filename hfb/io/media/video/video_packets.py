@@ -13,7 +13,7 @@ ASSUMED_FPS = 30.0
 """Of footage that has no clock and states no rate."""
 
 _ROUNDING_FRAMES = 2
-"""A container's duration may be longer than its pictures by so many frames: sound, or rounding."""
+"""A container's duration may be longer than its images by so many frames: sound, or rounding."""
 
 
 _SOUND_ROUNDING_S = 0.25
@@ -117,7 +117,7 @@ def loss_of(
 
 
 def _stated_s(container: av.container.InputContainer, stream: av.VideoStream) -> float:
-    """How long the pictures last [s]; of the container, whose sound may last longer, where they do not say."""
+    """How long the images last [s]; of the container, whose sound may last longer, where they do not say."""
     if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     told = re.fullmatch(r"(\d{1,4}):(\d\d):(\d\d(?:\.\d{1,9})?)", stream.metadata.get("DURATION", ""))  # Matroska's tag

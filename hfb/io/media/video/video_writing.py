@@ -22,7 +22,7 @@ class VideoWriter:
     """Writes sRGB images of one size; the file appears when the `with` block ends without an error.
 
     The file says how its colours are meant (players guess differently where it does not), and its index comes first, so
-    that a browser shows it while it loads. A picture is encoded while the next one is drawn.
+    that a browser shows it while it loads. An image is encoded while the next one is drawn.
     """
 
     def __init__(
@@ -32,7 +32,7 @@ class VideoWriter:
 
         Args:
             path: the file.
-            fps: pictures per second; None where every picture says when it is to be shown.
+            fps: images per second; None where every image says when it is to be shown.
             comment: kept in the file.
             to_look_at: a third of the work, for what nobody measures.
             small: the same, and a third of the bytes.
@@ -81,7 +81,7 @@ class VideoWriter:
 
     def _begin(self, height: int, width: int) -> av.VideoStream:
         assert self._container is not None
-        # The same pictures give the same bytes: one thread, and no macroblock tree, whose AVX-512 code reads memory
+        # The same images give the same bytes: one thread, and no macroblock tree, whose AVX-512 code reads memory
         # that nobody wrote where a width is no whole number of vectors.
         options = {**self._options, "x264-params": "mbtree=0"}
         stream = self._container.add_stream("libx264", rate=self._fps or 1000, options=options)
@@ -91,7 +91,7 @@ class VideoWriter:
         codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range = _BT709, _BT709, _SRGB, _LIMITED
         if self._fps is None:
             codec.time_base = stream.time_base = _TICK
-            codec.max_b_frames = 0  # pictures in the order of their times, the first at its own
+            codec.max_b_frames = 0  # images in the order of their times, the first at its own
         return stream
 
     def __exit__(
