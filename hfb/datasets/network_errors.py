@@ -164,7 +164,7 @@ def _directions(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
 
 
 def _excess_of_joints(poses: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 23"]:
-    """The anatomical limits' penalty of every joint below the root by itself: a rest pose breaks no limit."""
+    """Return the anatomical limits' penalty of every single joint below the root; the rest pose breaks no limit."""
     alone = torch.diag_embed(poses[:, 1:].transpose(-1, -2)).permute(0, 2, 3, 1)
     return AnatomicalPrior().limit_penalty(alone.flatten(0, 1)).unflatten(0, (-1, JOINT_COUNT - 1))
 

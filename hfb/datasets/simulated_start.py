@@ -1,7 +1,7 @@
 """Simulated static estimates with the errors of METRO on the paper's BT-AMASS, by blur rate.
 
 The paper starts every fit from METRO (Lin et al. 2021), whose weights are not free. Its tables 1 and 2 give METRO's
-errors: estimates with errors of that size let ratios stand beside the paper's.
+errors: with estimates of equal errors, ratios are comparable to the paper's.
 """
 
 from dataclasses import dataclass
@@ -154,7 +154,7 @@ def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"
 def _place(
     poses: Float[Tensor, "T 24 3"], true_joints: Float[Array, "T 24 3"], person: ShapedBody
 ) -> Float[Tensor, "T 3"]:
-    """SMPL translations that show the estimate's joints as large as the person's and at the same place in the image.
+    """Return SMPL translations that give the estimate's joints the person's size and place in the image.
 
     The depth takes up what the mean body is smaller or larger than the person.
     """

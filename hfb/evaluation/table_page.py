@@ -45,7 +45,7 @@ def table_markdown(
         summary: result of `summarize`, or content of summary.json.
         notes: on how it was made (starts, mattes, body ...); a line under the title.
         metrics: blocks in their order; the paper's of this set when not given.
-        oracles: methods that see the truth: in italics, and never best. `is_oracle` tells when not given.
+        oracles: methods that use the truth: in italics, and never best; by `is_oracle` when not given.
     """
     chosen = _PAPERS_METRICS.get(summary["set"], _OTHER_METRICS) if metrics is None else metrics
     methods = summary["methods"]

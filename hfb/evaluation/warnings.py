@@ -267,7 +267,7 @@ def _left_over_share(matte: Float[Array, "H W"], alpha: Float[Array, "H W"]) -> 
 
 
 def _is_thing(region: Bool[Array, "h w"], mattes: Float[Array, "n h w"]) -> bool:
-    """No part of somebody who stands still: the person is elsewhere in many frames, or moves while it does not."""
+    """Return whether a region is not the person: they are elsewhere in many frames, or move while it does not."""
     within = mattes[:, region].mean(1)
     if (within < _AWAY).mean() > 1 / 3:
         return True

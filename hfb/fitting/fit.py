@@ -49,7 +49,7 @@ class FitResult:
         motion: poses, translations and joints of every sub-frame.
         texture: linear light, the atlas' gutter filled.
         trajectory: polynomials of the best iterate, in metres.
-        mattes: those that the last stage was compared with, as large as the frames.
+        mattes: mattes of the last stage, in the frames' size.
         history: one value per iteration for every unweighted term and the weighted ``total``.
         best_iteration: the iteration that was kept, counted through all stages.
         seconds: wall time of the fit.

@@ -45,7 +45,7 @@ def joint_features(
     - ``misfit``: log(1 - soft IoU of the re-blurred silhouette and the matte + 0.02).
     - ``unusual``: log of the pose prior's value + 1.
     - ``network``: the joint network's expected error, where the fit used the network.
-    - ``told``: 1 where the fit was told how tall the person is, else 0.
+    - ``told``: 1 where the person's height was given, else 0.
 
     Args:
         motion: the result.

@@ -178,7 +178,7 @@ def _searched(
 
 
 def _checked(matte: Matte) -> Float[Array, "H W"]:
-    """The matte as an array; one sentence where it shows nobody."""
+    """Return the matte as an array; raise an error where it is empty."""
     alpha = np.clip(np.asarray(matte, np.float32), 0, 1)
     if float(alpha.sum()) < _LEAST_MATTE_PX or float(alpha.max()) < 0.2:
         raise InputError("no person was found: the matte is empty; check the frame and the background plate.")

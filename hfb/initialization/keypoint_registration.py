@@ -90,7 +90,7 @@ class _Seen:
         return _Seen(pixels, known, size, self.camera)
 
     def misfit(self, joints: Float[Tensor, "S 24 3"], spread: float) -> tuple[Float[Tensor, "S"], Float[Tensor, "S"]]:
-        """Geman-McClure, so that one keypoint at a wrong place drags nobody along; and the mean distance [m]."""
+        """Return the Geman-McClure loss, which is robust to single wrong keypoints, and the mean distance [m]."""
         in_front = torch.cat([joints[..., :2], joints[..., 2:].clamp_min(_NEAREST_M)], -1)
         apart_px = (self.camera.project(in_front) - self.pixels).norm(dim=-1)
         square = (apart_px / (spread * _SPREAD * self.size_px[:, None])) ** 2 * self.known

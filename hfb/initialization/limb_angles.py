@@ -21,7 +21,7 @@ _HINGES = {
     JOINT_NAMES.index("right_shoulder"): (JOINT_NAMES.index("right_elbow"), (0.0, 1.0, 0.0)),
 }
 _BENT = 0.25
-"""Sine of the angle from which on a hinge tells its axis."""
+"""Sine of the angle above which a hinge's axis is determined."""
 
 
 def rotations_from_joints(

@@ -121,7 +121,7 @@ def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "...
 
 
 def _on_mesh(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "..."]]) -> Registered | None:
-    """The body laid onto the finest of its meshes that the network gives."""
+    """Fit the body to the finest mesh that the network gives."""
     if body.betas_space != "smpl":
         return None
     count = len(body.template)

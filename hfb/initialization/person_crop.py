@@ -73,7 +73,7 @@ def weak_perspective_place(
         camera: camera of the image.
 
     Raises:
-        InputError: a scale that is not positive: nobody is in the crop.
+        InputError: a scale that is not positive, so that the crop shows no person.
     """
     if scale <= 0:
         raise InputError(f"the network's camera has the scale {scale:.3g}; its layout may name the wrong output")

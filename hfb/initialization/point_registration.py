@@ -102,7 +102,7 @@ def register_vertices(
         iterations: number of Adam's iterations.
 
     Raises:
-        InputError: meshes of another body; only the model they belong to can be laid onto them.
+        InputError: meshes of another body; only the model that they belong to can be fitted to them.
     """
     if vertices.ndim != 3 or vertices.shape[1] != len(body.template):
         raise InputError(

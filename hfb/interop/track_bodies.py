@@ -95,7 +95,7 @@ def with_poses(track: PoseTrack, body: Body) -> PoseTrack:
 
 
 def _with_seen_poses(track: PoseTrack, pixels: Float[Array, "R 24 2"], body: Body) -> PoseTrack:
-    """The mean person laid onto where the joints are seen, before the camera that the track assumes."""
+    """Fit the mean person to the visible joints, before the camera that the track assumes."""
     if track.K is None or track.size is None:
         raise InputError(f"the {track.system} result has keypoints without a camera")
     camera = PinholeCamera.from_matrix(torch.from_numpy(track.K[0]), *track.size)
@@ -150,7 +150,7 @@ def on_matte(
 
 
 def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
-    """Return the mean of a matte at a person's projected joints, which tells whose matte it is.
+    """Return the mean of a matte at a person's projected joints, which identifies the person of the matte.
 
     0 where the system did not see them in that frame, or knows no camera.
 

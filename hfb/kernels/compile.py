@@ -41,7 +41,7 @@ SUM_INLINE = {**_SUM, "forceinline": True}
 
 @lru_cache
 def _sources() -> str:
-    """The hash of all that decides what is compiled, but the processor (which numba's index tells apart)."""
+    """Return the hash of all that determines the machine code but the CPU (which numba's index distinguishes)."""
     files = sorted(Path(__file__).parent.rglob("*.py"))
     versions = f"{numba.__version__} {llvmlite.__version__}".encode()
     return sha256(versions + b"".join(file.read_bytes() for file in files)).hexdigest()
@@ -179,7 +179,7 @@ def _use_temporary_folder():
 
 
 def _private_folder():
-    """A folder that nobody else can write: what lies in it is run."""
+    """Return a folder that only this user can write, since its content is executed."""
     folder = Path(tempfile.gettempdir()) / f"hfb-kernels-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)

@@ -8,7 +8,7 @@ from hfb.typing import Array, Bool, Float
 
 _LEAST_NOISE = 1.2 / 255  # quantisation of two 8-bit images, plus compression that leaves flat areas untouched
 _MOST_NOISE = 12 / 255
-GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light and another scene cannot be told apart
+GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light is indistinguishable from another scene
 
 
 def exposure_gain(

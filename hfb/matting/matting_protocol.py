@@ -12,11 +12,11 @@ from hfb.matting.known_background import Evidence, gather_evidence, main_change,
 from hfb.typing import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
-Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, told in one sentence
+Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, reported in one sentence
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
-_SEEN = 8.0  # in hundredths of alpha: what surely belongs to somebody
+_SEEN = 8.0  # in hundredths of alpha: pixels that certainly belong to a person
 LEAST_SHARE = 2e-4
 """Of the image's area; less is no person."""
 MOST_SHARE = 0.75
@@ -28,7 +28,7 @@ class Matting(Protocol):
     """Estimates alpha of eq. (1): the share of the exposure in which a pixel shows the person."""
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
+        """Return the matte in [0, 1]. Raises InputError where frame and plate do not match, or no person is found."""
         ...
 
 
@@ -188,7 +188,7 @@ def _empty_around(
     inner: tuple[slice, slice],
     size: tuple[int, int],
 ) -> Bool[Array, "a b"]:
-    """The detection's "nobody here", cut and scaled to the solution's grid."""
+    """Return the detection's empty pixels, cropped and scaled to the solution's grid."""
     away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
     indices = [
         ((cut.start + (np.arange(count) + 0.5) * (cut.stop - cut.start) / count) / ratio).astype(int).clip(0, limit - 1)

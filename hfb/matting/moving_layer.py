@@ -56,7 +56,7 @@ _FAR = 0.03
 still, and in the end that matte is trusted half as much."""
 _COVERED, _CLEARLY = 0.02, 3.0  # alpha; standard deviations
 _STRAYED = 0.01
-_INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places among what a scene tells the kernels
+_INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places in the kernels' input
 _RATES = (0.15, 0.02, 0.3)
 """Adam's, of the outline's logits, the colours' roots and the way [px]."""
 
@@ -92,7 +92,7 @@ class _Scene:
         return replace(self, told=told)
 
     def _strayed(self) -> float:
-        """The share of what nobody covers that differs clearly from the plate."""
+        """Return the share of uncovered pixels that differ clearly from the plate."""
         apart = np.linalg.norm((self.frame - self.plate) * self.told[..., _INVERSE_NOISE], axis=-1)
         beside = cv2.dilate((self.alpha > _COVERED).astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
         return float((apart[beside] > _CLEARLY).mean()) if beside.any() else 1.0
@@ -109,7 +109,7 @@ class _Layer:
 
     @staticmethod
     def moved(scene: _Scene, colours: Float[Array, "H W 3"], way: Float[Array, "2"]) -> "_Layer":
-        """The network's matte, made sharper the longer the way, in the colours that it tells."""
+        """Return the network's matte, sharpened the more the longer the way, with the colours that follow from it."""
         logits = (4 + 0.8 * np.linalg.norm(way)) * (scene.alpha - 0.5)
         ways = np.broadcast_to(way.astype(np.float32), (*logits.shape, 2)).copy()
         return _Layer(

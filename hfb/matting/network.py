@@ -113,8 +113,8 @@ class NetworkMatting:
 class RenderConditionedMatting:
     """The third network's input around a person without the fit; a fit's render gives the matte.
 
-    Its alpha is what a matte and a fit show, weighed by the pixels. What lies far from both is somebody else, who was
-    left out of the matte before. Where nobody is left it stays.
+    Its alpha combines a matte and a fit by the pixels. What is far from both is another person, who was
+    removed from the matte before. Where nothing would be left it stays.
 
     Args:
         frame_linear: in linear light.
@@ -227,7 +227,7 @@ def _shipped(name: str, channels: int) -> MatteNetwork:
 
 
 def _check_scene(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> None:
-    """Nothing to be seen at all, or another place: known before the network is asked."""
+    """Raise an error where nothing or everything changed, before the network runs."""
     difference = np.abs(linear_to_srgb(frame) - linear_to_srgb(np.clip(plate, 0, 1))).max(-1)
     if (cv2.GaussianBlur(difference, (0, 0), 2) > _CLEARLY_CHANGED).mean() > MOST_SHARE:
         raise another_scene()
@@ -236,6 +236,6 @@ def _check_scene(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> 
 def _gain_without(
     matte: Float[Array, "H W"], frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]
 ) -> Float[Array, "3"]:
-    """The exposure gain by the pixels where nobody is."""
+    """Return the exposure gain by background pixels."""
     empty = cv2.dilate(matte, np.ones((9, 9), np.uint8)) < 0.02
     return exposure_gain(frame[empty][None], plate[empty][None])

@@ -2,7 +2,7 @@
 
 alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
 far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,
-F = B + (I - B) / alpha. None is right everywhere; the second network has learned which to believe.
+F = B + (I - B) / alpha. None is right everywhere; the second network has learned to weigh them.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ COLOUR_STARTS = (0, 3)
 
 _NEAR_PX, _FAR_PX, _UNMIXED_PX = 4, 32, 6
 _OPAQUE_POWER, _UNMIXED_POWER = 6, 2
-_LEAST_SHARE = 0.15  # a pixel that is less the body's tells nothing of its colour
+_LEAST_SHARE = 0.15  # a pixel with a smaller share does not determine the body's colour
 
 
 def colour_evidence(

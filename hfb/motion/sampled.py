@@ -44,7 +44,7 @@ class SampledMotion:
         Args:
             frame: its number.
         """
-        if self._in_order:  # asked for frame by frame, a search of all rows each time would take their square
+        if self._in_order:  # a search of all rows for every frame would take quadratic time
             first, last = np.searchsorted(self.frame_index, (frame, frame + 1)).tolist()
             return np.arange(first, last)
         return np.flatnonzero(self.frame_index == frame)

@@ -73,7 +73,7 @@ def fetch_networks(say: Say | None = None, files: Sequence[Path] = (), force: bo
     """Get, check and unpack what is missing.
 
     Args:
-        say: is told in one sentence what happens.
+        say: called with a sentence on each step.
         files: networks or archives that already lie here (for machines without network); nothing is downloaded then.
         force: do it even if the networks are there.
 

@@ -106,7 +106,7 @@ def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
         choice: which landmark network; auto takes the heavy one where it is there, else the full one.
 
     Raises:
-        InputError: the network that is asked for by name is not there.
+        InputError: the network that is requested by name is missing.
     """
     detector = network_path(POSE_DETECTION)
     asked = LANDMARKERS.values() if choice == "auto" else (LANDMARKERS[choice],)

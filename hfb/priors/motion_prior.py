@@ -91,7 +91,7 @@ def load_motion_prior(path: Path | None) -> MotionPrior:
 
 @lru_cache(maxsize=1)
 def _shipped() -> MotionPrior:
-    """The weights of data/motion_prior.safetensors; data/motion_prior.json tells how they were made."""
+    """Load the weights of data/motion_prior.safetensors; data/motion_prior.json tells how they were trained."""
     with resources.as_file(resources.files("hfb.priors") / "data" / "motion_prior.safetensors") as path:
         return MotionPrior(*read_networks(path))
 

@@ -22,7 +22,7 @@ def make_rasterizer(
         threads: number of the compiled kernels' threads; results do not depend on it.
 
     Raises:
-        InputError: Warp or a CUDA device is missing, or asked for what the Warp kernels do not draw.
+        InputError: Warp or a CUDA device is missing, or the Warp kernels do not support the silhouette.
     """
     if backend == "reference":
         from hfb.rendering.reference import ReferenceRasterizer

@@ -115,7 +115,7 @@ class CpuRasterizer:
             camera: pinhole camera; its height and width are the image's.
             mesh: faces, edges and texture coordinates of the body.
         """
-        # Not indexed: the way back of that fills an image with zeros and copies.
+        # Not indexed: the backward pass of an index fills an image with zeros and copies.
         return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
 
     def image_losses(

@@ -22,12 +22,12 @@ _SEEN = 0.5
 _AROUND = 0.6
 """Of a box's longer side: how far around it is looked."""
 _FARTHEST = 0.4
-"""How far somebody goes per frame, in their own height."""
+"""Largest step of a person per frame, in their own height."""
 _ABOUT_AS_HIGH, _ABOUT_AS_LARGE = (0.6, 1.5), (0.35, 1.8)
 _IN_VIEW = 0.01
 """Of a side of the frame: who is nearer to its edge may be cut off by it."""
 _MISSES = 2
-"""In a row, from where the person was last seen: farther into a gap nobody looks."""
+"""Number of frames in a row after the last detection that are searched."""
 
 
 def look_into_gaps(
@@ -97,7 +97,7 @@ def _in_full_view(
 
 
 def _is_of(others: Sequence[Track], box: Float[Array, "4"], frame: int, last: int, known: Float[Array, "4"]) -> bool:
-    """Whether somebody else is nearer, where they are in this frame or were when the person was last seen."""
+    """Return whether another person is nearer, in this frame or when the person was last seen."""
     nearest = _way(box, known)
     for other in others:
         here = other.boxes[frame]

@@ -70,7 +70,7 @@ def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array,
         frame_linear: linear light.
         plate_linear: linear light.
     """
-    from hfb.matting.network import NetworkMatting  # torch: only for who asks
+    from hfb.matting.network import NetworkMatting  # imports torch, which is needed only here
 
     return NetworkMatting().look(frame_linear, plate_linear)
 

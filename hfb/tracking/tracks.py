@@ -22,12 +22,12 @@ _LOOK_PX = 240
 _LEAST_SHARE = 0.0015
 """Of the image's area; a smaller change is no person."""
 _LEAST_OF_LARGEST = 0.15
-"""Of the frame's largest change: less is a part of somebody, a shade, a reflection."""
+"""Share of the frame's largest change; less is a part of a person, a shadow or a reflection."""
 _FARTHEST, _LONGEST_ABSENCE = 0.4, 30
-"""How far somebody who was lost goes per frame, in their own height, and for how many frames they are looked for."""
+"""Largest step of a lost person per frame, in their own height, and the number of frames of the search."""
 _SHORTEST = 2
 _LEAST_SEEN = 4
-"""Frames, of everyone: less is a shade or somebody at the image's edge, and no motion."""
+"""Shortest track in frames; shorter ones are shadows or people at the image's edge."""
 _MARGIN, _AROUND = 0.12, 0.3
 
 
@@ -59,8 +59,8 @@ class ClipFrames:
         count: T.
         first: first of the video's frames.
         average: number of them in each image.
-        height: height of the images [px]; boxes outside of them are of nobody seen.
-        width: width of the images [px]; boxes outside of them are of nobody seen.
+        height: height of the images [px]; boxes outside of them are dropped.
+        width: width of the images [px]; boxes outside of them are dropped.
     """
 
     count: int
@@ -90,13 +90,13 @@ def find_tracks(
 ) -> tuple[Track, ...]:
     """Find everyone seen, in the order of appearance.
 
-    People who cross are told apart by the agreement of their boxes.
+    People who cross are distinguished by the agreement of their boxes.
 
     Args:
         frames: one after another, encoded like the plate.
         plate: encoded like the frames, same size.
         on_progress: called after every frame with the number of frames done.
-        alpha: tells pieces of one person from two people, see `join_pieces`; the shipped matting network's by default.
+        alpha: distinguishes pieces of one person from two people, see `join_pieces`; the shipped network's by default.
     """
     alpha = alpha or matting_look
     scale = min(1.0, _LOOK_PX / max(plate.shape[:2]))
@@ -116,14 +116,14 @@ def find_tracks(
 def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
     """Return the person who is meant: in the given box of the given frame, else the one of whom most is seen.
 
-    Without a box, whoever is seen while that one is away counts as the same person, who left and came back.
+    Without a box, a track during that person's absence counts as the same person, who left and came back.
 
     Args:
         tracks: tracks of everyone in the clip.
         choice: a box in a frame, or none.
 
     Raises:
-        InputError: nobody was seen, or nobody in the box.
+        InputError: no person was found, or none in the box.
     """
     if not tracks:
         raise InputError(
@@ -153,7 +153,7 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
         tracks: tracks of everyone in the clip.
 
     Raises:
-        InputError: nobody was seen for long enough.
+        InputError: no person was seen for long enough.
     """
     frames = len(tracks[0].boxes) if tracks else 0
     found = []
@@ -278,7 +278,7 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
         frames: the clip's frames within the video.
 
     Raises:
-        InputError: missing, damaged, or nobody's.
+        InputError: missing, damaged, or without a box in the clip's frames.
     """
     here = {name for frame, name, box in read_rows(path) if frames.place(frame, box) is not None}
     if not here:

@@ -235,6 +235,6 @@ def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:
 
 @lru_cache(maxsize=2)
 def _order(spec: RealSpec, stamp: tuple[tuple[str, int, int], ...]) -> tuple[RealWindow, ...]:
-    """The set's windows in their order; found once per process, as long as the files stay."""
+    """Return the set's windows in their order; cached per process while the files are unchanged."""
     windows, _ = real_windows(spec)
     return tuple(choose(windows, len(windows), spec.seed))

@@ -12,7 +12,7 @@ TruthKind = Literal["markers", "multi-view", "measured"]
 
 _RIGID, _BENDS_DEG = 0.005, 3.0
 """Relative deviation of a bone's length over time below which a skeleton was fitted (triangulated detections have 0.02
-and more), and deviation of an angle above which somebody moves."""
+and more), and deviation of an angle above which the person moves."""
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}", f"{side}_{c}")
     for side in ("left", "right")

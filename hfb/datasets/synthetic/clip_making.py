@@ -43,7 +43,7 @@ _MARGIN_S = 0.1
 _NOISE = Sensor(0.003, 0.00005, 0.3)
 _BESIDE_FRAMES = ("background.png", "clip.toml", "truth.npz")
 _MADE = re.compile(r"# made by `hfb synth clip`: (\d{1,7}) frames(, clip\.mp4)?\n")
-"""First line of a made clip.toml: tells which files beside it may be replaced."""
+"""First line of a made clip.toml, which marks the files beside it as replaceable."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def found_in(estimate: Callable[[int], Estimate], count: int) -> list[Estimate |
         count: number of sub-frames.
 
     Raises:
-        InputError: the last reason, where no sub-frame shows anybody.
+        InputError: the last reason, where the person is found in no sub-frame.
     """
     found: list[Estimate | None] = []
     reason: InputError | None = None

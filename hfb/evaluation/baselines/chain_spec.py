@@ -83,7 +83,7 @@ class EstimatorLayout(Record):
 
     @property
     def says_pose(self) -> bool:
-        """Whether any output is named that tells where the limbs are."""
+        """Return whether any output is named from which limbs can be computed."""
         return any(output is not None for output in (self.pose, self.joints, self.vertices))
 
 

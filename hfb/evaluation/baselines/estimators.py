@@ -42,7 +42,7 @@ class Estimator(Protocol):
     """Estimates a body from one image."""
 
     def __call__(self, sight: Sight, body: Body) -> Estimate:
-        """Raises InputError where it finds nobody."""
+        """Raises InputError where no person is found."""
         ...
 
 

@@ -18,7 +18,7 @@ _KNOWN = ("poses", "joints", "vertices", "trans")
 
 
 def read_estimates(path: Path, frames: int, body: Body) -> list[list[Estimate | None]]:
-    """Read the estimates of every frame's sub-frames; rows of NaN are instants at which the system found nobody.
+    """Read the estimates of every frame's sub-frames; rows of NaN are instants without a detection.
 
     Args:
         path: the .npz.

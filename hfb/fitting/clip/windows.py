@@ -1,4 +1,4 @@
-"""A clip in windows: a few neighbouring frames each, fitted by themselves, overlapping by one frame.
+"""Windows of a clip: a few neighbouring frames each, fitted separately, overlapping by one frame.
 
 With the person known, no window needs another's result: they can be fitted in any order and at once, and the cost
 grows in proportion to the frames.

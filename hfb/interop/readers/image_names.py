@@ -73,7 +73,7 @@ def _numbered(track: PoseTrack, frames: dict[str, int]) -> PoseTrack:
 
 
 def _frames_of(images: set[str], clip: ClipPictures) -> dict[str, int]:
-    """The clip's frame of each image; empty where the numbers in the names are to be believed."""
+    """Return the clip's frame of each image; empty where the numbers in the names are used."""
     own = {stem(name): frame for frame, name in enumerate(clip.names)}
     if len(own) == len(clip.names):
         same = {name: own[stem(name)] for name in images if stem(name) in own}

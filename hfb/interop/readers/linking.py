@@ -11,9 +11,9 @@ from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 _MOST_STEPS = 3
-"""Over how many frames the way grows that somebody may have gone."""
+"""Number of frames over which a person's possible distance grows."""
 _REMEMBERED, _MOST_IN_FRAME = 5, 128
-"""After so many given frames without them people are new; more in a frame are not told apart."""
+"""Number of frames after which a person counts as new; and the largest number of people in a frame."""
 
 
 @runtime_checkable
@@ -34,10 +34,10 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
 
     Args:
         seen: a row per person and frame.
-        ways: between the people of two frames, 1 being as far as somebody goes from one frame to the next.
+        ways: returns distances between the people of two frames, 1 being a person's largest step between frames.
 
     Raises:
-        InputError: a frame has more people than can be told apart.
+        InputError: a frame has too many people.
     """
     frames: dict[int, list[SeenT]] = defaultdict(list)
     for one in seen:

@@ -12,7 +12,7 @@ from hfb.io.safe.contents import named, numbers, text_of
 from hfb.typing import Array, Float
 
 MAX_PEOPLE = 1 << 17
-"""Of systems that store every person of every frame by itself: more than an hour of one."""
+"""Limit for systems that store every person of every frame separately: more than an hour of one person."""
 _MAX_ROWS, _MAX_ENTRIES = 1 << 20, 1 << 22
 
 

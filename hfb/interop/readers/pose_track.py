@@ -17,7 +17,7 @@ OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
 _SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
 _NEAR = 0.02
 _LEAST_JOINTS = 6
-"""So many a body needs to be laid onto them (`hfb.initialization.point_registration`)."""
+"""Number of joints that fitting a body needs (`hfb.initialization.point_registration`)."""
 _log = logging.getLogger(__name__)
 
 

@@ -89,7 +89,7 @@ def _usable(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
 
 
 def _holds_nothing(content: Any) -> bool:
-    """Lists and dictionaries with nothing in them, as systems write where they saw nobody."""
+    """Return whether a value is an empty list or dictionary, as systems write without a detection."""
     parts = content.values() if isinstance(content, dict) else content if isinstance(content, list) else (content,)
     return all(isinstance(part, dict | list) and not part for part in parts)
 
@@ -105,7 +105,7 @@ def choose_person(
         shown: measure of how much of a person the images show.
 
     Raises:
-        InputError: nobody, or nobody of that name.
+        InputError: there is no person, or none of that name.
     """
     if not tracks:
         raise InputError("the result holds nobody")

@@ -53,7 +53,7 @@ def c3d_bytes(motion: SampledMotion) -> bytes:
 def _zero_lost_points(data: bytes, known: Bool[Array, "F 24"]) -> bytes:
     """Set the coordinates of lost points to zero, as the format asks for.
 
-    The writer of c3d 0.6 leaves the last valid coordinates there, which readers that skip the residual take for real.
+    The writer of c3d 0.6 keeps the last valid coordinates there, which readers without the residual would use.
     """
     content = bytearray(data)
     first_block = int.from_bytes(content[16:18], "little")  # word 9 of the header: where the frames begin, from 1

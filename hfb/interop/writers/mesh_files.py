@@ -90,7 +90,7 @@ def write_meshes(
     textured = form == "obj" and texture_png is not None
     if textured:
         assert texture_png is not None
-        write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it tells that the texture is ours
+        write_bytes_atomic(folder / _MATERIAL, _MATERIAL_TEXT)  # it marks the texture as ours
         write_bytes_atomic(folder / _TEXTURE, texture_png)
     faces, surface = body.mesh.faces.numpy(), _obj_surface(body, textured)
     for row in range(len(motion.poses)):

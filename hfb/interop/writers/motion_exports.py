@@ -21,7 +21,7 @@ class Exported:
 
     Attributes:
         betas_space: space of the motion's shape coefficients.
-        body: the model it was fitted with; None where only formats without a surface are asked for.
+        body: the model it was fitted with; None is enough for formats without a surface.
         texture_png: the person's texture as an sRGB image.
     """
 

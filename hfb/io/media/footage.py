@@ -282,7 +282,7 @@ def _remarks(index: VideoIndex) -> Iterator[str]:
 
 
 def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage:
-    """A range of frames; a rate that is told wins, as for high-speed footage that is stored to play slowly."""
+    """Return a range of frames; a stated rate has priority, as for high-speed footage that is stored to play slowly."""
     times_s, interval_s, remarks = whole.times_s, whole.interval_s, whole.remarks
     if is_pulled_down(times_s):
         interval_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
@@ -297,7 +297,7 @@ def _within(whole: Footage, first: int, last: int, fps: float | None) -> Footage
 
 
 def _averaged(sharp: Footage, average: int) -> Footage:
-    """Every `average` frames as one; what is left over at the end is left out."""
+    """Average every `average` frames to one; a rest at the end is dropped."""
     left_over = sharp.count % average
     if sharp.count < average:
         raise InputError(

@@ -11,7 +11,7 @@ from hfb.photometry import Transfer
 
 
 def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
-    """Return a video by itself, the images of a folder in their natural order, or the given images.
+    """Return the video alone, the images of a folder in their natural order, or the given images.
 
     Args:
         source: a video, a folder, or images.

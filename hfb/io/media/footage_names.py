@@ -43,7 +43,7 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def others_in(folder: Path) -> list[Path]:
-    """Return files of a folder that a user may take for images although hfb reads none of their kind.
+    """Return image files of a folder whose kind hfb does not read.
 
     Args:
         folder: folder to list.

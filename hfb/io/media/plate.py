@@ -42,7 +42,7 @@ def find_plate(
     Args:
         footage: the clip's footage.
         how: an image's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
-            the longest stretch in which nothing moves and nobody stands.
+            the longest stretch without movement and without a person.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
@@ -80,7 +80,7 @@ def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[
 
 
 def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float[Array, "H W 3"], str]:
-    """The longest stretch without movement whose image is the empty scene: somebody may wait in the longest."""
+    """Return the longest still stretch that shows the empty scene: a person may stand still in the longest of all."""
     refused: InputError | None = None
     for first, last in _still_spans(footage, on_progress)[:_MOST_SPANS]:
         plate = _median(footage, first + _spread_over(last + 1 - first, _count_in_memory(footage)), None)

@@ -56,7 +56,7 @@ _STORAGES = {
 _MAX_NAME = 200
 
 TorchReader = Callable[[bytes, Steps], Any]
-"""Such as `hfb.io.safe.torch_files.load_torch`: handed in, since it reads pickles itself."""
+"""Type of `hfb.io.safe.torch_files.load_torch`, which is a parameter since it reads pickles itself."""
 
 _ALLOWED: dict[str, Any] = {
     "numpy.ndarray": NumpyArray,

@@ -207,7 +207,7 @@ skin.register_autograd(_skin_backward, _keep_skin)
 
 
 def _kept(transforms: Tensor, rest: Tensor) -> tuple[int, ...]:
-    """Shape of what `blend_and_skin` keeps for its way back."""
+    """Return the shape of the values that `blend_and_skin` saves for its backward pass."""
     return -(-transforms.shape[0] // LANES), rest.shape[0], 3 * LANES
 
 

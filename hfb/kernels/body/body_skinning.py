@@ -355,7 +355,7 @@ def ask_point(table, starts, joints, weights, v, asked, of_rest):
 
 @njit(**INLINE)
 def _column_of(table, at, x, y, z, added):
-    """A column of a joint's transforms times what is asked."""
+    """Multiply a column of a joint's transforms by a gradient."""
     added = multiply_add(load_lanes(table, at), x, added)
     added = multiply_add(load_lanes(table, at + LANES), y, added)
     return multiply_add(load_lanes(table, at + 2 * LANES), z, added)

@@ -66,7 +66,7 @@ def anatomy(poses, order, tables, softness, values, gradient):
                 second * factor, tables[0, j, 2], tables[1, j, 2], tables[2, j, 2], tables[3, j, 2], softness
             )
             total += cost_0 + cost_1 + cost_2
-            # The way back: through the factor, the two components of the swing, and the twist.
+            # Backward: through the factor, the two components of the swing, and the twist.
             of_factor = g1 * first + g2 * second
             by_length = 0.0 if still else of_factor * (2.0 * k / (m_squared + k * k) - factor) / m_squared
             g1, g2 = g1 * factor / k, g2 * factor / k

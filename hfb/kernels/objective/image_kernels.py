@@ -7,7 +7,7 @@ one pyramid does for both losses. It is one list of pixels, level after level, r
 
 Where nothing is drawn the differences are known beforehand. So only a window is looked at, which holds all that is
 drawn and whole pixels of the coarsest level, and what the losses sum up of the rest comes from `seen`: sums of
-(squared differences, mattes) of an image without anybody, over everything above and left of a corner of pixels.
+(squared differences, mattes) of an image without the person, over everything above and left of a corner of pixels.
 
 A `table` of the levels has rows (first pixel in the list, height, width, first corner in `seen`), the finest level
 first, and a last row with the numbers of pixels in the list and of corners.
@@ -65,7 +65,7 @@ def _shrink_row(finer, level, height, width, r, left, right, values, first):
 
 @njit(**INLINE)
 def _subtract_row(mean, plate, frame, first, count, difference):
-    """Eq. (1) minus what is seen, of `count` pixels."""
+    """Write eq. (1) minus the frame for `count` pixels."""
     for p in range(first, first + count):
         uncovered = 1 - mean[p, 3]
         value = load_four(mean, 4 * p) + uncovered * load_four(plate, 4 * p) - load_four(frame, 4 * p)

@@ -1,6 +1,6 @@
 """Compiled entry points: images of a block of bodies as lists of pixels, and gradients by the vertices.
 
-Bodies do not know of each other: every one has the bits that it has alone. Every function works on memory of its own or
+Bodies are independent: each has the bits that it has alone. Every function works on memory of its own or
 of its caller, releases Python's lock and adds in a fixed order: blocks may be drawn by any number of threads with the
 same bits as the result.
 

@@ -1,7 +1,7 @@
 """The fast rasteriser in torch: operators for autograd, torch.compile and export, and a faster path without them.
 
 `draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
-same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
+same bits for any number of threads. `draw_gradient` is its backward pass. Both pass a body's trace as tensors; where
 nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
 """
 
@@ -99,7 +99,7 @@ class _RenderedLosses(torch.autograd.Function):
 def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
     """Pictures, and the box that holds all that is drawn; keeps what `_input_gradients` needs."""
     drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
-    ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+    ctx.save_for_backward(vertices, texture)  # detects changes in the meantime
     ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
     return drawn, box
 

@@ -165,7 +165,7 @@ def count_pieces(outline, projected, box):
 
 @njit(**INLINE)
 def _put_piece(pieces, n, k, row, column, breadth, t, t_end, mark, left, right, near):
-    """Write piece n: of edge k from t to t_end, in a pixel of the region; `cut_outline` tells what the rest is."""
+    """Write piece n: of edge k from t to t_end, in a pixel of the region; for the rest see `cut_outline`."""
     pixel, edge, span, places, marks, amounts = pieces
     pixel[n], edge[n], places[n] = row * breadth + column, k, row
     span[n, 0], span[n, 1], marks[n] = t, t_end, mark

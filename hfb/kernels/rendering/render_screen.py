@@ -311,7 +311,7 @@ def fill_depth(projected, faces, candidates, box, mask, found, tiles):
             x0, y0, z0, z1, z2 = found[X0 + n], found[Y0 + n], found[Z0 + n], found[Z1 + n], found[Z2 + n]
             b1_x, b1_y, b2_x, b2_y = found[B1_X + n], found[B1_Y + n], found[B2_X + n], found[B2_Y + n]
             f, c_from, c_to = np.int64(batch[n]), int(found[C_FROM + n]), int(found[C_TO + n])
-            # What stands out of a face's bounds is outside of it; what stands out of the box is nobody's.
+            # Pixels beyond a face's bounds are outside of it; those beyond the box are not used.
             for r in range(int(found[R_FROM + n]), int(found[R_TO + n]) + 1, TILE_ROWS):
                 py = below + (r + 0.5 - y0)
                 for c in range(c_from, c_to + 1, TILE_COLUMNS):

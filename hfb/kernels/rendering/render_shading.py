@@ -43,7 +43,7 @@ B1, B2, B1_X, B1_Y, B2_X, B2_Y = (BATCH * row for row in range(16, 22))
 OFF_X, OFF_Y = B2_X, B2_Y
 # 1 / (sum of weights / z), texture coordinates, shares of the next texel, weights of the four texels.
 SCALE, U, V, RIGHT, DOWN, W00, W01, W10, W11 = (BATCH * row for row in range(22, 31))
-# Way back: the image's gradient times each of the four texels; then, in rows that have done their part, what is asked
+# Backward: the image's gradient times each of the four texels; then, in rows that are free by then, what is asked
 # of the corners.
 G00, G01, G10, G11, D0, D1, D2 = (BATCH * row for row in range(31, 38))
 OF_ALPHA, OF_B1, OF_B2, PULL_X, PULL_Y = G00, G01, G10, G11, SCALE
@@ -296,7 +296,7 @@ def _ask_corners(n, size, table):
 
 @njit(**LOOP)
 def _pull_corners(n, table, places, gradient):
-    """Add what each pixel asks of its face's corners."""
+    """Add each pixel's gradient by its face's corners."""
     for m in range(n):
         first, second = table[OF_B1 + m], table[OF_B2 + m]
         table[PULL_X + m] = -(first * table[B1_X + m] + second * table[B2_X + m])
@@ -312,7 +312,7 @@ def _pull_corners(n, table, places, gradient):
 
 @njit(**LOOP)
 def _pull_ends(n, table, places, gradient):
-    """Add what each pixel asks of the two ends of its edge: t = (p - start).d / d.d, its derivatives at fixed p."""
+    """Add each pixel's gradient by the two ends of its edge: t = (p - start).d / d.d, its derivatives at fixed p."""
     for m in range(n):
         t, pull = table[B1 + m], table[OF_B1 + m]
         x, y, off_x, off_y = table[B1_X + m], table[B1_Y + m], table[OFF_X + m], table[OFF_Y + m]
@@ -327,7 +327,7 @@ def _pull_ends(n, table, places, gradient):
 
 @njit(**INLINE)
 def _ask(n, texture, picture_gradient, scale, table, places, of_coverage, texture_gradient):
-    """The way back from the pixels to the weights of their corners; fills the pull on their coverage."""
+    """Compute the gradients from the pixels to the weights of their corners; fill those by coverage."""
     _find_texels(n, texture.shape[0], table, places)
     _ask_texels(n, texture, picture_gradient, table, places, texture_gradient)
     _ask_corners(n, texture.shape[0], table)

@@ -1,7 +1,7 @@
 """The Warp kernels as torch operators: one set for CUDA devices and, for tests, for Warp's CPU device.
 
-`draw_by_warp` draws any number of bodies at once and averages runs of them, `draw_by_warp_gradient` is its way back.
-Tensors are handed over where they lie, on the caller's stream. Every result has the same bits on every run.
+`draw_by_warp` draws any number of bodies at once and averages runs of them; `draw_by_warp_gradient` is its backward.
+Tensors are passed without copies, on the caller's stream. Every result has the same bits on every run.
 """
 
 import threading

@@ -1,7 +1,7 @@
 """Warp kernels: the texture's colour at each pixel, the images' means, and their gradients.
 
-As in `kernels_surface`. The way back gathers: a face collects from the pixels that show it, an outline edge from its
-own pieces (`cuda_kernels_gradient`), so nothing but the texture's gradient is added to by several threads, and that one
+As in `render_surface`. The backward pass gathers: a face collects from its pixels, an outline edge from its
+own pieces (`warp/gradient.py`), so nothing but the texture's gradient is added to by several threads, and that one
 in whole steps.
 """
 # mypy: ignore-errors

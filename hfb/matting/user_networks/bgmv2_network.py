@@ -14,7 +14,7 @@ from torch.nn import functional
 from hfb.matting.user_networks.encoders import MobileNetV2, ResNet
 from hfb.typing import Bool, Float, Tensor
 
-_BASE_CHANNELS = 1 + 3 + 1 + 32  # alpha, colour, error, and what the refiner is told besides
+_BASE_CHANNELS = 1 + 3 + 1 + 32  # alpha, colour, error, and further input of the refiner
 
 
 class MattingNetwork(nn.Module):

@@ -33,7 +33,7 @@ _MOST_ENLARGED = 8
 """A network whose file fixes the number of refined pixels fails on a small image, which is then shown larger."""
 _RVM_PX = 512
 _RVM_LOOKS = 4
-"""How often a recurrent network sees the same frame: frames are computed beside each other, none waits for another."""
+"""Number of times a recurrent network sees the same frame: frames are computed in parallel, independently."""
 
 _Pictures = tuple[Float[Array, "H W 3"], ...]
 """The frame, and the plate where the network sees one."""
@@ -112,7 +112,7 @@ class BackgroundMattingV2:
         self._factors: dict[tuple[int, ...], int] = {}
         self._weights = weights_of(path) if holds_weights(path) else None
         if self._weights is None:
-            load_network(path)  # what is wrong with it is said at once
+            load_network(path)  # problems are reported at once
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
         """See `Matting`."""

@@ -50,7 +50,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
         joints: numbers of a person's joints in it.
 
     Raises:
-        InputError: legs have no length, or what is up cannot be told.
+        InputError: legs have no length, or the vertical axis is undetermined.
     """
     turned, moved = motion.world()
     hips, knees, ankles = _legs(moved, joints)

@@ -32,7 +32,7 @@ def find_up(
         is_pose: whether the rest pose is an upright person.
 
     Raises:
-        InputError: it cannot be told.
+        InputError: the motion does not determine it.
     """
     sides = ("left", "right")
     hips, ankles = (places[:, [joints.limbs[f"{side}_{part}"] for side in sides]].mean(1) for part in ("hip", "ankle"))
@@ -62,10 +62,10 @@ def _lies(
     best: Float[Array, "3"],
     rest_up: Float[Array, "3"],
 ) -> bool:
-    """Whether somebody who is stretched along `best` all the time lies in a world whose up is `rest_up`.
+    """Return whether a person who is stretched along `best` all the time lies in a world whose up is `rest_up`.
 
     Raises:
-        InputError: it cannot be told.
+        InputError: the motion does not determine it.
     """
     way = np.ptp(hips - (hips @ best)[:, None] * best, axis=0)
     if np.linalg.norm(way) > _TRAVEL * leg:

@@ -7,7 +7,7 @@ K             (3, 3) or (frames, 3, 3), where the joints are placed before a cam
 frame_index   the video's frame numbers, from 0 on; each row is the next frame where it is missing
 y_up          true where y points up and z towards the viewer
 
-Millimetres and centimetres are told from the bones' lengths.
+Millimetres and centimetres are recognised by the bones' lengths.
 """
 
 from typing import Any

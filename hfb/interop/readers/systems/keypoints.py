@@ -72,7 +72,7 @@ _OPENPOSE = (
 _LAYOUTS: dict[int, tuple[str | None, ...]] = {17: _COCO, 24: JOINT_NAMES, 25: _OPENPOSE}
 _MORE_THAN_COCO = (26, 133, 136)  # Halpe's and COCO-WholeBody's begin with COCO's 17
 _REACH = 0.4
-"""How far somebody goes from one frame to the next, in the size of what is seen of them."""
+"""Largest step of a person from one frame to the next, relative to their visible size."""
 
 
 class _Detection(NamedTuple):
@@ -147,7 +147,7 @@ def _of_detections(parts: list[dict[str, Any]], size: tuple[int, int]) -> list[P
 
 
 def _name(mark: Any) -> str | None:
-    """A person's name out of a whole number, a text, or such in lists; None where it names nobody."""
+    """Return a person's name from a whole number, a text, or lists of these; None for any other value."""
     while isinstance(mark, list | tuple) and mark:
         mark = mark[0]
     if isinstance(mark, bool) or not isinstance(mark, int | float | str) or mark in ("", -1):
@@ -156,12 +156,12 @@ def _name(mark: Any) -> str | None:
 
 
 def _ways(before: list[_Detection], now: list[_Detection]) -> Float[Array, "b n"]:
-    """Between keypoints that are trusted in both, in what somebody of that size goes from frame to frame."""
+    """Return the distance between keypoints that are reliable in both, in steps of a person of that size."""
     if len({one.points.shape for one in (*before, *now)}) > 1:
         raise InputError("its people have different numbers of keypoints; give those of one model")
     old, new = (np.stack([_trusted(one.points) for one in people]) for people in (before, now))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # nothing is trusted in both: NaN, which is nobody's way
+        warnings.simplefilter("ignore", RuntimeWarning)  # no keypoint is reliable in both: NaN, which links nobody
         away_px = np.nanmedian(np.linalg.norm(old[:, None] - new, axis=-1), -1)
         old_px, new_px = ((np.nanmax(one, 1) - np.nanmin(one, 1)).max(-1) for one in (old, new))
     return away_px / np.maximum(_REACH * np.fmax(old_px[:, None], new_px), 1e-6)

@@ -33,7 +33,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
     poses = numbers_at(one, "pose", None, 72, finite=False)
     count = len(poses)
     camera = numbers_at(one, "orig_cam", count, 4, finite=False)
-    camera[(camera[:, :2] <= 0).any(1)] = np.nan  # a scale of zero or less shows nobody
+    camera[(camera[:, :2] <= 0).any(1)] = np.nan  # a scale of zero or less is no detection
     height, width = _size(one, camera) or size
     focal_px = _FAR * max(height, width)
     depth = 2 * focal_px / (camera[:, 0] * width)

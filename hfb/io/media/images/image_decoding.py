@@ -128,7 +128,7 @@ def doubt_depths(seen: Sequence[tuple[Path, int | None]], transfer: Transfer) ->
         transfer: the light that the user states.
 
     Raises:
-        InputError: all of them seem so, by 12 bits or fewer, and are not told to be linear light, which may be as dark.
+        InputError: all of them seem so, by 12 bits or fewer, and are not stated to be linear light (as dark, too).
     """
     path, most = max(seen, key=lambda one: one[1] or 16)
     if most is None:

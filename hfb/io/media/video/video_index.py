@@ -33,7 +33,7 @@ class VideoIndex:
 
     Attributes:
         stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
-        keys: those of frames that decode by themselves.
+        keys: those of key frames, which decode without others.
         times_s: times at which they are shown.
         height: as shown: the container's rotation is applied, and pixels are square.
         width: as shown: the container's rotation is applied, and pixels are square.

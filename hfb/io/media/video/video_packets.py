@@ -25,7 +25,7 @@ class Packets:
 
     Attributes:
         stamps: presentation stamps of all whole packets that are shown, in the file's order; None where one has none.
-        keys: those of packets that decode by themselves.
+        keys: those of key packets, which decode without others.
         hidden: number of packets that are not shown: a video that was trimmed without re-encoding keeps the packets
             that its first frames refer to.
         broken: whether the file breaks off.

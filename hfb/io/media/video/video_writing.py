@@ -34,8 +34,8 @@ class VideoWriter:
             path: the file.
             fps: images per second; None where every image says when it is to be shown.
             comment: kept in the file.
-            to_look_at: a third of the work, for what nobody measures.
-            small: the same, and a third of the bytes.
+            to_look_at: encode with a third of the work, for films that are not measured.
+            small: the same with a third of the bytes.
         """
         self._path = path
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
