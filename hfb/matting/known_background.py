@@ -290,7 +290,7 @@ def dot(a: Float[Array, "H W 3"], b: Float[Array, "H W 3"]) -> Float[Array, "H W
 
 
 def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
-    """Return the precision of alpha = 0, growing with distance from the change; gaps of a tenth of the body are open."""
+    """Return the precision of alpha = 0, growing with distance from the change; gaps of a tenth of a body are open."""
     reach = 0.05 * _extent(body)
     grown = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) < reach
     closed = cv2.distanceTransform(np.pad(grown.astype(np.uint8), 1, mode="edge"), cv2.DIST_L2, 3)[1:-1, 1:-1] > reach

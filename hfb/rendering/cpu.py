@@ -60,7 +60,7 @@ class CpuRasterizer:
         mesh: Mesh,
         mean: bool,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
-        """Return the arguments of `operators.draw`.
+        """Return the arguments of `hfb.kernels.rendering.render_operators.draw`.
 
         Args:
             vertices: vertices of each sub-frame [m], camera coordinates.

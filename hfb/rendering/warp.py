@@ -58,7 +58,7 @@ class WarpRasterizer:
         cameras: Sequence[PinholeCamera],
         mesh: Mesh,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], Tensor, list[int], float]:
-        """Return the arguments of `cuda_operators.draw_by_warp`.
+        """Return the arguments of `hfb.kernels.warp.operators.draw_by_warp`.
 
         Args:
             vertices: vertices of all images' sub-frames, one after another [m], camera coordinates.

@@ -39,7 +39,7 @@ class PoseTrack:
         pixels: SMPL's joints in the image [px], NaN where unknown; for systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
-        images: names of the images, of systems that go by names; see `picture_names`.
+        images: names of the images, of systems that go by names; see `image_names.by_pictures`.
         rate_hz: frame rate of a motion with its own clock; its frame numbers are then its own, too, not the video's.
     """
 

@@ -18,7 +18,7 @@ from hfb.typing import Array, Tensor
 TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
 
 Block = tuple[Array, ...]
-"""The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
+"""The trace of up to LANES bodies, see `render_block`; of DIB-R's silhouettes of one."""
 
 Box = tuple[int, int, int, int]
 """Of an image: left, top, right and bottom [px], the last two not in it."""

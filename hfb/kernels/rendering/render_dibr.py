@@ -1,6 +1,6 @@
 """Compiled entry points for DIB-R's soft silhouette (`reference_dibr` has the formulas and their source).
 
-A body's trace has the same parts as in `kernels`, with other contents: the outline is the nearest side of a
+A body's trace has the same parts as in `render_block`, with other contents: the outline is the nearest side of a
 face (from, to, face) for each pixel of the halo, which gives the halo its colour; the overlaps are the halo's
 pixels paired with the faces that reach them: owner, side (3 face + corner), and the derivative of R_S by the
 squared distance.

@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
 from hfb.typing import Array, Tensor
 
-_PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
+_PARTS = 9  # tensors kept of each block of bodies: its trace, see `render_block`
 
 
 def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
@@ -140,7 +140,7 @@ def draw(
 
     Returns:
         images (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
-        and for each block of bodies in turn the parts of its trace (see `kernels`).
+        and for each block of bodies in turn the parts of its trace (see `render_block`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
     drawn, texels, blocks, _ = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)

@@ -4,7 +4,7 @@ The front faces of a body form an oriented patchwork; the edges where it ends ar
 front layers over a point is the winding number of the projected outline about it (Stokes), and the mean of
 that number over a pixel is a sum of trapezoids, one per piece of outline in the pixel, carried along the row
 (signed-area accumulation, the way fonts are rasterised). Where one strand of outline crosses a pixel, that mean
-is the covered share; where layers may overlap, `kernels_overlap` finds the share. Cost: the outline's length,
+is the covered share; where layers may overlap, `render_overlap` finds the share. Cost: the outline's length,
 whatever the number of faces.
 """
 # mypy: ignore-errors

@@ -13,7 +13,7 @@ from hfb.kernels.simd import LANES, address, fma, load, positions, shuffle, spla
 
 _LANES = range(4)
 ON_EDGE = -1e-9  # barycentric slack: a centre exactly on a shared edge must not fall between its two faces
-BATCH = 64  # columns of the tables of `kernels_shading`
+BATCH = 64  # columns of the tables of `render_shading`
 
 
 def _convert(context, builder, value, target):

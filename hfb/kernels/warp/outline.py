@@ -1,6 +1,6 @@
 """Warp kernels: the exact covered share of each pixel, from the outline of the front faces.
 
-As in `kernels_outline`: an edge is cut at the pixel borders, its pieces add signed areas to their pixels, and running
+As in `render_outline`: an edge is cut at the pixel borders, its pieces add signed areas to their pixels, and running
 sums along the rows are the mean winding number. One thread per edge of every body; areas are added as whole multiples
 of UNIT, so the order of the threads does not matter. The pieces of a pixel are chained and handled by the pixel's own
 thread, in the order of their numbers.

@@ -1,6 +1,6 @@
 """Warp functions: the exact covered share of a pixel in which layers of the body may overlap.
 
-As in `kernels_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
+As in `render_overlap`: the pixel is cut into slabs at every height where a piece of outline begins, ends or crosses
 another; within a slab the order of the pieces from left to right does not change, so the length covered at its
 middle times its height is its area. Nothing is stored: heights are found one after the other, orders by counting.
 Every piece has a thread of its own: a fingertip's pixel may have dozens of pieces, and a device would wait for the one

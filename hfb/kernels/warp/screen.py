@@ -2,7 +2,7 @@
 
 One thread per vertex or face of every body of a batch. Whatever several threads write is a maximum or a sum of whole
 numbers, neither of which depends on who comes first: results have the same bits on every run. Geometry is computed in
-float64. Conventions (pixels, sides, ties) are those of `kernels_screen`.
+float64. Conventions (pixels, sides, ties) are those of `render_screen`.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)
