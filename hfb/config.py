@@ -37,7 +37,7 @@ def current_option_name(name: str) -> str:
 
 
 def _in_order(schema: dict[str, Any]) -> None:
-    """Forms show a record's fields in the order in which they are written here, whatever a database makes of it."""
+    """Number a record's fields in the order of definition, in which forms show them."""
     for position, field in enumerate(schema.get("properties", {}).values()):
         field["position"] = position
 
@@ -321,7 +321,7 @@ Film = Literal["slowmotion", "exact", "overlay"]
 
 
 def _words(value: Any) -> Any:
-    """``glb,bvh`` as a list of words; ``none`` is an empty one."""
+    """Split ``glb,bvh`` into a list of words; ``none`` is an empty one."""
     if not isinstance(value, str):
         return value
     return [] if value.strip() in ("", "none") else [word.strip() for word in value.split(",")]

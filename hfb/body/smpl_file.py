@@ -107,7 +107,7 @@ def _floats(path: Path, arrays: Arrays, name: str, shape: tuple[int, ...]) -> Fl
 
 
 def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Array, "V 3 10"]:
-    """Files carry 10, 16 or 300 directions by falling variance."""
+    """Return the first ten shape directions; files have 10, 16 or 300 by falling variance."""
     given = arrays["shapedirs"]
     if given.ndim != 3 or given.shape[2] < SHAPE_COUNT:
         raise InputError(
@@ -119,7 +119,7 @@ def _shape_directions(path: Path, arrays: Arrays, vertex_count: int) -> Float[Ar
 
 
 def _check_parents(path: Path, table: Shaped[Array, "..."]) -> None:
-    """The root's parent is -1, which files that store uint32 hold as 4294967295."""
+    """Check the parents; the root's is -1, which files of uint32 store as 4294967295."""
     if table.shape != (2, JOINT_COUNT):
         raise InputError(
             f"{path} is not a SMPL model: kintree_table has the shape {table.shape}, not (2, {JOINT_COUNT}); {_FIX}."

@@ -134,7 +134,7 @@ def _draw_turns(rng: np.random.Generator) -> Float[Array, "24 3"]:
 
 
 def _turned(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "A T 24 3"]) -> Float[Tensor, "A T 24 3"]:
-    """Axis-angle of every joint after each bone was turned in camera axes."""
+    """Return axis-angles of every joint after turning each bone in camera axes."""
     rotations = axis_angle_to_matrix(turns) @ _global_rotations(poses)
     parents = rotations[:, :, list(PARENT_OR_SELF)].clone()
     parents[:, :, 0] = torch.eye(3)
@@ -170,7 +170,7 @@ def _excess_of_joints(poses: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 23"]:
 
 
 def _into_range(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-    """Turns that would break a limit at an ordinary size are reversed where that breaks it less: a straight knee bends.
+    """Reverse turns that would break a joint limit, where the reverse breaks it less: a straight knee bends.
 
     Joint after joint down the chains, since a joint's range is measured against its parent.
     """

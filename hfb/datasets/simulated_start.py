@@ -89,7 +89,7 @@ def _draw_wanted(blur_rate: float, frames: int, rng: np.random.Generator) -> _Wa
 
 @lru_cache
 def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
-    """Values at the intervals' centres between which straight lines have the given mean over each interval.
+    """Return values at the intervals' centres whose linear interpolation has the given mean over each interval.
 
     The table's own values there would have its peaks and dips smoothed away.
     """
@@ -103,7 +103,7 @@ def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _between_bins(blur_rate: float, means: tuple[float, ...]) -> float:
-    """Straight lines over the blur rate with the given means per interval; constant beyond the outermost centres."""
+    """Interpolate linearly over the blur rate with the given means per interval; constant beyond the outer centres."""
     return float(np.interp(blur_rate, _CENTRES, _knots(means)))
 
 
@@ -116,7 +116,7 @@ def _row_at(truth: Truth, frame: int, u: float) -> int:
 def _poses_with_error(
     truth: Truth, rows: Int[Array, "T"], person: ShapedBody, wanted: _Wanted, rng: np.random.Generator
 ) -> Float[Tensor, "T 24 3"]:
-    """The true poses of some rows with errors, at the amplitude whose MPJPE is the drawn one.
+    """Return the true poses of some rows with errors, at the amplitude whose MPJPE is the drawn one.
 
     Where the joints' limits keep the error below that at any amplitude, another error is drawn.
     """
@@ -142,7 +142,7 @@ def _joints(poses: Float[Tensor, "A T 24 3"], person: ShapedBody) -> Float[Array
 
 
 def _mpjpe_mm(still: Float[Array, "A T 24 3"], truth: Truth) -> Float[Array, "A"]:
-    """`hfb.evaluation.metrics.mpjpe_mm` of several still estimates at once."""
+    """Return `hfb.evaluation.metrics.mpjpe_mm` of several static estimates at once."""
     frame_index = truth.motion.frame_index
     source = (still - still[:, :, :1]).astype(np.float64)[:, frame_index]
     target = truth.motion.joints - truth.motion.joints[:, :1]
@@ -254,7 +254,7 @@ def _small_views(truth: Truth, camera: PinholeCamera, frames: int) -> _Views:
 
 
 def _lognormal_above(mean: float, spread: float, floor: float, draw: float) -> float:
-    """exp(mu + spread * draw) or the floor if that is higher, mu such that the mean over all draws is the given one.
+    """Return exp(mu + spread * draw) or the floor if that is higher, mu such that the mean over draws is the given one.
 
     E max(floor, X) = floor Phi((ln floor - mu) / s) + exp(mu + s^2 / 2) Phi((mu + s^2 - ln floor) / s).
     """

@@ -145,7 +145,7 @@ def load_truth_of(path: Path) -> Truth | JointTruth:
 
 
 def _what_does_not_fit(truth: JointTruth) -> str:
-    """Empty where rows, joints and names agree in number and every joint is one of SMPL's, once."""
+    """Describe a mismatch of rows, joints and names; empty where all match and every joint is one of SMPL's, once."""
     count = len(truth.names)
     if truth.joints.ndim != 3 or truth.joints.shape[1:] != (count, 3) or truth.smpl_joints.shape != (count,):
         return "joints, smpl_joints and names differ in number"

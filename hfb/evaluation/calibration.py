@@ -164,7 +164,7 @@ def _against_reverse(case: DirectionCase) -> Pairs:
 
 
 def _logistic(pairs: Sequence[Pairs], columns: Sequence[int]) -> Float[Array, "_"]:
-    """Slopes >= 0 with P(the second is worse) = sigmoid(slopes . (its evidence - the first's))."""
+    """Fit slopes >= 0 with P(the second is worse) = sigmoid(slopes . (its evidence - the first's))."""
     counted = [(evidence[:, columns], errors, abs(errors) > _STAKE_MM) for evidence, errors in pairs]
     table = np.concatenate([(e * np.sign(d)[:, None])[m] for e, d, m in counted])
     stakes = np.concatenate([np.minimum(abs(d), _LARGEST_STAKE_MM)[m] / max(len(d), 1) for _, d, m in counted])
@@ -192,7 +192,7 @@ def reliability_of(model: ConfidenceModel, cases: Sequence[JointCase]) -> dict[s
 
 
 def _folds(recordings: Sequence[str], count: int) -> list[list[int]]:
-    """Numbers of the cases in parts, all cases of one recording in the same part."""
+    """Split the cases' numbers into parts, all cases of one recording in the same part."""
     order = {name: index % count for index, name in enumerate(sorted(set(recordings)))}
     parts = [[i for i, name in enumerate(recordings) if order[name] == part] for part in range(count)]
     return [part for part in parts if part and len(part) < len(recordings)]

@@ -209,7 +209,7 @@ def compare(one: DataFrame, other: DataFrame) -> Cell:
 
 
 def _pair(cases: DataFrame, before: str, after: str) -> tuple[Float[Array, "B"], Float[Array, "A"], bool]:
-    """Two columns over the cases that know both, and True; where no case does, each over what it knows, and False."""
+    """Return two columns over the cases that know both, and True; without any, each over its known cases, and False."""
     first, second = cases[before].to_numpy(), cases[after].to_numpy()
     both = np.isfinite(first) & np.isfinite(second)
     if both.any():

@@ -89,7 +89,7 @@ def direction_events(
 
 
 def _right(path: Float[Array, "S J 3"], true: Float[Array, "S J 3"]) -> bool:
-    """Whether a path, wherever it lies, is nearer to the true one than its reverse is."""
+    """Return whether a path, wherever it is, is nearer to the true one than its reverse is."""
     here, there = (one - one.mean(0) for one in (path, true))
     return bool(np.linalg.norm(here - there, axis=-1).sum() <= np.linalg.norm(here[::-1] - there, axis=-1).sum())
 
@@ -112,7 +112,7 @@ class _Asked:
         self.right = np.array([event.right for event in events], bool)
 
     def said(self, doubts: Float[Array, "n"]) -> Float[Array, "n"]:
-        """P(the result is right), where evidence has to overcome these doubts."""
+        """Return P(the result is right), where evidence has to exceed these doubts."""
         probability = temper(self._probability, self._grouped, power_of(self._body_right, doubts))
         return np.clip((self._agrees * probability).sum(1), _CERTAIN, 1 - _CERTAIN)
 

@@ -197,13 +197,13 @@ def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[fl
 
 
 def _pairs(experiment: Experiment, summary: Mapping[str, Any], metric: Metric) -> list[tuple[PaperRow, str]]:
-    """The paper's rows but the start's, each with every method of ours beside it that was run."""
+    """Return the paper's rows but the start's, each with every corresponding method of ours that was run."""
     rows = [row for row in experiment.rows if metric in row.metrics() and row.name != experiment.start]
     return [(row, ours) for row in rows for ours in row.ours if ours in summary["methods"]]
 
 
 def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
-    """All cases: a line per pair and metric."""
+    """Return all cases: a line per pair and metric."""
     header = ["metric", "the paper's", "its start", "its result", "its ratio"]
     header += ["ours", "n", "our start", "our result", "our ratio"]
     lines = []
@@ -226,7 +226,7 @@ def _in_short(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
 
 def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, ours: str, metric: Metric) -> str:
-    """One method of ours beside one row of the paper: a line per column, and all."""
+    """Return one method of ours beside one row of the paper: a line per column, and one for all."""
     digits, start = _DIGITS[metric], _start_values(experiment, metric)
     theirs, before = _with_mean(experiment, getattr(row, metric)), _with_mean(experiment, start) if start else None
     header = ["blur rate", "n, paper", *([str(experiment.start)] if before else []), row.name]
@@ -252,14 +252,14 @@ def _ratio_text(cell: Mapping[str, Any], metric: Metric) -> str:
 
 
 def _papers_counts(experiment: Experiment) -> list[str]:
-    """Cases per column and in all, as far as the paper says them."""
+    """Return the paper's cases per column and in all, as far as it gives them."""
     counts = [column.n for column in experiment.columns]
     total = UNKNOWN if None in counts else str(sum(n for n in counts if n))
     return [*(UNKNOWN if n is None else str(n) for n in counts), total]
 
 
 def _in_the_papers_shares(experiment: Experiment, summary: Mapping[str, Any], ours: str, metric: Metric) -> str:
-    """Our means as they would be with the paper's share of cases in each column."""
+    """Return our means weighted with the paper's share of cases in each column."""
     cells = _cells(experiment, summary, ours)[:-1]
     fitted = [cell[metric] for cell in cells if cell.get(metric) is not None]
     initial = [cell[f"initial_{metric}"] for cell in cells if cell.get(f"initial_{metric}") is not None]
@@ -271,7 +271,7 @@ def _in_the_papers_shares(experiment: Experiment, summary: Mapping[str, Any], ou
 
 
 def _all_rows(experiment: Experiment, summary: Mapping[str, Any], metric: Metric) -> str:
-    """The paper's table with our rows below those they belong to."""
+    """Return the paper's table with our rows below the corresponding ones."""
     lines = [["n, paper", *_papers_counts(experiment)]]
     for row in experiment.rows:
         if metric in row.metrics():
@@ -287,7 +287,7 @@ def _all_rows(experiment: Experiment, summary: Mapping[str, Any], metric: Metric
 
 
 def _against_start(experiment: Experiment, summary: Mapping[str, Any]) -> list[str]:
-    """Where the paper's start row is not what our fits start from: the comparison with our row of it."""
+    """Return our comparisons with the methods that correspond to the paper's start row."""
     start = experiment.start_row()
     lines = []
     for reference in start.ours if start else ():
@@ -312,7 +312,7 @@ def _by_column(experiment: Experiment, bins: Sequence[Mapping[str, Any]]) -> lis
 
 
 def _start_values(experiment: Experiment, metric: Metric) -> tuple[float, ...] | None:
-    """What the paper's HfB starts from, where its table says that."""
+    """Return the start of the paper's HfB, where its table gives it."""
     row = experiment.start_row()
     return getattr(row, metric) if row else None
 

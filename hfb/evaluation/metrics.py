@@ -349,7 +349,7 @@ def _aligned_residual(
 
 
 def _mean_of_known(values: Array) -> float:
-    """Mean without the NaN; NaN of none."""
+    """Return the mean without NaN; NaN of no value."""
     known = np.isfinite(values)
     return float(values[known].mean()) if known.any() else math.nan
 

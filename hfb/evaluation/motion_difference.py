@@ -52,7 +52,7 @@ def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDiffere
 
 
 def _beside(one: SampledMotion, other: SampledMotion, frame: int) -> Float[Array, "S 24 3"]:
-    """The other motion's joints at one motion's instants of a frame."""
+    """Return the other motion's joints at one motion's instants of a frame."""
     mine, theirs = one.rows_of(frame), other.rows_of(frame)
     joints = other.joints[theirs].astype(np.float64)
     if len(mine) == len(theirs):
@@ -69,7 +69,7 @@ def _shares(times_s: Float[Array, "S"]) -> Float[Array, "S"]:
 
 
 def _same(one: SampledMotion, other: SampledMotion) -> bool:
-    """Bit for bit: the sign of a zero counts, and NaN equals NaN."""
+    """Return whether two motions are equal bit for bit: the sign of a zero counts, and NaN equals NaN."""
     mine, theirs = motion_arrays(one, ""), motion_arrays(other, "")
     return mine.keys() == theirs.keys() and all(
         mine[name].shape == theirs[name].shape

@@ -176,7 +176,7 @@ def _overall_row(cell: Cell, best: str | None) -> list[str]:
 
 
 def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -> str:
-    """One metric: a row per method, a column per interval and one for all cases."""
+    """Return one metric: a row per method, a column per interval and one for all cases."""
     block = _BLOCKS[metric]
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
     first = _start_name(summary)
@@ -206,7 +206,7 @@ def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -
 
 
 def _ratios(summary: Mapping[str, Any]) -> str:
-    """A row per interval, a column per method that knows a body: narrower than the other way round."""
+    """Return a row per interval, a column per method with a body: narrower than the other way round."""
     judged = {n: c for n, c in summary["methods"].items() if c["all"]["ratio"] is not None and not is_start(c["all"])}
     cells = {name: [*both["bins"], both["all"]] for name, both in judged.items()}
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
@@ -257,7 +257,7 @@ def _start_name(summary: Mapping[str, Any]) -> str:
 
 
 def _best(values: Sequence[float | None], digits: int, lower_is_better: bool) -> str | None:
-    """The best value as it is written, so that what reads equal is equally bold."""
+    """Return the best value as it is formatted, so that equal texts are equally bold."""
     choose: Callable[[list[float]], float] = min if lower_is_better else max
     known = [value for value in values if value is not None]
     return number(choose(known), digits) if known else None

@@ -79,7 +79,7 @@ def _comparisons(
     pairs: Sequence[tuple[str, str]],
     bins: Bins,
 ) -> dict[str, Any]:
-    """Those of the pairs that share a case with known errors."""
+    """Compare those pairs that share a case with known errors."""
     compared = {}
     for one, other in pairs:
         if one not in found or other not in found:

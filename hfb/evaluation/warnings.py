@@ -284,7 +284,7 @@ def _is_thing(region: Bool[Array, "h w"], mattes: Float[Array, "n h w"]) -> bool
 
 
 def _places(picture: Float[Array, "H W *c"]) -> Float[Array, "h w"]:
-    """Brightness, or a matte, of a few places: what is smaller than one is no shade over a scene."""
+    """Return the brightness, or the matte, of a few places: smaller areas are no shade over a scene."""
     small = shrink(picture, _LIGHT_PX)
     return np.asarray(small.mean(-1) if small.ndim == 3 else small, np.float32)
 
@@ -301,7 +301,7 @@ def _rotations(axis_angle: Float[Array, "n 3"]) -> Float[Array, "n 3 3"]:
 
 
 def _frames(numbers: Sequence[int] | Mapping[int, float]) -> str:
-    """In words: "frame 3", "frames 3, 4 and 12 more"."""
+    """Return frames in words: "frame 3", "frames 3, 4 and 12 more"."""
     listed = list(numbers)
     shown = ", ".join(map(str, listed[:_NAMED]))
     more = f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else ""

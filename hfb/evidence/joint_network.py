@@ -276,7 +276,7 @@ class _Exchange(nn.Module):
 
 
 def _looked(seen: Float[Tensor, "N C h w"], spots: Float[Tensor, "N K L 2"]) -> Float[Tensor, "N K LC"]:
-    """Features of a map at some spots, concatenated."""
+    """Return features of a map at some positions, concatenated."""
     return functional.grid_sample(seen, spots, align_corners=False).permute(0, 2, 3, 1).flatten(2)
 
 

@@ -190,7 +190,7 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
 
 
 def _check(found: Mapping[str, Array]) -> None:
-    """Raises ValueError where arrays do not belong together or hold what no fit leaves, KeyError where one is missing.
+    """Raise ValueError where arrays do not match or hold values that no fit produces, KeyError where one is missing.
 
     Wherever a frame's number is used it is the place in a table: it has to be as small as a fit's are.
     """

@@ -189,7 +189,7 @@ def _run_stage(
     stage: Stage,
     clock: StageClock,
 ) -> _BestIterates:
-    """Iterations of Adam on all fits; a fit whose patience is exhausted is kept as it was then."""
+    """Run Adam on all fits; a fit whose patience is exhausted keeps its best iterate."""
     best, rows = variables.copy(), []
     names: tuple[str, ...] = ()
     best_loss = gain_loss = torch.full_like(variables.betas[:, 0].detach(), math.inf)

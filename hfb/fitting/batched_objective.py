@@ -130,7 +130,7 @@ class _Graphed:
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Destroying a CUDA graph while another is captured breaks the capture."""
+    """Suspend garbage collection: destroying a CUDA graph while another is captured breaks the capture."""
     collects = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -209,7 +209,7 @@ class BatchedObjective:
             return dict(zip(self._names["bodies"], values, strict=True))
 
     def _all_bodies(self, *moving: Tensor) -> tuple[Tensor, ...]:
-        """Vertices (N, T, S, V, 3) of all fits, and the terms of body and motion."""
+        """Return vertices (N, T, S, V, 3) of all fits, and the terms of body and motion."""
 
         def one(known: dict[str, Tensor], *moving: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
             objective, motion = self._one(known, *moving)
@@ -231,7 +231,7 @@ class BatchedObjective:
     def _one(
         self, known: dict[str, Tensor], rotation: Tensor, translation: Tensor, betas: Tensor
     ) -> tuple[Objective, Trajectory]:
-        """One fit's objective and its motion in metres; inside `vmap`."""
+        """Return one fit's objective and its motion in metres; inside `vmap`."""
         objective = replace(self.template, first=known["first"])
         if objective.evidence is not None:
             told: dict[str, Any] = {name: known[name] for name in _EVIDENCE}
@@ -268,7 +268,7 @@ class BatchedObjective:
         return tuple(terms.values())
 
     def _surface_terms(self, texture: Float[Tensor, "N A A 3"]) -> dict[str, Float[Tensor, "N"]]:
-        """Terms of the texture: one fit at a time, on the processor; the preset `best` has none."""
+        """Return terms of the texture, one fit at a time, on the CPU; the preset `best` has none."""
         if self.template.weights.texture <= 0 or self._surfaces[0][0] is None:
             return {}
         each = [

@@ -155,7 +155,7 @@ def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
 
 
 def _told(counted: Mapping[str, Any], frames: str) -> str:
-    """How often what was said of the body happened, on new people where there are any."""
+    """Return how often the predicted direction of the body was right, on new people where there are any."""
     new = counted["new_people"][frames]
     if new is None and frames != "one_frame":
         return "not counted"

@@ -261,7 +261,7 @@ class _Schedule:
         return _Start(problem, first_bodies, variables, initial, self._objective(initial, first_bodies))
 
     def _objective(self, initial: InitialEvidence, first_bodies: Sequence[FirstBody]) -> Objective:
-        """Eq. (11) at full size; it renders on the processor."""
+        """Return eq. (11) at full size, rendered on the CPU."""
         config, body = self.config, self.body
         poses = torch.stack([one.pose for one in first_bodies]).to(initial.observation.mattes)
         weights = base_weights(config, len(first_bodies))
@@ -284,7 +284,7 @@ class _Schedule:
         )
 
     def finish(self, start: _Start, stages: StagesResult) -> FitResult:
-        """The best iterate as a result, with its directions searched and the radius of every joint."""
+        """Return the best iterate as a result, with its directions searched and the radius of every joint."""
         config, problem = self.config, start.problem
         best = stages.best.in_metres(self.body)
         result = self._result(best, problem.observation, stages)

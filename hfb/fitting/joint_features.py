@@ -97,7 +97,7 @@ def _log_m(lengths_m: Array) -> Array:
 
 
 def _reach_m(rest: Float[Tensor, "24 3"]) -> Float[Array, "24"]:
-    """Way along the bones from the pelvis to every joint of the rest pose [m]."""
+    """Return the distance along the bones from the pelvis to every joint of the rest pose [m]."""
     joints, reach = rest.double().numpy(), np.zeros(JOINT_COUNT)
     for joint in range(1, JOINT_COUNT):
         parent = PARENTS[joint]
@@ -126,7 +126,7 @@ def _seen_skin(vertices: Float[Tensor, "S V 3"], coarse: Objective) -> Float[Arr
 
 @lru_cache(maxsize=4)
 def _texel_joints(body: Body) -> Array:
-    """For every texel of a small texture the joint that moves its skin most; -1 between the charts."""
+    """Return, for every texel of a small texture, the joint that moves its skin most; -1 between the charts."""
     faces = texel_faces(body.mesh, _SKIN_TEXELS).numpy()
     weights = body.skinning_weights.numpy()[body.mesh.faces.long().numpy()].sum(1)
     return np.where(faces >= 0, weights.argmax(1)[np.maximum(faces, 0)], -1)

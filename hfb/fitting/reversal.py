@@ -42,7 +42,7 @@ def limb_columns(limbs: Bool[Tensor, "T 5"]) -> Bool[Tensor, "T 25"]:
 
 
 def _mirror(like: Tensor, origin: float) -> Float[Tensor, "D1 D1"]:
-    """M with sum_d c_d (1 - 2 origin - v)^d = sum_d (M c)_d v^d."""
+    """Return M with sum_d c_d (1 - 2 origin - v)^d = sum_d (M c)_d v^d."""
     count = like.shape[1]
     rows = [
         [

@@ -46,7 +46,7 @@ class Initializer(Protocol):
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
     ) -> FirstBody:
-        """The body in camera coordinates. Raises InputError where the matte is empty or no person is found."""
+        """Return the body in camera coordinates. Raises InputError where the matte is empty or no person is found."""
         ...
 
 
@@ -158,7 +158,7 @@ class AutoInitializer:
 def _searched(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float, Float[Tensor, "3"] | None]:
-    """By the matte alone, carried along a path where none at rest covers half of it; what it shares; the path."""
+    """Return the body by the matte alone, its overlap and its path; a path is tried where the overlap is below half."""
     first, shared = search_by_matte(matte, camera, body, rasterizer)
     if shared < _WORTH_ANOTHER_LOOK:
         moving = search_swept(matte, camera, body, rasterizer)

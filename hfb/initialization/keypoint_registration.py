@@ -99,7 +99,7 @@ class _Seen:
 
 
 def _nearest(seen: _Seen, shaped: ShapedBody) -> tuple[Float[Tensor, "n 24 3 3"], Float[Tensor, "n 3"]]:
-    """_STARTS poses of the bank per instant, from the side and at the place where they look most like it."""
+    """Return _STARTS poses of the bank per instant, at the view and position that match best."""
     poses, sides = _posed(seen.pixels.dtype), _sides(seen.pixels.dtype)
     pairs = torch.cartesian_prod(torch.arange(len(poses)), torch.arange(len(sides)))
     turns = torch.cat([sides[pairs[:, 1]], poses[pairs[:, 0]]], 1)
@@ -120,7 +120,7 @@ def _nearest(seen: _Seen, shaped: ShapedBody) -> tuple[Float[Tensor, "n 24 3 3"]
 
 
 def _apart_from_each_other(ranked: Tensor, sides: int) -> Tensor:
-    """The best candidate, and the next ones that are seen from another side: numbers of pose times sides plus side."""
+    """Return the best candidate and the next ones from another side: number of the pose times sides plus side."""
     chosen: list[int] = []
     for one in ranked.tolist():
         yaw = one % sides // len(_PITCHES)
@@ -137,7 +137,7 @@ def _posed(dtype: torch.dtype) -> Float[Tensor, "P 23 3 3"]:
 
 
 def _sides(dtype: torch.dtype) -> Float[Tensor, "n 1 3 3"]:
-    """Roots: upright before a camera whose y points down, turned about the vertical and nodding a little."""
+    """Return roots: upright before a camera whose y points down, turned about the vertical and nodding a little."""
 
     def turn(x: float, y: float) -> Tensor:
         return axis_angle_to_matrix(torch.tensor([x, y, 0.0], dtype=dtype))

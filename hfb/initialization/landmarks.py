@@ -209,7 +209,7 @@ def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int
 
 
 def _reduce(picture: Float[Array, "H W 3"], scale: float) -> Float[Array, "h w 3"]:
-    """Area average, so that the following interpolation skips no pixel; never enlarges."""
+    """Average areas so that the following interpolation skips no pixel; never enlarges."""
     picture = np.asarray(picture, np.float32)
     if scale >= 1:
         return picture

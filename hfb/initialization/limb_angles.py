@@ -87,7 +87,7 @@ def _bones(
     known: Bool[Tensor, "S 24"],
     above: Float[Tensor, "S 3 3"],
 ) -> tuple[Float[Tensor, "S n 3"], Float[Tensor, "S n 3"], Float[Tensor, "S n"]]:
-    """Vectors that leave a joint at rest and as seen, in the parent's frame, and how much each counts."""
+    """Return vectors that start at a joint, at rest and observed, in the parent's frame, with weights."""
     if joint == 0:
         return _trunk(seen, rest, known)
     ends = _CHILDREN[joint]
@@ -116,7 +116,7 @@ def _bones(
 def _trunk(
     seen: Float[Tensor, "S 24 3"], rest: Float[Tensor, "24 3"], known: Bool[Tensor, "S 24"]
 ) -> tuple[Float[Tensor, "S n 3"], Float[Tensor, "S n 3"], Float[Tensor, "S n"]]:
-    """Points about their middle, for the root: its own bones, or hips and shoulders where those are not known."""
+    """Return points about their middle, for the root: its own bones, or hips and shoulders where those are unknown."""
     own = known[:, _PELVIS].all(1, keepdim=True)
     members = torch.tensor([*_PELVIS, *_SHOULDERS])
     counts = torch.cat([known[:, _PELVIS], known[:, _SHOULDERS] & ~own], 1)

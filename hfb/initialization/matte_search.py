@@ -146,7 +146,7 @@ def matte_moments(picture: Float[Array, "H W"]) -> Moments:
 
 
 def _normalised(picture: Float[Array, "H W"], moments: Moments, turn: float = 0.0) -> Float[Array, "s s"]:
-    """Centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
+    """Return the silhouette centred, scaled to the common spread, turned clockwise by `turn` [rad]."""
     scale = _SPREAD_PX / moments.spread
     shrink = max(1, int(1 / (2 * scale)))
     reduced: np.ndarray = np.asarray(picture, np.float32)
@@ -199,7 +199,7 @@ def bank_templates(body: Body) -> Templates:
 def _draw(
     pose: Float[Tensor, "23 3"], roots: Float[Tensor, "Y 3 3"], body: Body
 ) -> list[tuple[Float[Array, "s s"], float, tuple[float, float]]]:
-    """One pose from several sides: normalised silhouette, spread [rad], the pelvis from its centre in spreads."""
+    """Draw one pose from several sides: normalised silhouette, spread [rad], the pelvis from its centre in spreads."""
     rasterizer = make_rasterizer("coverage")
     camera = PinholeCamera.from_focal(_TEMPLATE_PX * _TEMPLATE_DEPTH_M / 2.6, _TEMPLATE_PX, _TEMPLATE_PX)
     shaped = body.shape(torch.zeros(body.shape_count, dtype=body.template.dtype))
@@ -243,7 +243,7 @@ def body_from_template(
 
 
 def _towards(point: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """The smallest turn from the optical axis to the ray through a point: what looks frontal stays so."""
+    """Return the smallest rotation from the optical axis to the ray through a point, which keeps the view frontal."""
     ray = point / point.norm()
     axis = torch.stack([-ray[1], ray[0], torch.zeros_like(ray[0])])
     sine = axis.norm().clamp_min(1e-9)

@@ -39,7 +39,7 @@ class MetroBody:
     """An `Initializer` by a network with METRO's interface."""
 
     def __init__(self, weights: Path, rasterizer: Rasterizer, mesh_sampling: Path | None = None) -> None:
-        """Args: see `hfb.config.InitConfig`. Raises InputError where a file is not what it should be."""
+        """Load the files, see `hfb.config.InitConfig`. Raises InputError where a file is not as expected."""
         self._network = load_network(weights)
         self._rasterizer = rasterizer
         self._samplings = () if mesh_sampling is None else read_samplings(mesh_sampling)
@@ -133,7 +133,7 @@ def _on_mesh(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "..."]
 
 
 def _placed(first: FirstBody, place: Float[Tensor, "3"], body: Body) -> FirstBody:
-    """Before the camera: turned with the ray on which the crop's middle is seen, about the network's origin."""
+    """Place the body before the camera, turned with the ray of the crop's middle, about the network's origin."""
     turn = seen_along(place).to(first.pose)
     root = matrix_to_axis_angle(turn @ axis_angle_to_matrix(first.pose[0]))
     rest = body.rest_joints(first.betas)[0]
@@ -142,7 +142,7 @@ def _placed(first: FirstBody, place: Float[Tensor, "3"], body: Body) -> FirstBod
 
 
 def _find(outputs: Outputs, shapes: Sequence[tuple[int, int]]) -> Float[Array, "n 3"] | None:
-    """The first output with one of these shapes, whatever sides of one it has besides."""
+    """Return the first output with one of these shapes, apart from sides of one."""
     for shape in shapes:
         for array in outputs.arrays:
             if tuple(side for side in array.shape if side != 1) == shape:

@@ -94,7 +94,7 @@ def _proposals(
 
 
 def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
-    """A bystander in the plate is a person too: the region's middle must hold a part of the matte."""
+    """Return whether the region's middle holds a part of the matte, since a bystander in the plate is a person, too."""
     half = max(2, round(region.size * 0.2))
     y, x = round(region.y), round(region.x)
     middle = matte[max(0, y - half) : max(0, y + half), max(0, x - half) : max(0, x + half)]

@@ -222,13 +222,13 @@ def _shape_given_turns(
 def _places(
     found: Float[Tensor, "S n 3"], goal: Float[Tensor, "S n 3"], known: Bool[Tensor, "S n"]
 ) -> Float[Tensor, "S 3"]:
-    """Translations that bring points onto points on average."""
+    """Return the translations that align points on average."""
     weight = known.to(found.dtype)[..., None]
     return ((goal - found) * weight).sum(1) / weight.sum(1)
 
 
 def _shape_of_bones(joints: Float[Tensor, "S 24 3"], known: Bool[Tensor, "S 24"], body: Body) -> Float[Tensor, "K"]:
-    """Betas from the lengths of bones, which no pose changes: least squares about the mean person, with their prior."""
+    """Return betas by the lengths of bones, which no pose changes: least squares with the betas' prior."""
     parents, children = (torch.tensor([bone[end] for bone in BONES]) for end in (0, 1))
     both = (known[:, parents] & known[:, children]).to(joints.dtype)
     length = torch.nan_to_num((joints[:, children] - joints[:, parents]).norm(dim=-1)) * both

@@ -182,7 +182,7 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
 
 
 def _first_root(shaped: ShapedBody, attachments: Attachments, world: Float[Tensor, "33 3"]) -> Float[Tensor, "3 3"]:
-    """Kabsch: the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best."""
+    """Return the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best (Kabsch)."""
     rest = torch.stack([shaped.joints[JOINT_NAMES.index(name)] for name in _TRUNK])
     seen = torch.stack([world[LANDMARK[name]] for name in _TRUNK])
     rest, seen = rest - rest.mean(0), seen - seen.mean(0)
@@ -206,7 +206,7 @@ def _first_translation(
     pixels: Float[Tensor, "33 2"],
     sure: Float[Tensor, "33"],
 ) -> Float[Tensor, "3"]:
-    """Where a body of this size must stand to appear at these pixels: linear in the translation.
+    """Return the position of a body of this size that appears at these pixels: linear in the translation.
 
     For every landmark f (X + t_x) = (u - c_x) (Z + t_z), and the same for y, weighted by certainty.
     """
@@ -257,7 +257,7 @@ def _targets(pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: 
 def _misfit(
     points: Float[Tensor, "L 3"], attachments: Attachments, camera: PinholeCamera, targets: _Targets
 ) -> Float[Tensor, ""]:
-    """Robust reprojection in units of the trunk, and 1 - cosine of the directions."""
+    """Return robust reprojection errors in units of the trunk, and 1 - cosine of the directions."""
     in_front = torch.cat([points[:, :2], points[:, 2:].clamp_min(_LEAST_DEPTH_M / 2)], 1)
     trunk_px = camera.fx * 0.5 / points[:, 2].detach().mean().clamp_min(_LEAST_DEPTH_M)
     miss = (camera.project(in_front) - targets.pixels[attachments.landmarks]) / trunk_px

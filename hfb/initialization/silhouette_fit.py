@@ -214,7 +214,7 @@ def _refine_at(
     stage: SilhouetteStage,
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
-    """Adam works on each number by itself, so the sum of the bodies' losses moves each as its own loss would."""
+    """Run Adam at one size; it treats each number separately, so bodies in one sum do not influence each other."""
     dtype = body.template.dtype
     prior = AnatomicalPrior()
     start_poses = torch.stack([one.pose for one in firsts]).to(dtype)
@@ -275,14 +275,14 @@ def _refine_at(
 
 
 def _to_view(translations: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
-    """(x / z, y / z, log z) of the pelvis."""
+    """Return (x / z, y / z, log z) of the pelvis."""
     pelvis = body.joint_template[0] + body.joint_shape_directions[0] @ betas + translations
     depth = pelvis[:, 2].clamp_min(_LEAST_DEPTH_M)
     return torch.stack([pelvis[:, 0] / depth, pelvis[:, 1] / depth, depth.log()], 1)
 
 
 def _from_view(views: Float[Tensor, "N 3"], betas: Float[Tensor, "K"], body: Body) -> Float[Tensor, "N 3"]:
-    """The translations that put the pelvis there."""
+    """Invert `_to_view`: return the translations."""
     depth = views[:, 2].exp()
     pelvis = torch.stack([views[:, 0] * depth, views[:, 1] * depth, depth], 1)
     return pelvis - body.joint_template[0] - body.joint_shape_directions[0] @ betas

@@ -175,7 +175,7 @@ def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], bod
 
 
 def _joints_at(track: PoseTrack, row: int, camera: PinholeCamera, body: Body) -> Float[Tensor, "n 3"]:
-    """Those in front of the system's own camera [m]."""
+    """Return the joints in front of the system's own camera [m]."""
     if track.poses is None:
         joints = torch.from_numpy(track.joints[row]) if track.joints is not None else torch.zeros(0, 3)
     else:
@@ -210,7 +210,7 @@ def _rest_pelvis(body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "3"]:
 def _before_camera(
     pose: Float[Tensor, "24 3"], pelvis: Float[Tensor, "3"], theirs: PinholeCamera, ours: PinholeCamera
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "3"]]:
-    """What appears the same before our camera."""
+    """Return the position with the same appearance before our camera."""
     if float(pelvis[2]) <= 0:
         raise InputError("the result has a body behind its camera")
     if all(abs(getattr(theirs, name) / getattr(ours, name) - 1) < _SAME for name in ("fx", "fy", "cx", "cy")):
@@ -223,14 +223,14 @@ def _before_camera(
 
 
 def _yawed(first: FirstBody, angle: float) -> FirstBody:
-    """Turned about the vertical."""
+    """Turn the body about the vertical."""
     turn = axis_angle_to_matrix(first.pose.new_tensor([0.0, angle, 0.0]))
     root = matrix_to_axis_angle(turn @ axis_angle_to_matrix(first.pose[0]))
     return replace(first, pose=torch.cat([root[None], first.pose[1:]]))
 
 
 def _placed(first: FirstBody, level: Level, body: Body) -> FirstBody:
-    """Where the silhouette's box is the matte's: its height by the depth, its middle by the rest."""
+    """Move the body so that its silhouette's box is the matte's: height by the depth, middle by x and y."""
     shaped = body.shape(first.betas.to(body.template.dtype))
     turns = axis_angle_to_matrix(first.pose.to(body.template.dtype))[None]
     points = shaped.pose(turns, turns.new_zeros(1, 3)).vertices[0]

@@ -112,7 +112,7 @@ def _members(archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
 
 
 def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """A member's bytes: never more than its announced size."""
+    """Read a member's bytes, never more than its announced size."""
     try:
         with archive.open(info) as member:
             content = member.read(info.file_size)

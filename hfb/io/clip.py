@@ -191,7 +191,7 @@ def read_clip(path: Path) -> Clip:
 
 
 def _beside(clip: Path, name: Path) -> Path:
-    """A file that a clip.toml names. Raises InputError where it, or what a link leads to, lies elsewhere."""
+    """Resolve a file that a clip.toml names. Raises InputError where it, or a link's target, is elsewhere."""
     place = clip.parent / name
     try:
         place.exists()  # a name that is too long is found out here

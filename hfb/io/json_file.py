@@ -43,7 +43,7 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
 
 
 def _check_depth(content: Any) -> None:
-    """Raises RecursionError where it is nested deeper than any file of hfb, since recursive readers would fail."""
+    """Raise RecursionError where it is nested deeper than any file of hfb, since recursive readers would fail."""
     level = [content]
     for _ in range(_DEEPEST):
         parents = (one.values() if isinstance(one, dict) else one for one in level if isinstance(one, dict | list))

@@ -78,7 +78,7 @@ class _SourcesLocator(_CacheLocator):
 
 
 def _places(file: Path) -> Iterator[Path]:
-    """Folders to keep machine code in, the preferred one first."""
+    """Yield folders for machine code, the preferred one first."""
     if config.CACHE_DIR:
         yield Path(config.CACHE_DIR)
     yield platformdirs.user_cache_path("hfb") / "kernels"
@@ -87,7 +87,7 @@ def _places(file: Path) -> Iterator[Path]:
 
 @lru_cache
 def _prepared(place: Path) -> Path:
-    """The sources' folder in a place, which can be written; folders of sources that nobody used lately are removed."""
+    """Return the sources' folder in a writable place; folders that were not used lately are removed."""
     folder = place / f"hfb-{_sources()[:16]}"
     folder.mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()

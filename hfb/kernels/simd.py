@@ -115,7 +115,7 @@ register_model(_Lanes)(lambda manager, kind: models.PrimitiveModel(manager, kind
 
 
 def _widened(context, builder, kind, value, lanes=_lanes):
-    """Lanes as they are; a number into every lane."""
+    """Return lanes as they are; a number in every lane."""
     if isinstance(kind, _Lanes):
         return value
     return splat(builder, context.cast(builder, value, kind, lanes.number), lanes.vector)

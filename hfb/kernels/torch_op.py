@@ -38,7 +38,7 @@ class Operator:
         self._direct = function
 
     def __call__(self, *arguments: Any) -> Any:
-        """The registered operator where torch traces, with tensors of its own kinds; else the function, past it."""
+        """Call the registered operator where torch traces, with tensors of its kinds; else the function directly."""
         if torch.compiler.is_compiling() or not all(
             type(one) in _PLAIN for one in arguments if isinstance(one, Tensor)
         ):

@@ -121,7 +121,7 @@ def find_movement(
 
 
 def _gray(picture_linear: Float[Array, "H W 3"]) -> Float[Array, "h w"]:
-    """sRGB, the mean of the channels, no larger than the finest level."""
+    """Return the mean of the sRGB channels, no larger than the finest level."""
     height, width = picture_linear.shape[:2]
     scale = min(1.0, _LEVELS_PX[-1] / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -143,7 +143,7 @@ def _spline(picture: Float[Array, "h w"], degree: int = _DEGREE) -> Float[Array,
 
 
 def _moved(spline: Float[Array, "h w"], movement: Movement, degree: int = _DEGREE) -> Float[Array, "h w"]:
-    """A plate, given as its spline, where the frame's pixels lie."""
+    """Resample a plate, given as its spline, at the frame's pixels."""
     matrix = movement.matrix(*spline.shape)
     turn_yx, offset_yx = matrix[::-1, 1::-1], matrix[::-1, 2]
     moved = ndimage.affine_transform(
@@ -158,14 +158,14 @@ def _slopes(picture: Float[Array, "h w"]) -> tuple[Float[Array, "h w"], Float[Ar
 
 
 def _edges(across: Float[Array, "h w"], down: Float[Array, "h w"]) -> Array:
-    """Indices of the steepest pixels, those at the border left out."""
+    """Return indices of the steepest pixels, without those at the border."""
     steep = np.hypot(across, down)
     steep[:4], steep[-4:], steep[:, :4], steep[:, -4:] = 0, 0, 0, 0
     return np.flatnonzero(steep.ravel() > max(_LEAST_EDGE, float(np.quantile(steep, 1 - _EDGE_SHARE))))
 
 
 def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"], most_px: float) -> Movement:
-    """Gauss-Newton at one size; as it was where there are no edges."""
+    """Run Gauss-Newton at one size; unchanged where there are no edges."""
     height, width = frame.shape
     longer, spline = max(height, width), _spline(plate)
     for _ in range(_ROUNDS):
@@ -198,7 +198,7 @@ def _improved(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array
 
 
 def _edge_difference(movement: Movement, frame: Float[Array, "h w"], plate: Float[Array, "h w"]) -> float:
-    """The median difference at edges, exposure taken out."""
+    """Return the median difference at edges, after removing the exposure."""
     moved = _moved(_spline(plate), movement)
     chosen = _edges(*_slopes(moved))
     if len(chosen) < 50:

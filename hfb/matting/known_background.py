@@ -210,7 +210,7 @@ def _without_small_holes(alpha: Float[Array, "H W"], trust: Float[Array, "H W"])
 
 
 def _remote(certain: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """0 at the certain body, towards 1 from a twentieth of its size away: how far dark blur may reach, shadows do."""
+    """Return 0 at the certain body, rising to 1 from a twentieth of its size away, beyond the reach of dark blur."""
     mask = certain > 0.5
     if not mask.any():
         return np.zeros(mask.shape, np.float32)

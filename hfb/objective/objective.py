@@ -112,7 +112,7 @@ class Objective:
         return {}
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
-        """Times of the sub-frames, then the middle of the exposure."""
+        """Return times of the sub-frames, then the middle of the exposure."""
         return _instants(self.subframes, dtype, self.first.device)
 
     def body_terms(
@@ -170,7 +170,7 @@ class Objective:
         return shaped.joints_of(*places).unflatten(0, (-1, len(some)))
 
     def _vectors(self, rotations: Float[Tensor, "T S1 24 3 3"]) -> Float[Tensor, "n 23 3"]:
-        """Axis times angle [rad] below the root at every sub-frame."""
+        """Return axis times angle [rad] below the root at every sub-frame."""
         if compiled(rotations):
             return rotation_vectors(rotations, self.subframes).flatten(0, 1)
         return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
@@ -221,7 +221,7 @@ class Objective:
         return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
 
     def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
-        """Those of both losses that have a weight."""
+        """Return those of both losses that have a weight."""
         weights = self.weights
         return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
 

@@ -103,6 +103,6 @@ def _window(picture: Tensor, down: int, right: int) -> Tensor:
 
 
 def _shifted(picture: Tensor, down: int, right: int) -> Tensor:
-    """Those neighbours, in the same order, as a view."""
+    """Return those neighbours, in the same order, as a view."""
     width = picture.shape[1]
     return picture[down:, max(right, 0) : width - max(-right, 0)]

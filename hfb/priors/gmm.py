@@ -57,7 +57,7 @@ class GmmPrior:
         return ((whitened * whitened).sum(-1) / 2 + offsets).amin(-1)
 
     def _parts(self, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-        """Means, whitening and offsets where and as they are used; copied to a device once."""
+        """Return means, whitening and offsets in the pose's precision and device; copied to a device once."""
         key = device, dtype
         if key not in self._copies:
             self._copies[key] = tuple(part.to(device, dtype) for part in (self.means, self._whitening, self._offsets))

@@ -65,7 +65,7 @@ def _numbers(values: object, path: Path) -> Float[Array, "..."]:
 
 
 def _read(path: Path) -> Mapping[str, object]:
-    """A file's arrays by name, whatever container they are in."""
+    """Read a file's arrays by name, whatever its container."""
     if path.stat().st_size > UNPACKED_LIMIT:
         raise InputError(f"{path}: is larger than {UNPACKED_LIMIT >> 20} MB, no pose prior is; {_ACCEPTED}")
     with path.open("rb") as file:
@@ -94,7 +94,7 @@ class _Ignored:
 
 
 def _read_torch(path: Path) -> Mapping[str, object]:
-    """The tensors of a checkpoint, by torch's own restricted reader.
+    """Read the tensors of a checkpoint, by torch's own restricted reader.
 
     VPoser v2 comes as a Lightning checkpoint with objects of its training run in it: their classes are replaced by
     `_Ignored` instead of being imported.
@@ -112,7 +112,7 @@ def _read_torch(path: Path) -> Mapping[str, object]:
 
 
 def _read_pickle(path: Path) -> Mapping[str, object]:
-    """The named arrays of SMPLify's mixture, still as they were pickled."""
+    """Read the named arrays of SMPLify's mixture as placeholders."""
     try:
         fields = load_pickle(path.read_bytes())
     except InputError as error:

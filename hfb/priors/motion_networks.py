@@ -39,7 +39,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
 
 
 def _tangent(middle: Float[Tensor, "T J 4"], change: Float[Tensor, "T 2 J 4"]) -> Float[Tensor, "T 2 J 3"]:
-    """Coefficients of a quaternion as rotation vectors [rad] in the joint's own frame: 2 (q^-1 c)."""
+    """Return coefficients of a quaternion as rotation vectors [rad] in the joint's own frame: 2 (q^-1 c)."""
     w, xyz = middle[:, None, :, :1], middle[:, None, :, 1:]
     v, abc = change[..., :1], change[..., 1:]
     return 2 * (w * abc - v * xyz - torch.linalg.cross(xyz.expand_as(abc), abc))
@@ -50,7 +50,7 @@ def _root_mean_square(vectors: Float[Tensor, "T J 3"]) -> Float[Tensor, "T 1 1"]
 
 
 def _signs_when_reversed() -> Float[Tensor, "458"]:
-    """What running the whole body backwards does to its features: first differences change their sign."""
+    """Return the signs by which reversing the whole body changes its features: first differences are negated."""
     signs = torch.ones(JOINT_COUNT, FEATURES_PER_JOINT)
     signs[:, [4, 5, 6, 13, 14, 15]] = -1
     return torch.cat([signs.flatten(), torch.ones(2)])
@@ -82,7 +82,7 @@ class _Residual(nn.Module):
 
 
 def _trunk(inputs: int, width: int, depth: int, dropout: float) -> nn.Sequential:
-    """Fully connected layers with a way past each of them."""
+    """Build fully connected layers with skip connections."""
     first = nn.Sequential(_Gated(inputs, width), nn.Dropout(dropout))
     return nn.Sequential(first, *[_Residual(width, dropout) for _ in range(depth - 1)], nn.LayerNorm(width))
 

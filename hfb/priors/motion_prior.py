@@ -32,7 +32,7 @@ class MotionPrior:
         self._networks = {_SHIPPED: (_frozen(discriminator), _frozen(corrector))}
 
     def __call__(self, trajectory: Trajectory, shaped: ShapedBody) -> Float[Tensor, ""]:
-        """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
+        """Return L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
 
         Args:
             trajectory: polynomials of the motion.
@@ -69,7 +69,7 @@ class MotionPrior:
         return self._in(trajectory.rotation)[0].odds(motion_columns(trajectory), rest)
 
     def _in(self, like: Tensor) -> tuple[Discriminator, Corrector]:
-        """The networks in the precision and the place of what they look at."""
+        """Return the networks in the precision and on the device of their input."""
         key = like.dtype, like.device
         if key not in self._networks:
             discriminator, corrector = self._networks[_SHIPPED]

@@ -14,7 +14,7 @@ class PosePrior(Protocol):
     """
 
     def __call__(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """A number >= 0 per pose, lower is likelier; differentiable.
+        """Return a number >= 0 per pose, lower for likelier poses; differentiable.
 
         Args:
             axis_angle: SMPL's joints 1 to 23, relative to their parents [rad].

@@ -129,12 +129,12 @@ class VPoserPrior:
 
 @lru_cache(maxsize=64)
 def _placed(layer: _Dense, device: torch.device, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """A layer's weight and bias where and as they are used; copied to a device once."""
+    """Return a layer's weight and bias in the pose's precision and device; copied to a device once."""
     return layer.weight.to(device, dtype), layer.bias.to(device, dtype)
 
 
 def _dense(state: Mapping[str, Tensor], prefix: str, layer: tuple[str, str, float], source: str) -> _Dense:
-    """One linear layer, the batch norm before it folded in: W (s x + t) + b = (W s) x + (W t + b)."""
+    """Fold the batch norm before a linear layer into it: W (s x + t) + b = (W s) x + (W t + b)."""
     norm, linear, slope = layer
 
     def read(name: str) -> Tensor:

@@ -39,14 +39,14 @@ class CpuRasterizer:
     def _same(
         self, camera: PinholeCamera, mesh: Mesh, mean: bool
     ) -> tuple[Tensor, list[Tensor], list[float], list[float], bool, int]:
-        """What is the same whatever the bodies and the texture."""
+        """Return the arguments that do not depend on bodies and texture."""
         lens = [camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, camera.width, camera.height]
         soft = dibr_constants(camera) if self.silhouette == "dibr" else (0.0, 0.0, 0)
         numbers = [float(value) for value in lens], [float(value) for value in soft]
         return *self._of_mesh(mesh), *numbers, mean, self.threads
 
     def _setting(self, camera: PinholeCamera, mesh: Mesh, mean: bool) -> Setting:
-        """Kept for the mesh and the camera used last."""
+        """Return the setting, cached for the last mesh and camera."""
         kept = self._kept
         if kept is None or kept[0] is not mesh or kept[1:3] != (camera, mean):
             kept = self._kept = (mesh, camera, mean, Setting.of(*self._same(camera, mesh, mean)))
@@ -153,11 +153,11 @@ class CpuRasterizer:
 def _whole(
     vertices: Float[Tensor, "S V 3"], texture: Float[Tensor, "A A 3"] | None
 ) -> tuple[Float[Tensor, "S V 3"], Float[Tensor, "A A 3"]]:
-    """Both as the operators take them: an empty texture for none."""
+    """Return both as arguments of the operators: an empty texture for none."""
     texels = vertices.new_empty(0, 0, 3) if texture is None else texture.to(vertices.dtype)
     return vertices.contiguous(), texels.contiguous()
 
 
 def _coloured(drawn: Float[Tensor, "P H W C"]) -> Float[Tensor, "P H W 4"]:
-    """A silhouette alone, C = 1, is black."""
+    """Return a silhouette alone, C = 1, as black with alpha."""
     return drawn if drawn.shape[-1] == 4 else torch.nn.functional.pad(drawn, (3, 0))

@@ -76,7 +76,7 @@ def soft_mask(
 def _squared_distances(
     points: Float[Tensor, "n 2"], corners: Float[Tensor, "F 3 2"]
 ) -> tuple[Float[Tensor, "n F"], Int[Tensor, "n F"]]:
-    """Squared distance of each point from each face's nearest side (of equals the first), and which side."""
+    """Return the squared distance of each point from each face's nearest side (of equals the first), and that side."""
     start = corners[None]
     direction = corners.roll(-1, 1)[None] - start
     away = points[:, None, None] - start

@@ -15,7 +15,7 @@ from hfb.typing import Float, Int, Tensor
 
 
 def _memberships(owners: Int[Tensor, "n k"], count: int) -> tuple[Int[Tensor, "c"], Int[Tensor, "m"]]:
-    """For each of `count` vertices where it stands in a table of vertices: (where its places begin, the places)."""
+    """Return the places of each of `count` vertices in a table of vertices: (first place of each, the places)."""
     flat = owners.flatten().numpy()
     begins = np.concatenate([[0], np.bincount(flat, minlength=count).cumsum()])
     return torch.from_numpy(begins), torch.from_numpy(np.argsort(flat, kind="stable"))
@@ -28,7 +28,7 @@ class WarpRasterizer:
     """
 
     def __init__(self, device: str = "cuda") -> None:
-        """device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
+        """Choose the device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
 
         Raises:
             InputError: there is no such device.

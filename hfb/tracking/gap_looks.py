@@ -75,7 +75,7 @@ def _in_full_view(
     away: int,
     alpha: Alpha,
 ) -> Iterator[tuple[Float[Array, "4"], float]]:
-    """Boxes and areas [px] that may be the person's, who was at ``known`` ``away`` frames before or after."""
+    """Yield boxes and areas [px] that may be the person's, who was at ``known`` ``away`` frames before or after."""
     height, width = frame.shape[:2]
     rows, columns = _around(known, away, height, width)
     look, empty = (shrink(srgb_to_linear(np.ascontiguousarray(one[rows, columns])), _LOOK_PX) for one in (frame, plate))

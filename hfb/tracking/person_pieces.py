@@ -76,7 +76,7 @@ def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array,
 
 
 def _might_be_one(one: Person, other: Person) -> bool:
-    """Above each other, and near enough."""
+    """Return whether two areas are above each other, and near enough."""
     shared = min(one[2], other[2]) - max(one[0], other[0])
     gap = max(one[1], other[1]) - min(one[3], other[3])
     height = max(one[3], other[3]) - min(one[1], other[1])
@@ -91,7 +91,7 @@ def _might_be_one(one: Person, other: Person) -> bool:
 def _bridged(
     one: Person, other: Person, frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], alpha: Alpha
 ) -> bool:
-    """Does every row between the pieces hold a part of a body; where their boxes overlap, are they one area?"""
+    """Return whether every row between the pieces holds a part of a body; overlapping boxes must be one area."""
     left, top, right, bottom, _ = _together(one, other)
     extra = _AROUND * max(right - left, bottom - top)
     height, width = frame.shape[:2]

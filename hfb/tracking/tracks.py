@@ -175,7 +175,7 @@ def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice]
 
 
 def _with_returns(by_size: Sequence[Track]) -> Track:
-    """The first track, and of the others those that never show while it, or one taken before, does."""
+    """Return the first track, with those of the others that never appear during it, or during one added before."""
     boxes, areas = by_size[0].boxes.copy(), by_size[0].areas.copy()
     for track in by_size[1:]:
         seen = track.present
@@ -287,7 +287,7 @@ def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
 
 
 def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
-    """Every change that may be a person or a part of one, in full pixels."""
+    """Return every change that may be a person or a part of one, in full pixels."""
     closed = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     _, _, stats, _ = cv2.connectedComponentsWithStats(closed)
     return [
@@ -298,7 +298,7 @@ def _pieces(changed: Bool[Array, "h w"], scale: float) -> list[Person]:
 
 
 def _people(pieces: list[Person]) -> list[Person]:
-    """Those that are large enough to be a person, beside the largest, which comes first."""
+    """Return the areas that are large enough relative to the largest, which comes first."""
     return [one for one in pieces if one[4] >= _LEAST_OF_LARGEST * pieces[0][4]]
 
 
@@ -331,7 +331,7 @@ def _follow(tracks: list[dict[int, Person]], people: list[Person], frame: int) -
 
 
 def _way(track: dict[int, Person], person: Person, frame: int) -> float:
-    """How far a person would have gone since a track's last box, in lengths of the larger box per frame that passed."""
+    """Return a person's distance from a track's last box, in lengths of the larger box per frame that passed."""
     last = max(track)
     one, other = np.array(track[last][:4]), np.array(person[:4])
     sides = [float((box[2:] - box[:2]).max()) for box in (one, other)]
@@ -341,7 +341,7 @@ def _way(track: dict[int, Person], person: Person, frame: int) -> float:
 
 
 def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Shared area as a share of the smaller box; 0 for a box that is not known."""
+    """Return the shared area as a share of the smaller box; 0 for an unknown box."""
     return _shared_px(one, other) / max(min(_area_px(one), _area_px(other)), 1e-9)
 
 
@@ -361,7 +361,7 @@ def _area_px(box: Float[Array, "4"]) -> float:
 
 
 def _shared_px(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Area in both boxes; 0 where one is not known."""
+    """Return the area in both boxes; 0 where one is unknown."""
     size = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
     return float(size.prod()) if (size > 0).all() else 0.0
 

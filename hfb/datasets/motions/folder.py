@@ -68,7 +68,7 @@ class FolderMotions:
 
 @lru_cache(maxsize=1024)
 def _tell(remark: str) -> None:
-    """Once per process: cases that share a clip read it again."""
+    """Log a remark once per process, since cases that share a clip read it again."""
     _log.warning("%s", remark)
 
 

@@ -154,7 +154,7 @@ def take_poses(
 
 
 def _clips(source: MotionSource, numbers: Sequence[int], refused: dict[str, str]) -> Iterator[tuple[int, MotionClip]]:
-    """(how many were looked at, motion) for each that can be read."""
+    """Yield (number of motions done, motion) for each that can be read."""
     for done, number in enumerate(numbers, 1):
         try:
             yield done, source.load(number)

@@ -52,7 +52,7 @@ def resample(clip: MotionClip, times_s: Float[Array, "S"]) -> tuple[Float[Array,
 def _spline(
     values: Float[Array, "W *n c"], slow: np.ndarray, left: np.ndarray, share: Float[Array, "S"]
 ) -> Float[Array, "S *n c"]:
-    """Cubic Hermite; velocities are those of parabolas through neighbours, zero beside a step that is not slow."""
+    """Evaluate a cubic Hermite spline with velocities of parabolas through neighbours, zero beside a sudden step."""
     steps = np.diff(values, axis=0)
     turns = np.diff(steps, axis=0) / 2 if len(steps) > 1 else np.zeros_like(steps)
     velocities = np.concatenate([steps[:1] - turns[:1], steps[:-1] + turns[: len(steps) - 1], steps[-1:] + turns[-1:]])

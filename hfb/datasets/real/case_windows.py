@@ -96,7 +96,7 @@ def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWin
 
 
 def _bit_reversed(count: int) -> list[int]:
-    """0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
+    """Return 0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
     bits = max(count - 1, 1).bit_length()
     reversed_bits = (int(f"{index:0{bits}b}"[::-1], 2) for index in range(1 << bits))
     return list(dict.fromkeys(count * index >> bits for index in reversed_bits))

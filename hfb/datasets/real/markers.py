@@ -194,7 +194,7 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
 
 
 def _checked(markers: Markers, path: Path) -> Markers:
-    """Whole points or none; frames in order; sizes that a room can hold."""
+    """Check markers: points complete or unknown, frames in order, plausible coordinates."""
     if not len(markers.frames) or (np.diff(markers.frames) <= 0).any() or markers.frames[0] < 0:
         raise InputError(f"{path}: its frames must increase from 0 or more, one row each.")
     if len(set(markers.names)) != len(markers.names):

@@ -99,7 +99,7 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
 def _look(
     spec: RealSpec, window: RealWindow, footage: Footage, calibrated: CalibratedCamera | None, full: PinholeCamera
 ) -> tuple[SeenJoints | None, View, list[Box] | None]:
-    """(the measured joints where there are some, the view of the person, where the person may be in each frame)."""
+    """Return the measured joints (if any), the view of the person, and the person's possible region in each frame."""
     count = spec.average * spec.frames
     markers = window.recording.markers()
     if markers is None or calibrated is None:
@@ -132,7 +132,7 @@ def _camera_source(footage: Footage, calibrated: CalibratedCamera | None) -> str
 
 
 def _write_pictures(folder: Path, exposures: list[Exposure], plate: Float[Array, "H W 3"]) -> list[list[int]]:
-    """Frames, mattes, cut-outs and the plate; returns the boxes of the cut-outs."""
+    """Write frames, mattes, cut-outs and the plate; return the boxes of the cut-outs."""
     folder.mkdir(parents=True, exist_ok=True)
     boxes = []
     for index, exposure in enumerate(exposures):
@@ -174,7 +174,7 @@ def _facts(
     exposures: list[Exposure],
     joints: SeenJoints,
 ) -> dict[str, Any]:
-    """case.json: how the case was made and how far its truth can be trusted."""
+    """Return the content of case.json: the origin of the case and the reliability of its truth."""
     recording, footage = window.recording, view.footage
     rates = [exposure.blur_rate() for exposure in exposures]
     calibrated = recording.camera()
@@ -228,7 +228,7 @@ def _facts(
 
 
 def _stamp(folder: Path) -> tuple[tuple[str, int, int], ...]:
-    """What lies in the folder, by name, size and time of change."""
+    """Return the folder's files by name, size and time of change."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files)
 

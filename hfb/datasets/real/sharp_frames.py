@@ -100,7 +100,7 @@ def _nearest(average: int) -> list[int]:
 
 
 def _allowed(view: View, boxes: list[Box] | None, index: int) -> Float[Array, "H W"]:
-    """1 where the chosen person may be, 0 where only others are; the step is softened over a pixel."""
+    """Return 1 in the chosen person's possible region, 0 elsewhere; the step is softened over a pixel."""
     allowed = np.ones((view.camera.height, view.camera.width), np.float32)
     if view.body is not None:
         allowed *= view.body

@@ -136,7 +136,7 @@ def open_footage(path: Path, pictures: tuple[Path, ...] = ()) -> Footage:
 
 
 def _looked_at(footage: Footage) -> Footage:
-    """The footage with what `hfb video` would say of the file.
+    """Return the footage with the remarks of `hfb video` on the file.
 
     Raises:
         InputError: it is interlaced.
@@ -207,7 +207,7 @@ def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"]
 
 
 def _time_stamps(path: Path) -> tuple[float, Bool[Array, "n"], Rate | None]:
-    """With the rate at which it was captured, where the file says so."""
+    """Return rate and regularity of the time stamps, and the capture rate where the file states it."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)

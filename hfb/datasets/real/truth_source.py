@@ -59,7 +59,7 @@ def truth_offsets_mm(joints: tuple[int, ...]) -> dict[str, tuple[int, int]]:
 
 
 def _is_rigid(markers: Markers) -> bool:
-    """Whether bones keep their lengths while joints bend, as only a fitted skeleton's do."""
+    """Return whether bones keep their lengths while joints bend, as only a fitted skeleton's do."""
     columns, joints = body_columns(markers.names)
     known = {JOINT_NAMES[joint]: markers.xyz_m[:, column] for column, joint in zip(columns, joints, strict=True)}
     deviations, bends = [], []
@@ -77,6 +77,6 @@ def _is_rigid(markers: Markers) -> bool:
 
 
 def _bend_deg(upper: Float[Array, "n 3"], lower: Float[Array, "n 3"]) -> float:
-    """How much an angle changes over time."""
+    """Return the variation of an angle over time."""
     cosine = (upper * lower).sum(1) / np.maximum(np.linalg.norm(upper, axis=1) * np.linalg.norm(lower, axis=1), 1e-9)
     return float(np.degrees(np.arccos(cosine.clip(-1, 1))).std())

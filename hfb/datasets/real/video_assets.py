@@ -183,7 +183,7 @@ def _footage(video: Path) -> Footage:
 
 @lru_cache(maxsize=1)
 def _median(video: Path) -> Float[Array, "H W 3"]:
-    """Median over frames spread over the video; of the stored values, which is that of the light too."""
+    """Return the median over frames spread over the video, of the stored values, which is that of the light, too."""
     footage = _footage(video)
     count = min(_PLATE_FRAMES, footage.count - 1 + footage.count % 2)  # odd: the median is one of the values
     chosen = sorted({int(index) for index in np.linspace(0, footage.count - 1, count).round()})

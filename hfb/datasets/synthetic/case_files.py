@@ -68,7 +68,7 @@ def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"],
 
 
 def _clip_toml(story: Story) -> str:
-    """Camera and shutter, as a user would know them; numbers so that they are read back to the bit."""
+    """Return clip.toml with camera and shutter; numbers are read back to the bit."""
     rows = ", ".join(f"[{', '.join(repr(float(value)) for value in row)}]" for row in story.truth.motion.K)
     clock = story.found.clock
     return f"[camera]\nK = [{rows}]\n\n[exposure]\nfps = {float(clock.fps)!r}\nseconds = {float(clock.exposure_s)!r}\n"

@@ -139,7 +139,7 @@ def _make_room(folder: Path) -> None:
 
 
 def _made_before(folder: Path) -> set[str]:
-    """The files of an earlier clip, by what its clip.toml says."""
+    """Return the files of an earlier clip, by its clip.toml."""
     try:
         with (folder / "clip.toml").open(encoding="utf-8", errors="replace") as file:
             made = _MADE.fullmatch(file.readline(80))
@@ -187,7 +187,7 @@ def _motion(
 
 
 def _within(times_s: Float[Array, "R"], clip: MotionClip) -> Float[Array, "R"]:
-    """Times in the recording: straight on where it is long enough, else back and forth, never faster than it was."""
+    """Return times in the recording: in order where it is long enough, else back and forth, never faster."""
     lasts_s = (len(clip.poses) - 1) / clip.fps - 2 * _MARGIN_S
     if times_s[-1] <= lasts_s:
         return times_s + _MARGIN_S
@@ -197,7 +197,7 @@ def _within(times_s: Float[Array, "R"], clip: MotionClip) -> Float[Array, "R"]:
 def _film(
     motion: _WorldMotion, body: Body, betas: Float[Array, "10"], height: int, width: int, rng: np.random.Generator
 ) -> _Film:
-    """Aim a camera that sees the whole motion, and take the motion into its coordinates."""
+    """Aim a camera that shows the whole motion, and transform the motion to its coordinates."""
     shaped = body.shape(torch.from_numpy(betas).float())
     few = slice(None, None, _EVERY)
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[few]).float())
@@ -235,7 +235,7 @@ def _expose(
     rng: np.random.Generator,
     on_progress: Callable[[int, int], None] | None,
 ) -> Iterator[Float[Array, "H W 3"]]:
-    """The blurred frames as the camera stores them (sRGB), one after another."""
+    """Yield the blurred frames as the camera stores them (sRGB)."""
     motion, rasterizer = film.motion, make_rasterizer("coverage", "cpu", 1)
     shaped = body.shape(torch.from_numpy(motion.betas).float())
     count = int(motion.frame_index[-1]) + 1

@@ -85,7 +85,7 @@ def vertex_normals(body: Body) -> Float[Array, "V 3"]:
 
 
 def _bare(body: Body) -> Array:
-    """Vertices that belong to hands, feet, neck or head more than to anything that is clothed."""
+    """Return the vertices that belong to hands, feet, neck or head more than to any clothed part."""
     clothed = {*_TRUNK, *_CLOSE, *_SLEEVES, *_LEGS}
     skin: Tensor = body.skinning_weights[:, [name not in clothed for name in JOINT_NAMES]]
     return (skin.sum(1) > 0.5).numpy()

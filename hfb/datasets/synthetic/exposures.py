@@ -89,7 +89,7 @@ class Shutter:
 
 
 def _instant_sevenths(steps: int) -> list[int]:
-    """Which k make 7 k equal steps out of an exposure of that many grid steps."""
+    """Return each k for which 7 k equal steps fill an exposure of that many grid steps."""
     return [k for k in _SEVENTHS if steps % (7 * k) == 0]
 
 

@@ -132,7 +132,7 @@ class _Piece:
         return None
 
     def at_any_length(self, wanted: Interval) -> tuple[Clock, PlacedCamera, float] | None:
-        """The exposure time is drawn like the rest."""
+        """Draw the exposure time, too."""
         longest = self._longest()
         if longest < 0:
             return None
@@ -143,12 +143,12 @@ class _Piece:
         return (len(self.clip.poses) - 1) / self.clip.fps
 
     def _span_s(self, exposure: int) -> float:
-        """From the first opening to the last closing, with room for rounding to a grid."""
+        """Return the time from the first opening to the last closing, with a margin for rounding to a grid."""
         rounding_s = 0 if self.shutter.grid_hz is None else (self.frames + 1) / self.shutter.grid_hz
         return self.shutter.exposures_s[exposure] * (self.frames + (self.frames - 1) * self.draw.gap) + rounding_s
 
     def _longest(self) -> int:
-        """The longest exposure for which the motion lasts; -1 where it is too short for any."""
+        """Return the longest exposure that the motion allows; -1 where it is too short for any."""
         fitting = (index for index in range(len(self.shutter.exposures_s)) if self._span_s(index) <= self._duration_s())
         return max(fitting, default=-1)
 

@@ -82,7 +82,7 @@ def draw_scenery(
 
 
 def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str]) -> tuple[Float[Array, "h w 3"], str]:
-    """A random image of a folder and its name there; those that are damaged are passed over and noted."""
+    """Draw a random image of a folder and return it with its name; damaged ones are skipped and recorded."""
     names = _pictures_in(folder)
     reasons: dict[str, str] = {}
     for index in rng.permutation(len(names)):
@@ -99,7 +99,7 @@ def _draw_picture(folder: Path, rng: np.random.Generator, skipped: dict[str, str
 
 @lru_cache(maxsize=8)
 def _pictures_in(folder: Path) -> tuple[str, ...]:
-    """Relative paths of what looks like an image, in an order that no file system decides."""
+    """Return relative paths of image files, in an order that does not depend on the file system."""
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give a folder of PNG or JPEG files")
     found = (path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS and path.is_file())
@@ -127,14 +127,14 @@ def _as_texture(picture_srgb: Float[Array, "h w 3"], body: Body) -> Float[Tensor
 
 
 def _muted(texture_linear: Float[Tensor, "A A 3"], rng: np.random.Generator) -> Float[Tensor, "A A 3"]:
-    """Generated clothes have the colours of felt pens; cloth has less of them."""
+    """Desaturate generated clothes, whose colours are those of felt pens, to those of cloth."""
     gray = texture_linear.mean(-1, keepdim=True)
     return gray + float(rng.uniform(*_SATURATION)) * (texture_linear - gray)
 
 
 @lru_cache(maxsize=2)
 def _light_from_above(body: Body) -> Float[Tensor, "A A 1"]:
-    """How much light reaches each texel of a body that stands in a room: most from above, some from everywhere."""
+    """Return the light at each texel of a body in a room: most from above, some from everywhere."""
     corners = vertex_normals(body)[body.mesh.faces.numpy()][..., 1].mean(1)
     owner = texel_faces(body.mesh, TEXTURE_PX)
     upward = np.append(corners, 0.0)[owner.numpy()]  # the void has index -1: no direction

@@ -92,13 +92,13 @@ class _Actor:
     clothing: Float[Array, "V 3"] | None
 
     def quick(self, clip: MotionClip) -> ShapedBody:
-        """In this motion's clothes, on the mesh with fewer triangles."""
+        """Return the person in this motion's clothes, on the mesh with fewer triangles."""
         clothing = self._worn(clip)
         body = self.fit_body if clothing is None else dress(self.fit_body, clothing)
         return body.shape(torch.from_numpy(self.betas).float())
 
     def photographed(self, clip: MotionClip) -> Body:
-        """In this motion's clothes, as the truth shows the person."""
+        """Return the person in this motion's clothes, as the truth shows them."""
         clothing = self._worn(clip)
         if clothing is None:
             return self.truth_body
@@ -135,7 +135,7 @@ class _Scene:
 def _find_scene(
     spec: SetSpec, usable: Sequence[int], wanted: Interval, actor: _Actor, scenery: Scenery, rng: np.random.Generator
 ) -> _Scene:
-    """The first candidate whose full-size truth has the wanted blur rate and keeps off the image's border."""
+    """Return the first candidate whose full-size truth has the wanted blur rate and a margin to the image's border."""
     found = candidates(
         _loader(spec),
         usable,
@@ -187,7 +187,7 @@ def _motion(found: Candidate, actor: _Actor) -> SampledMotion:
 
 @lru_cache(maxsize=2)
 def _bodies(path: Path | None) -> tuple[Body, Body]:
-    """The mesh that is fitted and the denser one that is photographed."""
+    """Return the mesh that is fitted and the denser one that is rendered."""
     body = load_body(path)
     return body, subdivide(body)
 

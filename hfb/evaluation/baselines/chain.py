@@ -47,7 +47,7 @@ class Chain:
             self._estimator = NetworkEstimator(load_network(chain.estimator), chain.estimator_layout)
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses, or joints where the estimator knows no more; of the case only its number is used."""
+        """Predict poses, or joints where the estimator gives no more; of the case only its number is used."""
         started = time.perf_counter()
         frames = len(observation.mattes)
         with one_torch_thread():
@@ -76,7 +76,7 @@ class Chain:
         return estimates
 
     def _matte(self, picture_srgb: Float[Array, "H W 3"], observation: Observation) -> Float[Tensor, "H W"]:
-        """Of a deblurred image: the blurred frame's would show where the person was at other times."""
+        """Return the matte of a deblurred image; the blurred frame's would include other times."""
         picture = srgb_to_linear(picture_srgb) if observation.light == "linear" else picture_srgb
         return torch.from_numpy(self._matting(picture.astype(np.float32), observation.plate_linear))
 

@@ -134,7 +134,7 @@ def read_chains(path: Path) -> dict[str, ChainSpec]:
 
 
 def _absolute(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Paths from the chains file's own place; TOML's texts and lists as pydantic's strict kinds want them."""
+    """Resolve paths against the chains file's folder, and convert TOML's texts and lists to pydantic's strict types."""
     content = dict(table)
     for key in ("deblurrer", "pictures", "estimator", "poses"):
         value = content.get(key)

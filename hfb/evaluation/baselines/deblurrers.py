@@ -107,7 +107,7 @@ def _planes(array: Float[Array, "..."], size: tuple[int, ...], source: Path) -> 
 
 
 def _stored(folder: Path, frame: int, shape: tuple[int, ...]) -> Float[Array, "M H W 3"]:
-    """A system's images of one frame, in the order of their names, or those of a video."""
+    """Read a system's images of one frame, in the order of their names, or those of a video."""
     inner, video = folder / f"frame_{frame}", folder / f"frame_{frame}.mp4"
     if inner.is_dir():
         pictures = [read_picture_srgb(path) for path in sorted(inner.iterdir()) if not path.name.startswith(".")]

@@ -88,7 +88,7 @@ def interpolate(
 def _tracks(
     rows_s: Float[Array, "R"], known_s: Float[Array, "M"], found: Sequence[Estimate], starts: Sequence[FirstBody]
 ) -> tuple[Tensor | None, Tensor, Tensor]:
-    """Poses (None where there are none), translations and joints at the rows."""
+    """Return poses (None without any), translations and joints at the rows."""
     places = [
         start.translation if one.translation is None else one.translation
         for one, start in zip(found, starts, strict=True)

@@ -42,7 +42,7 @@ class Estimator(Protocol):
     """Estimates a body from one image."""
 
     def __call__(self, sight: Sight, body: Body) -> Estimate:
-        """Raises InputError where no person is found."""
+        """Estimate the body. Raises InputError where no person is found."""
         ...
 
 
@@ -111,7 +111,7 @@ def _pose(outputs: Outputs, layout: EstimatorLayout) -> Float[Tensor, "24 3"]:
 
 
 def _joints(outputs: Outputs, layout: EstimatorLayout, body: Body) -> Float[Array, "24 3"]:
-    """From the mesh where it is the body model's own, else the network's own joints."""
+    """Return joints from the mesh where it is the body model's own, else the network's joints."""
     key = layout.joints if layout.vertices is None else layout.vertices
     assert key is not None
     points = _points(outputs, key)

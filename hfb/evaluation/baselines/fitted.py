@@ -50,7 +50,7 @@ class HumanFromBlur:
         return other
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses and appearance; the case is not looked at."""
+        """Predict poses and appearance; the case is not used."""
         if not self._frames_alone:
             result = self._fit(observation, starts)
             pictures = self._draw(result, observation)
@@ -82,7 +82,7 @@ class HumanFromBlur:
 
 
 def _joined(results: Sequence[FitResult], observation: Observation) -> SampledMotion:
-    """Single frames' motions one after another on the clip's own clock; joints are those of each frame's shape."""
+    """Join single frames' motions on the clip's clock; joints are those of each frame's shape."""
     motions = [result.motion for result in results]
     times_s, frame_index = row_times_s(observation, len(motions[0].poses))
     radii = [motion.joint_radius_mm for motion in motions if motion.joint_radius_mm is not None]

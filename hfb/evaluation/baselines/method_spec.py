@@ -203,7 +203,7 @@ def _unknown(base: str, chains: Mapping[str, ChainSpec]) -> InputError:
 
 
 def _config_of(path: Path) -> RunConfig:
-    """The preset that a file names, with the file's own entries; only what a method may decide."""
+    """Return the preset that a file names with the file's entries, of which only a method's own are allowed."""
     content = read_toml(path)
     content = to_record(RunConfig, content, str(path)).model_dump(exclude_unset=True)
     foreign = sorted(set(content) - {"preset", "seed", "fit", "prior"})

@@ -104,7 +104,7 @@ class TwoStageOracle:
         self._initializer = initializer  # None: the simulated estimator, which needs no images
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses alone, interpolated between the eight sub-frames of the truth."""
+        """Predict poses alone, interpolated between the eight sub-frames of the truth."""
         started = time.perf_counter()
         with one_torch_thread():
             estimates = (
@@ -133,7 +133,7 @@ class TwoStageOracle:
         return estimates
 
     def _simulated(self, case: Case, observation: Observation) -> list[list[Estimate | None]]:
-        """The simulated estimator on every sub-frame, each as if it were a frame of its own with next to no blur.
+        """Apply the simulated estimator to every sub-frame, as if it were a frame with hardly any blur.
 
         All are drawn together: a network errs alike on neighbouring sub-frames.
         """

@@ -64,7 +64,7 @@ class _Free:
         return shape @ R_camera_object.transpose(1, 2) + (powers @ self.path)[:, None]
 
     def detached(self) -> "_Free":
-        """A copy that later steps leave alone."""
+        """Return a detached copy."""
         return _Free(*(getattr(self, name).detach().clone() for name in self.__dataclass_fields__))
 
 
@@ -80,7 +80,7 @@ class ShapeFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Silhouettes and images of the object; no pose: it knows no body. Neither case nor starts are looked at."""
+        """Predict silhouettes and images of the object, without a pose; neither case nor starts are used."""
         started = time.perf_counter()
         with one_torch_thread():
             if self._together:
@@ -106,7 +106,7 @@ class ShapeFromBlur:
             return self._rasterizer.render(vertices, best.texture, observation.camera, self._sphere.mesh)
 
     def _optimise(self, start: _Free, window: Observation, size_px: int, iterations: int) -> tuple[float, _Free]:
-        """Adam at one image size; the loss and the iterate that were best."""
+        """Run Adam at one image size; return the best loss and iterate."""
         seen = window.resized(size_px)
         tau = shutter_tau(seen, self._subframes)
         free = start.detached()
@@ -135,7 +135,7 @@ def _begin(start: SphereStart, sphere: Sphere, colour: Float[Tensor, "A A 3"]) -
 def _loss(
     free: _Free, sphere: Sphere, seen: Observation, tau: Float[Tensor, "T S"], rasterizer: Rasterizer
 ) -> Float[Tensor, ""]:
-    """SfB's terms: image formation and silhouette as means over the frames, Laplacian of the shape, total variation."""
+    """Return SfB's terms: image formation and silhouette as means over the frames, Laplacian, total variation."""
     losses = []
     for frame, matte, times in zip(seen.frames_linear, seen.mattes, tau, strict=True):
         mean = rasterizer.render_mean(free.vertices(sphere, times), free.texture, seen.camera, sphere.mesh)

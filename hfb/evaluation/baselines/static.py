@@ -23,7 +23,7 @@ class Static:
         self._body = body
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses alone; the case is not looked at."""
+        """Predict poses alone; the case is not used."""
         started = time.perf_counter()
         poses = torch.stack([start.pose for start in starts])
         translations = torch.stack([start.translation for start in starts])

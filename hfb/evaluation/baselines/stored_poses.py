@@ -65,7 +65,7 @@ def _estimate(kind: str, value: Array, place: Array | None, body: Body, path: Pa
 
 
 def _read(path: Path) -> dict[str, Float[Array, "..."]]:
-    """The known members; sizes are looked at first and no pickle is opened."""
+    """Read the known members; sizes are checked first and no pickle is opened."""
     try:
         arrays = read_arrays(path, _KNOWN, _LIMIT_BYTES)
     except FileNotFoundError:

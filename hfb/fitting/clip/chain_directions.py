@@ -96,7 +96,7 @@ def _nodes(ordered: Sequence[WindowFit]) -> _Nodes:
 
 
 def _joints(trajectory: Trajectory, shaped: ShapedBody) -> Float[Array, "N S 24 3"]:
-    """At the instants of `_CLOCK` [m]."""
+    """Return joints at the instants of `_CLOCK` [m]."""
     with torch.no_grad():
         rotations, translations = trajectory.at(trajectory.rotation.new_tensor(_CLOCK))
         joints = shaped.joints_of(
@@ -108,7 +108,7 @@ def _joints(trajectory: Trajectory, shaped: ShapedBody) -> Float[Array, "N S 24 
 def _least_contradiction(
     joints: Float[Array, "2 N S j 3"], nodes: _Nodes, gaps_u: Float[Array, "T"]
 ) -> Bool[Array, "N"]:
-    """Nodes to reverse, by dynamic programming along the clip; ties stay as fitted."""
+    """Return the nodes to reverse, by dynamic programming along the clip; ties stay as fitted."""
     velocity = (joints[:, :, 2::4] - joints[:, :, 0::4]) / (2 * _STEP)  # at the opening and at the closing
     costs, came_from = np.array([0.0, _TURN_M]), []
     for node in range(1, len(nodes.frame)):

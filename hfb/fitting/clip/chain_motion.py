@@ -174,13 +174,13 @@ class ChainMotion:
         return (1 - share) * early + share * late
 
     def _blended(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """Where two windows claim a frame: from the early one's motion to the late one's, flat at both ends."""
+        """Blend from the early window's motion to the late one's where both have a frame, flat at both ends."""
         (one, here), (other, there) = _evaluated(self.early, u), _evaluated(self.late, u)
         share = _rising(u)[..., None]
         return blend_rotations(one, other, share[..., None]), (1 - share) * here + share * there
 
     def _pure(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """As fitted: the early window up to mid-exposure, the late one from there on."""
+        """Return the motion as fitted: the early window up to mid-exposure, the late one from there on."""
         (one, here), (other, there) = _evaluated(self.early, u), _evaluated(self.late, u)
         late = (u > 0.5)[..., None]
         return torch.where(late[..., None], other, one), torch.where(late, there, here)
@@ -192,7 +192,7 @@ class ChainMotion:
         next_rows: Int[Array, "E"],
         opening: Float[Tensor, "E"],
     ) -> Meeting:
-        """The late motion of some frames against the early motion of others, at an instant on each one's clock."""
+        """Return the gap between the late motion of some frames and the early motion of others."""
         steps = torch.tensor([-STEP, 0.0, STEP], dtype=torch.float64)
         left, right = _rows(self.late, rows), _rows(self.early, next_rows)
         one = _evaluated(left, closing.double()[:, None] + steps)
@@ -201,13 +201,13 @@ class ChainMotion:
 
 
 def _rising(u: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
-    """3 u^2 - 2 u^3 within the exposure, constant outside."""
+    """Return 3 u^2 - 2 u^3 within the exposure, constant outside."""
     s = u.clamp(0, 1)
     return s * s * (3 - 2 * s)
 
 
 def _stacked(ordered: Sequence[WindowFit], places: Sequence[tuple[int, int]]) -> Trajectory:
-    """One frame's polynomials after another, in double precision."""
+    """Stack the frames' polynomials in double precision."""
 
     def parts(name: str) -> Tensor:
         return torch.stack([getattr(ordered[window].trajectory, name)[place].detach() for window, place in places])
@@ -228,7 +228,7 @@ def _rows(motion: Trajectory, rows: Int[Array, "E"]) -> Trajectory:
 
 
 def _evaluated(motion: Trajectory, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-    """Every frame at its own times; frames with the same times at once."""
+    """Evaluate every frame at its own times; frames with the same times at once."""
     clocks, which = torch.unique(u, dim=0, return_inverse=True)
     rotation = u.new_zeros(*u.shape, 24, 4)
     path = u.new_zeros(*u.shape, 3)

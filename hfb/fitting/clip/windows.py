@@ -194,7 +194,7 @@ def fit_windows(
 
 
 def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
-    """Windows of one kind can be one problem."""
+    """Return a key of windows that can be fitted in one batch."""
     seen = scene.observation
     return len(scene.window.frames), scene.identity is not None, seen.exposure_s, seen.interval_s
 

@@ -46,7 +46,7 @@ def joined(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
 
 
 def _way(one: PoseTrack, other: PoseTrack) -> float | None:
-    """How far apart two tracks are where they meet, in heights; None where they are no one's."""
+    """Return the distance of two tracks where they meet, in heights; None where they cannot be one person's."""
     same = all((getattr(one, name) is None) == (getattr(other, name) is None) for name in OPTIONAL)
     if one.rate_hz is not None or not same or (one.size, one.betas_space) != (other.size, other.betas_space):
         return None
@@ -70,7 +70,7 @@ def _way(one: PoseTrack, other: PoseTrack) -> float | None:
 
 
 def _places(track: PoseTrack) -> Float[Array, "R 3"] | None:
-    """Where the person is in the images, and how tall [px]; None where the system does not tell."""
+    """Return the person's position and height in the images [px]; None where the system does not state them."""
     if track.pixels is not None:
         spread = np.nanmax(track.pixels, 1) - np.nanmin(track.pixels, 1)
         return np.column_stack([np.nanmedian(track.pixels, 1), np.maximum(spread.max(1), 1.0)])

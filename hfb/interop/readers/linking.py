@@ -62,7 +62,7 @@ def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Flo
 def _followed(
     before: list[SeenT], now: list[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]
 ) -> dict[int, int]:
-    """Whom of `before` those of `now` continue, by their places in the lists."""
+    """Match the people of `now` with those of `before`, by their places in the lists."""
     if not before:
         return {}
     steps = np.array([min(now[0].number - one.number, _MOST_STEPS) for one in before], np.float64)

@@ -79,7 +79,7 @@ def read_tracks(
 
 
 def _usable(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
-    """Everybody with rows of which a body can be made."""
+    """Return all people with rows from which a body can be made."""
     if not any(len(track) for track in tracks):
         raise InputError("it holds nobody")
     usable = [track for track in map(tidy, tracks) if len(track)]

@@ -54,7 +54,7 @@ def write_bvh(path: Path, motion: SampledMotion) -> None:
 
 
 def _angles(quaternions: Float[Array, "F 24 4"]) -> Float[Array, "F 24 3"]:
-    """Degrees about z, x, y, without jumps of a full turn from row to row."""
+    """Return degrees about z, x, y, without jumps of a full turn from row to row."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # at x = 90 degrees one of many equal answers is taken
         turns = Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True).as_euler(_ORDER)
@@ -66,12 +66,12 @@ def _children(joint: int) -> list[int]:
 
 
 def _depth_first(joint: int) -> list[int]:
-    """Joints in the order in which the file opens them, which is that of its columns."""
+    """Return joints in the order of the file's hierarchy and columns."""
     return [joint, *(one for child in _children(joint) for one in _depth_first(child))]
 
 
 def _joint(joint: int, rest: Float[Array, "24 3"], depth: int) -> list[str]:
-    """A joint's lines, and its children's."""
+    """Return the lines of a joint and its children."""
     margin, parent = "  " * depth, PARENTS[joint]
     offset = rest[joint] - rest[parent] if parent >= 0 else np.zeros(3)
     turns = " ".join(f"{axis}rotation" for axis in _ORDER)

@@ -203,7 +203,7 @@ def _knots(motion: SampledMotion) -> _Knots:
 
 
 def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "M c"]:
-    """Of every run of rows that begins where it is new."""
+    """Return the mean of every run of rows that starts at a new instant."""
     starts = np.flatnonzero(new)
     if len(starts) == len(values):
         return values
@@ -213,7 +213,7 @@ def _means(values: Float[Array, "R c"], new: Bool[Array, "R"]) -> Float[Array, "
 
 
 def _runs(frames: Int[Array, "R"]) -> list[slice]:
-    """The rows of one frame after another."""
+    """Return the rows of one frame after another."""
     edges = [0, *(np.flatnonzero(np.diff(frames)) + 1).tolist(), len(frames)]
     return [slice(start, stop) for start, stop in pairwise(edges)]
 
@@ -253,14 +253,14 @@ def _keys(knots: _Knots, times_s: Float[Array, "F"]) -> MotionKeys:
 
 
 def _between(knots: _Knots, times_s: Float[Array, "n"]) -> Float[Array, "n c"]:
-    """The cubics through the knots around some instants, which increase."""
+    """Evaluate the cubics through the knots at increasing instants."""
     first, last = np.searchsorted(knots.times_s, times_s[[0, -1]], side="right")
     near = slice(int(np.clip(first - 1, 0, len(knots.times_s) - 2)), int(max(last, first)) + 1)
     return CubicHermiteSpline(knots.times_s[near], knots.values[near], knots.slopes[near], axis=0)(times_s)
 
 
 def _absences(knots: _Knots, times_s: Float[Array, "F"]) -> Iterator[tuple[int, slice]]:
-    """(the exposure before it, the instants in it) of every stretch in which the person is missing."""
+    """Yield (the exposure before it, the instants in it) of every stretch in which the person is missing."""
     opens, closes = knots.times_s[knots.opening], knots.times_s[knots.closing]
     tolerance = 1e-9 * max(1.0, float(knots.times_s[-1]))
     interval = float(np.median(np.diff(opens) / np.diff(knots.frames))) if len(opens) > 1 else np.inf

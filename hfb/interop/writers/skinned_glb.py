@@ -98,7 +98,7 @@ def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes 
 
 
 def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
-    """What a program may want to know of the whole file."""
+    """Return the file's `extras`."""
     return {
         "betas": [round(float(beta), 6) for beta in motion.betas],
         "betas_space": body.betas_space,
@@ -111,7 +111,7 @@ def _facts(motion: SampledMotion, body: Body) -> dict[str, Any]:
 
 
 def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str, Any]:
-    """The person in the rest pose."""
+    """Add the person in the rest pose and return the mesh's primitive."""
     skin = skin_of(body, betas)
     attributes = {
         "POSITION": buffer.add(skin.vertices, ARRAY_BUFFER, bounds=True),
@@ -125,7 +125,7 @@ def _mesh(buffer: GlbBuffer, body: Body, betas: Float[Tensor, "K"]) -> dict[str,
 
 
 def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24 3"]) -> list[dict[str, Any]]:
-    """The skeleton, standing as it does in the first sub-frame."""
+    """Return the skeleton, posed as in the first sub-frame."""
     radius = motion.joint_radius_mm
     nodes: list[dict[str, Any]] = []
     for joint, (name, parent) in enumerate(zip(JOINT_NAMES, PARENTS, strict=True)):
@@ -148,7 +148,7 @@ def _joint_nodes(motion: SampledMotion, keys: MotionKeys, rest: Float[Array, "24
 
 
 def _animations(buffer: GlbBuffer, keys: MotionKeys, rest: Float[Array, "24 3"], slow: float) -> list[dict[str, Any]]:
-    """The same poses at two paces."""
+    """Return both animations of the same poses."""
     places = buffer.add(_rows(rest[0] + keys.translations))
     turns = [buffer.add(_rows(np.roll(keys.quaternions[:, joint], -1, -1))) for joint in range(JOINT_COUNT)]
     animations = []

@@ -99,7 +99,7 @@ def _sony_rate(xml: bytes) -> float | None:
 
 
 def _gopro_rate(settings: bytes) -> float | None:
-    """VFPS of GoPro's key-length-value records: numerator and denominator."""
+    """Read VFPS of GoPro's key-length-value records: numerator and denominator."""
     at = settings.find(b"VFPS")
     if at < 0 or len(settings) < at + 8:
         return None
@@ -113,7 +113,7 @@ def _gopro_rate(settings: bytes) -> float | None:
 
 
 def _boxes_of(path: Path, *wanted: tuple[bytes, ...]) -> Iterator[tuple[bytes, bytes]]:
-    """(kind, content) of the boxes of an MP4 or MOV at the given places; nothing of other files, or damaged ones."""
+    """Yield (kind, content) of an MP4's or MOV's boxes at the given places; nothing of other or damaged files."""
     try:
         with path.open("rb") as file:
             end = file.seek(0, 2)

@@ -144,7 +144,7 @@ class Footage:
         return frame if self.lens is None else self.lens.undistorted(frame)
 
     def _single(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames of the file as stored."""
+        """Yield frames of the file as stored."""
         if self.index is None:
             yield from (
                 read_picture_srgb(path, self.stored) for path in self.files[self.first + start : self.first + stop]
@@ -272,7 +272,7 @@ def _of_video(
 
 
 def _remarks(index: VideoIndex) -> Iterator[str]:
-    """What a user should know of how a video is read."""
+    """Yield remarks for the user on how a video is read."""
     yield from index.remarks
     if index.aspect != 1:
         yield (
@@ -319,7 +319,7 @@ def _averaged(sharp: Footage, average: int) -> Footage:
 def _range(
     times_s: Float[Array, "T"], start: int, stop: int | None, start_s: float | None, stop_s: float | None, place: Path
 ) -> tuple[int, int]:
-    """(first, last + 1) frame of the file."""
+    """Return the (first, last + 1) frame of the file."""
     clock = times_s - times_s[0]
     tolerance = 1e-6
     first = max(start, int(np.searchsorted(clock, start_s - tolerance)) if start_s is not None else 0)

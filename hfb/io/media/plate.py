@@ -68,7 +68,7 @@ def find_plate(
 
 
 def _in_square_pixels(stored: Float[Array, "h w 3"], footage: Footage) -> Float[Array, "H W 3"]:
-    """An image taken out of a video whose pixels are not square, as its frames are read; it may be turned already."""
+    """Stretch an image from a video of non-square pixels like its frames; it may be turned already."""
     height, width = stored.shape[:2]
     aspect = footage.index.aspect if footage.index else 1.0
     if aspect != 1 and (footage.height, footage.width) in (
@@ -198,7 +198,7 @@ def constant_changes(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"
 
 
 def _constant(looks: Float[Array, "n h w 3"], changed: Bool[Array, "n h w"], least: float) -> Shaped[Array, "h w"]:
-    """1 where at least so many looks differ, most of them in the same way, but for specks; 0 elsewhere."""
+    """Return 1 where enough frames differ, most of them in the same way, except specks; 0 elsewhere."""
     count = changed.sum(0)
     often = count >= least
     usual = np.nanmedian(np.where((changed & often)[..., None], looks, np.where(often, np.nan, 0)[..., None]), axis=0)
@@ -213,7 +213,7 @@ def _largest_area(mask: Bool[Array, "h w"]) -> int:
 
 
 def _slope(gray: Float[Array, "h w"]) -> Float[Array, "h w"]:
-    """How steep an image is [per pixel]."""
+    """Return an image's gradient magnitude [per pixel]."""
     gray = np.asarray(gray, np.float32)
     return np.hypot(cv2.Sobel(gray, -1, 1, 0), cv2.Sobel(gray, -1, 0, 1)) / 8
 
@@ -237,7 +237,7 @@ def _small(picture: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
 
 
 def _count_in_memory(footage: Footage) -> int:
-    """How many frames a median may hold at once."""
+    """Return how many frames a median may hold at once."""
     frame_bytes = footage.height * footage.width * 3 * (footage.bits // 8)
     return int(np.clip(_MEMORY_BYTES // frame_bytes, _FEWEST_FRAMES, _MOST_FRAMES))
 
@@ -247,7 +247,7 @@ def _spread(footage: Footage, most: int) -> Array:
 
 
 def _spread_over(count: int, most: int) -> Array:
-    """An odd number of frames (the median is then one of the values), evenly over the footage; both of only two."""
+    """Return an odd number of frames (the median is then one of the values), evenly spread; both of only two."""
     wanted = min(most, count)
     wanted -= 1 - wanted % 2 if wanted > 2 else 0
     return np.unique(np.linspace(0, count - 1, wanted).round().astype(np.int64))
@@ -271,7 +271,7 @@ def _median(footage: Footage, chosen: Array, on_progress: OnProgress | None) -> 
 
 
 def _still_spans(footage: Footage, on_progress: OnProgress | None) -> list[tuple[int, int]]:
-    """(first, last) of every stretch in which no frame differs from the stretch's first one, the longest first."""
+    """Return (first, last) of every stretch in which no frame differs from its first one, the longest first."""
     spans: list[tuple[int, int]] = []
     first, reference = 0, None
     for number, frame in enumerate(footage.frames()):

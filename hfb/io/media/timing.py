@@ -63,7 +63,7 @@ def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConf
 
 
 def _exposure(footage: Footage, exposure: ClipExposure, config: ExposureConfig) -> tuple[float, str]:
-    """(exposure [s], where it comes from)."""
+    """Return the exposure [s] and its source."""
     interval_s = footage.interval_s
     if footage.average > 1:
         return interval_s, f"exposure: the whole interval, as the mean of {footage.average} frames"

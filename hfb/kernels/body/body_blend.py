@@ -21,7 +21,7 @@ _LINE = 32  # 16-bit numbers that memory hands over at once
 
 @njit(**LOOP)
 def _read_ahead(directions, v):
-    """Have a vertex's directions read; beyond the last one nothing happens."""
+    """Prefetch a vertex's directions; beyond the last one nothing happens."""
     for k in range(0, 3 * FEATURES, _LINE):
         prefetch(directions, 3 * v * FEATURES + k)
 

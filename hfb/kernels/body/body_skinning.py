@@ -49,7 +49,7 @@ def add_shape(betas, template, rows, shaped):
 
 @njit(**INLINE)
 def _inner_product(rows, k, given):
-    """Of a row and as many numbers."""
+    """Return the inner product of a row with as many numbers."""
     zero, count = lanes(given.dtype.type(0.0)), given.shape[0]
     one, two, three, four = zero, zero, zero, zero
     whole, at = count - count % (4 * LANES), k * count
@@ -222,7 +222,7 @@ def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices)
 
 @njit(**INLINE)
 def _row_of(table, at, x, y, z, weight, added):
-    """A row of a joint's transforms times a weighed point."""
+    """Return a row of a joint's transforms times a weighted point."""
     added = multiply_add(load_lanes(table, at + 9 * LANES), weight, added)
     added = multiply_add(load_lanes(table, at), x, added)
     added = multiply_add(load_lanes(table, at + 3 * LANES), y, added)

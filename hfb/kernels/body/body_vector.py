@@ -21,14 +21,14 @@ def _ahead(builder, position, count):
 
 
 def _directions(context, builder, array_type, array, at, kind):
-    """A block of a vertex's three rows of directions, as real numbers."""
+    """Load a block of a vertex's three rows of directions, as real numbers."""
     rows = [load(context, builder, array_type, array, _ahead(builder, at, row * FEATURES), BLOCK) for row in range(3)]
     block = ir.VectorType(kind, BLOCK)
     return [builder.sitofp(row, block) for row in rows] if isinstance(array_type.dtype, types.Integer) else rows
 
 
 def _sums(builder, blocks):
-    """The sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
+    """Return the sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
     half = BLOCK // 2
     blocks = [
         builder.fadd(shuffle(builder, one, one, range(half)), shuffle(builder, one, one, range(half, BLOCK)))

@@ -12,7 +12,7 @@ EPSILON = 1e-12  # as in `hfb.priors.anatomy.twist_swing`
 
 @njit(**INLINE)
 def _cost(angle, lowest, highest, mean, spread, softness):
-    """Of one angle, and its slope."""
+    """Return the cost of one angle, and its slope."""
     distance, excess = (angle - mean) / spread, (angle - min(max(angle, lowest), highest)) / softness
     return 0.5 * (distance * distance + excess * excess), distance / spread + excess / softness
 

@@ -43,7 +43,7 @@ def _window_of(window, k):
 
 @njit(**INLINE)
 def _share(size, at):
-    """Of a coarse pixel's mean that one row or column of it has."""
+    """Return one row's or column's share of a coarse pixel's mean."""
     return 1.0 if at == size - 1 and size % 2 == 1 else 0.5
 
 
@@ -96,7 +96,7 @@ def _sum_row(values, first, count):
 
 @njit(**INLINE)
 def _inside(seen, first, width, left, top, right, bottom, which):
-    """A sum of `seen` over the pixels of a window."""
+    """Return a sum of `seen` over the pixels of a window."""
     above, below = first + top * (width + 1), first + bottom * (width + 1)
     upper = seen[above + right, which] - seen[above + left, which]
     return seen[below + right, which] - seen[below + left, which] - upper

@@ -127,7 +127,7 @@ def _survey(vertices, lens, faces, edge_faces, coloured):
 
 @njit(**JIT)
 def _make_room(projected, boxes, outline, ends):
-    """How many pixels and pieces each body can have at most (n, 2), and one more that is written to and not kept."""
+    """Return the largest possible number of pixels and pieces of each body (n, 2), plus one that is only written to."""
     room = np.empty((projected.shape[0], 2), np.int64)
     for s in range(projected.shape[0]):
         box = boxes[s]

@@ -170,7 +170,7 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
 
 
 def _around(boxes: Sequence[Sequence[int]]) -> Box:
-    """What holds all boxes, whose right is left of their left where nothing is drawn; then of no size."""
+    """Return the box around all boxes, empty where nothing is drawn."""
     left, top, right, bottom = zip(*boxes, strict=True) if boxes else [(0,)] * 4
     return min(left), min(top), max(*right, min(left)), max(*bottom, min(top))
 

@@ -56,7 +56,7 @@ def _sift(distance, side, slot, k, value, which):
 
 @njit(**INLINE)
 def _keep(distance, side, filled, slot, value, which):
-    """Remember a face if it is among the nearest: a list until that is full, from then on a heap."""
+    """Store a face if it is among the nearest: a list until that is full, from then on a heap."""
     n = filled[slot]
     if n < distance.shape[1]:
         distance[slot, n], side[slot, n] = value, which
@@ -70,7 +70,7 @@ def _keep(distance, side, filled, slot, value, which):
 
 @njit(**LOOP)
 def _count_open(seen, open_before):
-    """Running count, along each row, of the pixels that show no body; returns their number."""
+    """Count, along each row, the pixels that show no body; return their number."""
     total = 0
     for r in range(seen.shape[0]):
         open_before[r, 0] = 0
@@ -139,7 +139,7 @@ def _nearest_face(distance, side, slot, n):
 
 @njit(**LOOP)
 def _combine(distance, slot, n, inverse_delta, missed, slopes):
-    """R_S of one halo pixel; `slopes` receives its derivatives by the squared distances (products without one)."""
+    """Return R_S of one halo pixel; `slopes` gets its derivatives by the squared distances (products without one)."""
     before = 1.0
     for q in range(n):
         missed[q] = 1.0 - np.exp(-inverse_delta * distance[slot, q])
@@ -200,7 +200,7 @@ def _list_pixels(
 
 @njit(**JIT)
 def _trace(projected, faces, box, width, seen, mask, soft):
-    """(outline, pixels, coverage, owners, sides, weights, codes) of one body's soft silhouette."""
+    """Return (outline, pixels, coverage, owners, sides, weights, codes) of one body's soft silhouette."""
     height, breadth = seen.shape
     open_before = np.empty((height, breadth + 1), np.int32)
     n_open = _count_open(seen, open_before)

@@ -97,7 +97,7 @@ class _RenderedLosses(torch.autograd.Function):
 
 
 def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
-    """Pictures, and the box that holds all that is drawn; keeps what `_input_gradients` needs."""
+    """Return images and the box around all that is drawn; save values for `_input_gradients`."""
     drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
     ctx.save_for_backward(vertices, texture)  # detects changes in the meantime
     ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
@@ -105,7 +105,7 @@ def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tup
 
 
 def _input_gradients(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
-    """Gradients of the vertices and of the texture, those that are wanted."""
+    """Return the wanted gradients by the vertices and by the texture."""
     vertices, texture = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
     of_vertices, of_texture = pull_bodies(

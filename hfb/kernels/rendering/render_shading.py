@@ -95,7 +95,7 @@ def _gather_edges(n, width, pixels, codes, coverage, scale, outline, projected, 
 
 @njit(**LOOP)
 def _untangle(n, near, table):
-    """What was gathered as rows."""
+    """Transpose the gathered numbers to rows."""
     for q in range(0, n, 8):
         for block in range(0, GATHERED, 4 * BATCH):
             untangle(table, block + q, near, block + 4 * q)
@@ -103,7 +103,7 @@ def _untangle(n, near, table):
 
 @njit(**LOOP)
 def _weigh_corners(n, table):
-    """Weights of a face's corners at the pixel's centre, which lies in it, and their slopes."""
+    """Compute weights of a face's corners at the pixel's centre, which is inside it, and their slopes."""
     kind = table.dtype.type
     zero, one, tiny = kind(0.0), kind(1.0), kind(TINY_PX2)
     for m in range(n):
@@ -141,7 +141,7 @@ def _weigh_ends(n, table):
 
 @njit(**LOOP)
 def _find_texels(n, size, table, places):
-    """From the corners' weights to the texels: perspective-correct texture coordinates and bilinear weights."""
+    """Compute, from the corners' weights, perspective-correct texture coordinates and bilinear weights."""
     kind = table.dtype.type
     zero, half, one, across = kind(0.0), kind(0.5), kind(1.0), kind(size)
     last, most = across - one, np.int32(max(size, 2) - 2)
@@ -238,7 +238,7 @@ def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture
 
 @njit(**LOOP)
 def _ask_texels(n, texture, picture_gradient, table, places, texture_gradient):
-    """The image's gradient times each of the four texels; adds the texture's own gradient where it is wanted."""
+    """Multiply the image's gradient with each of the four texels; add the texture's own gradient where it is wanted."""
     size = texture.shape[0]
     right = 4 * min(size - 1, 1)
     down = right * size

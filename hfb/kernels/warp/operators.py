@@ -36,17 +36,17 @@ def _prepare(tensor: Tensor) -> AbstractContextManager:
 
 
 def _array(tensor: Tensor, dtype: type | None = None) -> object:
-    """A tensor as Warp's kernels take it: the same memory."""
+    """Return a tensor as an array of Warp, in the same memory."""
     return wp.from_torch(tensor.detach(), dtype, requires_grad=False)
 
 
 def _points(tensor: Tensor) -> object:
-    """Rows of three as vectors."""
+    """Return rows of three as vectors."""
     return _array(tensor, wp.vec3d)
 
 
 def _mask(topology: Sequence[Tensor]) -> object:
-    """Bits that hold any index of a face or an edge."""
+    """Return a mask of the bits that hold any index of a face or an edge."""
     return wp.int64((1 << (max(len(topology[0]), len(topology[1])) - 1).bit_length()) - 1)
 
 

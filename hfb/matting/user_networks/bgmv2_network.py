@@ -21,7 +21,7 @@ class MattingNetwork(nn.Module):
     """Base and, where the weights have one, refiner; its attributes are those of the released TorchScript files."""
 
     def __init__(self, backbone: str, refined: bool) -> None:
-        """`backbone`: mobilenetv2, resnet50 or resnet101."""
+        """Build the layers; `backbone` is mobilenetv2, resnet50 or resnet101."""
         super().__init__()
         self.backbone = MobileNetV2(6) if backbone == "mobilenetv2" else ResNet(6, 23 if backbone == "resnet101" else 6)
         deepest, *finer = self.backbone.channels
@@ -55,7 +55,7 @@ class MattingNetwork(nn.Module):
         return fine[:, :1].clamp(0, 1), (fine[:, 1:] + src).clamp(0, 1), alpha, error
 
     def _chosen(self, error: Float[Tensor, "B 1 h w"], rows: int, columns: int) -> Bool[Tensor, "B a b"] | None:
-        """Patches to look at again; None for all of them at once."""
+        """Return the patches to refine; None for all of them at once."""
         if self.refine_mode == "full":
             return None
         error = _resized(error, (rows, columns))[:, 0]
@@ -188,7 +188,7 @@ def network_of(state: Mapping[str, Tensor]) -> MattingNetwork:
 
 
 def _patches(picture: Tensor, side: int, step: int, chosen: Bool[Tensor, "B a b"]) -> Float[Tensor, "n C side side"]:
-    """Windows of a padded image, one per chosen patch."""
+    """Return windows of a padded image, one per chosen patch."""
     windows = picture.permute(0, 2, 3, 1).unfold(1, side, step).unfold(2, side, step)
     return windows[chosen]
 

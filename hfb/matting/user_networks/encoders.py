@@ -70,7 +70,7 @@ class ResNet(nn.Module):
 
 
 def _stage(before: int, inner: int, blocks: int, stride: int, dilation: int = 1) -> nn.Sequential:
-    """The first block is strided, and not yet dilated."""
+    """Build a stage, whose first block is strided, and not yet dilated."""
     first = Bottleneck(before, inner, stride, 1)
     return nn.Sequential(first, *(Bottleneck(4 * inner, inner, 1, dilation) for _ in range(blocks - 1)))
 

@@ -151,7 +151,7 @@ class BackgroundMattingV2:
         )
 
     def _network(self, height: int, width: int) -> Network:
-        """With the coarse scale and the refined pixels for an image of this size."""
+        """Return the network with coarse scale and refined pixels for an image of this size."""
         scale = self._scale or float(np.clip(_COARSE_PX / max(height, width), *_COARSE_SCALES))
         # More pixels than there are, and the network's own choice of the worst fails.
         usual = max(_REFINED_PIXELS, round(_REFINED_SHARE * height * width))
@@ -172,7 +172,7 @@ class RobustVideoMatting:
     """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not used."""
 
     def __init__(self, path: Path, tile_px: int | None = None, half: bool = False) -> None:
-        """Raises InputError where the file cannot be used."""
+        """Load the network. Raises InputError where the file cannot be used."""
         self._network = load_network(path, half=half)
         self._tile_px = tile_px
         self._onnx = is_onnx(path)
@@ -231,7 +231,7 @@ def weights_of(path: Path) -> MattingNetwork:
 
 
 def _unwrapped(checkpoint: object) -> object:
-    """The weights of a checkpoint that holds the state of a training besides."""
+    """Return the weights of a checkpoint that also holds the state of a training."""
     if isinstance(checkpoint, dict):
         for name in ("state_dict", "model_state_dict"):
             if isinstance(checkpoint.get(name), dict):
@@ -246,7 +246,7 @@ def _srgb(picture: Picture | Plate) -> Float[Array, "H W 3"]:
 def _at_size(
     pictures: _Pictures, tile_px: int | None, look: Callable[[_Pictures], Float[Array, "h w"]]
 ) -> Float[Array, "H W"]:
-    """A matte at the frame's size, of a network that sees it in tiles, or at a size that fits into memory."""
+    """Return the matte at the frame's size, of a network that runs in tiles, or at a size that fits into memory."""
     height, width = pictures[0].shape[:2]
     if tile_px is not None and max(height, width) > tile_px:
         alpha = _in_tiles(pictures, tile_px, look)
@@ -263,7 +263,7 @@ def _at_size(
 def _in_tiles(
     pictures: _Pictures, tile_px: int, look: Callable[[_Pictures], Float[Array, "h w"]]
 ) -> Float[Array, "H W"]:
-    """Tiles that overlap and fade into each other; memory is a tile's."""
+    """Run in overlapping tiles that are blended; memory is a tile's."""
     height, width = pictures[0].shape[:2]
     total, weight = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
     for top, bottom, down in _tiles(height, tile_px):
@@ -276,7 +276,7 @@ def _in_tiles(
 
 
 def _tiles(length: int, tile_px: int) -> Iterator[tuple[int, int, Float[Array, "n"]]]:
-    """First and last pixel (exclusive) of each tile along a side, and its weights, which fall to its ends."""
+    """Yield first and last pixel (exclusive) of each tile along a side, and its weights, which fall to its ends."""
     size = min(length, tile_px)
     count = 1 if size == length else 1 + int(np.ceil((length - size) / (size * (1 - _TILES_SHARE))))
     for first in np.linspace(0, length - size, count).round().astype(int):
@@ -306,7 +306,7 @@ def _planes(picture: Float[Array, "H W 3"]) -> Float[Array, "1 3 H W"]:
 
 
 def _alpha(outputs: Outputs, name: str, place: int, size: tuple[int, int]) -> Float[Array, "H W"]:
-    """The output of that name, else the one at that place."""
+    """Return the output of that name, else the one at that place."""
     array = outputs.get(name if name in outputs.names else place)
     if array.shape[-2:] != size or array.size != size[0] * size[1]:
         raise InputError(

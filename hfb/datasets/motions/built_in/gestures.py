@@ -55,7 +55,7 @@ class Gesture:
 
 
 def _read_pose(text: str) -> dict[str, float]:
-    """Channel by channel; a first word without a number is a stance, a limb's word without a side means both."""
+    """Parse a pose channel by channel; a first word without a number is a stance, a limb without a side means both."""
     pose: dict[str, float] = {}
     for item in text.split(","):
         word, _, number = item.strip().partition(" ")
@@ -67,12 +67,12 @@ def _read_pose(text: str) -> dict[str, float]:
 
 
 def _read_lines(text: str) -> list[str]:
-    """Lines with those that continue them."""
+    """Join lines with their continuations."""
     return re.sub(r"\n {8,}", " ", text.strip("\n")).splitlines()
 
 
 def _read_movements(text: str) -> tuple[Gesture, ...]:
-    """The book's movements, in its order."""
+    """Parse the book's movements, in its order."""
     heads: list[str] = []
     keys: list[list[tuple[float, dict[str, float]]]] = []
     for line in _read_lines(text):

@@ -82,7 +82,7 @@ class ProceduralMotions:
 
 
 def _perform(gesture: Gesture, times_s: Float[Array, "F"], rng: np.random.Generator) -> Float[Array, "F 30"]:
-    """The gesture again and again: every key pose a little different each time, at a tempo and size of its own."""
+    """Repeat the gesture: every key pose varies a little, with a random tempo and size."""
     seconds = gesture.seconds / rng.uniform(0.9, 1.3)
     size = rng.uniform(0.85, 1.1)
     start = rng.uniform(0, seconds)
@@ -110,7 +110,7 @@ def _pose(changes: dict[str, float], size: float) -> Float[Array, "30"]:
 
 
 def _mirror(angles: Float[Array, "*n 30"]) -> Float[Array, "*n 30"]:
-    """Left and right exchanged."""
+    """Exchange left and right."""
     mirrored = angles.copy()
     mirrored[..., SIDED] *= -1
     left = slice(TRUNK_COUNT, TRUNK_COUNT + LIMB_COUNT)
@@ -120,7 +120,7 @@ def _mirror(angles: Float[Array, "*n 30"]) -> Float[Array, "*n 30"]:
 
 
 def _within_ranges(angles: Float[Array, "F 30"]) -> Float[Array, "F 30"]:
-    """Smoothly into every joint's range: unchanged well inside, never beyond."""
+    """Limit angles smoothly to every joint's range: unchanged well inside, never beyond."""
     low, high = np.array([RANGES[name.removeprefix("l_").removeprefix("r_")] for name in CHANNELS]).T
     soft = np.where(np.array(CHANNELS) == "hop", 1e-3, _SOFT_DEG)
     above = low + soft * np.logaddexp(0, (angles - low) / soft)
@@ -141,7 +141,7 @@ def _chain(*turns: Float[Array, "F 4"]) -> Float[Array, "F 4"]:
 
 
 def _rotations(angles: Float[Array, "F 30"]) -> Float[Array, "F 24 4"]:
-    """The words of anatomy as SMPL's joint rotations (see the signs in `hfb.priors.anatomy`)."""
+    """Convert anatomical angles to SMPL's joint rotations (see the signs in `hfb.priors.anatomy`)."""
     word = {name: angles[:, column] for column, name in enumerate(CHANNELS)}
     local = np.zeros((len(angles), len(JOINT_NAMES), 4))
     local[..., 0] = 1
@@ -173,7 +173,7 @@ def _rotations(angles: Float[Array, "F 30"]) -> Float[Array, "F 24 4"]:
 
 
 def _travel(local: Float[Array, "F 24 4"], hop_m: Float[Array, "F"]) -> Float[Array, "F 3"]:
-    """Where the body goes: the lowest foot is on the ground but for hops, and stays where it stands."""
+    """Return the body's translation: the lowest foot is on the ground except in hops, and stays where it stands."""
     rest = rest_joints()
     world = to_world(local)
     joints = joint_positions(world, np.zeros((len(local), 3)), rest)

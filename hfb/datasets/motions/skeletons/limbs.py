@@ -69,7 +69,7 @@ class Limb:
         return unit(rotate(conjugate(self.frame), axes).sum(0))
 
     def _smooth(self, seen: np.ndarray, sine: Float[Array, "F"]) -> np.ndarray:
-        """Smallest sum of: distance from what is seen (as much as it weighs), from no turn, and change over time."""
+        """Smooth turns: minimise the weighted distance from the observations, from zero, and the change over time."""
         weight = sine * sine
         stiffness = (_CARRY_S * self.fps) ** 2 * _FRAME_WEIGHT
         bands = np.zeros((2, len(seen)))

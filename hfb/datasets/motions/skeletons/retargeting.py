@@ -109,7 +109,7 @@ def retarget(motion: BvhMotion) -> Retargeted:
 
 
 def _set_trunk(world: Float[Array, "F 24 4"], source: _Source) -> None:
-    """Pelvis, chest, collars and head; the joints between share the bend evenly."""
+    """Set pelvis, chest, collars and head; the joints between share the bend evenly."""
     pelvis, chest, head = (source.part(name) for name in ("pelvis", "chest", "head"))
     bend, nod = multiply(conjugate(pelvis), chest), multiply(conjugate(chest), head)
     world[:, _J["pelvis"]], world[:, _J["spine3"]], world[:, _J["head"]] = pelvis, chest, head
@@ -135,7 +135,7 @@ class _Turned:
 
 
 def _turn_limb(source: _Source, side: str, parts: tuple[str, str, str], away: Float[Array, "F 3"]) -> _Turned:
-    """Both bones' directions as in the recording; bends towards `away` where neither bends nor rest pose tell."""
+    """Set both bones' directions as recorded; bends towards `away` where neither bends nor rest pose determine it."""
     names = [f"{side}_{part}" for part in parts]
     joints = [source.joints.limbs[name] for name in names]
     start, middle, end = (source.places[:, joint] for joint in joints)
@@ -156,7 +156,7 @@ def _turn_limb(source: _Source, side: str, parts: tuple[str, str, str], away: Fl
 
 
 def _set_leg(world: Float[Array, "F 24 4"], source: _Source, side: str) -> bool:
-    """Whether the knee bent backwards and was turned round."""
+    """Set a leg's rotations; return whether the knee bent backwards and was turned round."""
     leg = _turn_limb(source, side, ("hip", "knee", "ankle"), rotate(world[:, 0], -_FORWARD))
     world[:, _J[f"{side}_hip"]], world[:, _J[f"{side}_knee"]] = leg.upper, leg.lower
     ankle, toe = source.joints.limbs[f"{side}_ankle"], source.joints.toes[side]

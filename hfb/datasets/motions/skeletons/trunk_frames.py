@@ -63,7 +63,7 @@ def trunk_offsets(
 
 
 def _cosines(one: Float[Array, "F 4"], other: Float[Array, "F 4"]) -> Float[Array, "F"]:
-    """Of half the angle between rotations."""
+    """Return the cosine of half the angle between rotations."""
     return np.abs((one * other).sum(-1))
 
 

@@ -48,7 +48,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
-    """The joints by their name, or an array alone that can be nothing else."""
+    """Return the joints by their name, or an array alone that can be nothing else."""
     name = next((name for name in _NAMES if name in one), None)
     if name is not None:
         return array_in(one[name])

@@ -116,7 +116,7 @@ def _of_array(given: Float[Array, "..."], one: dict[str, Any], size: tuple[int, 
 
 
 def _of_mmpose(frames: list[Any]) -> list[dict[str, Any]]:
-    """MMPose's detections as COCO's; its demo counts frames from 1."""
+    """Convert MMPose's detections to COCO's; its demo counts frames from 1."""
     parts = []
     for frame in named_all(frames, ("frame_id", "instances")) or []:
         for one in named_all(frame["instances"], ("keypoints", "keypoint_scores")) or []:
@@ -176,7 +176,7 @@ def _is_number(image: Any) -> bool:
 
 
 def _number(image: Any) -> int:
-    """Of an image: its id, or the last number of its name."""
+    """Return an image's number: its id, or the last number of its name."""
     if _is_number(image):
         return int(image)
     number = number_in(text_of(image))
@@ -195,7 +195,7 @@ def _points(value: Any) -> Float[Array, "J 3"]:
 def _person(
     name: str, found: list[_Detection], size: tuple[int, int], names: tuple[str | None, ...] | None = None
 ) -> PoseTrack:
-    """A camera is assumed, whose focal length is the image's diagonal: it only says how large a person is."""
+    """Build a track with an assumed camera whose focal length is the image's diagonal; only sizes depend on it."""
     found = sorted(found, key=lambda detection: detection.number)
     height, width = size
     K = pinhole(math.hypot(height, width), width / 2, height / 2)
@@ -214,7 +214,7 @@ def _person(
 
 
 def _as_24(points: Float[Array, "J c"], names: tuple[str | None, ...] | None) -> Float[Array, "24 2"]:
-    """By SMPL's joints, NaN where unknown or not trusted; pelvis and neck between hips and shoulders."""
+    """Return SMPL's joints, NaN where unknown or unreliable; pelvis and neck between hips and shoulders."""
     if names is None:
         count = 17 if len(points) in _MORE_THAN_COCO else len(points)
         names = _LAYOUTS.get(count)

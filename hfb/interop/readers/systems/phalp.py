@@ -48,7 +48,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _seen(frame: dict[str, Any]) -> list[int]:
-    """Places of those who are seen in a frame."""
+    """Return the places of those who are visible in a frame."""
     count = min(len(frame[name]) for name in ("tid", "smpl", "camera"))
     return [at for at in range(count) if not _stale(frame, at)]
 

@@ -51,7 +51,7 @@ def _person(name: str, one: dict[str, Any], size: tuple[int, int]) -> PoseTrack:
 
 
 def _size(one: dict[str, Any], camera: Float[Array, "N 4"]) -> tuple[int, int] | None:
-    """The images' size, which is in the file only as the ratio of its two cameras: sx = s h / W, sy = s h / H."""
+    """Return the images' size, which is stored only as the ratio of two cameras: sx = s h / W, sy = s h / H."""
     if one.get("pred_cam") is None or one.get("bboxes") is None:
         return None
     scale = numbers_at(one, "pred_cam", len(camera), 3, finite=False)[:, 0]

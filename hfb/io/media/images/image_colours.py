@@ -212,7 +212,7 @@ def _profile_name(profile: bytes) -> str:
 
 
 def _icc_curve(tag: bytes) -> Curve:
-    """A `curv` or `para` tag."""
+    """Parse a `curv` or `para` tag."""
     if tag[:4] == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)
         if count == 0:
@@ -240,7 +240,7 @@ def _icc_curve(tag: bytes) -> Curve:
 
 
 def _curve_of(transfer: int) -> Curve | None:
-    """Of ITU-T H.273's numbers; None where it is as sRGB's, or not known."""
+    """Return the curve of an ITU-T H.273 number; None where it is sRGB's, or unknown."""
     powers = {4: 2.2, 5: 2.8, 8: 1.0}
     return srgb_to_linear if transfer in _AS_SRGB else _power(powers[transfer]) if transfer in powers else None
 
@@ -257,7 +257,7 @@ def _to_srgb(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"
 
 
 def _to_xyz_d50(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"]:
-    """Linear RGB to XYZ, its white adapted to D50 by Bradford's way."""
+    """Return the matrix from linear RGB to XYZ, its white adapted to D50 by Bradford's method."""
     columns = np.stack([_xyz(place) for place in primaries], -1)
     own = columns * np.linalg.solve(columns, _xyz(white))
     seen, wanted = _BRADFORD @ _xyz(white), _BRADFORD @ _xyz(_D50)

@@ -178,7 +178,7 @@ def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
 
 
 def _deep(path: Path, levels: Shaped[Array, "H W 3"], full: int, data: bytes, directory: Directory | None) -> _Levels:
-    """What the file says, or seems to say, of how many of its bits count."""
+    """Return the number of significant bits, stated or apparent."""
     largest = int(levels.max(initial=0))
     profile, colours, told = b"", None, 0
     if directory is None:
@@ -229,7 +229,7 @@ def _is_of_curves(profile: bytes) -> bool:
 
 
 def _own_colours(path: Path, data: bytes, image: Image.Image) -> Colours | None:
-    """What a file without a profile says of its colours."""
+    """Return the colours that a file without a profile states."""
     if image.format == "PNG":
         found = of_png(png_chunks(data))
         if isinstance(found, str):
@@ -265,7 +265,7 @@ def _turned(pixels: Shaped[Array, "h w 3"], orientation: int) -> Shaped[Array, "
 
 
 def _decode_deep(path: Path, data: bytes) -> Shaped[Array, "H W 3"]:
-    """16-bit pixels through OpenCV (Pillow has no 16-bit RGB), as stored."""
+    """Decode 16-bit pixels with OpenCV (Pillow has no 16-bit RGB), as stored."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if pixels is None or pixels.dtype != np.uint16:
@@ -274,7 +274,7 @@ def _decode_deep(path: Path, data: bytes) -> Shaped[Array, "H W 3"]:
 
 
 def _open(path: Path, data: bytes) -> Image.Image:
-    """Pillow's: unlike OpenCV it refuses a truncated file instead of filling it with gray."""
+    """Decode with Pillow, which refuses a truncated file where OpenCV fills it with gray."""
     try:
         image = Image.open(io.BytesIO(data), formats=FORMATS)
         if image.width * image.height > PIXEL_LIMIT:  # stricter than Pillow's own limit

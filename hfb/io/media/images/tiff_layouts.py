@@ -89,7 +89,7 @@ def without_orientation(data: bytes) -> bytes:
 def _plane(
     data: bytes, directory: Directory, plane: int, planes: int, width: int, as_bytes: bool
 ) -> Shaped[Array, "H w"]:
-    """One plane's rows, as bytes or as samples of 16 bits."""
+    """Return one plane's rows, as bytes or as samples of 16 bits."""
     mini = _gray_tiff(data, directory, plane, planes, width, 8 if as_bytes else 16)
     with Image.open(io.BytesIO(mini), formats=("TIFF",)) as image:
         pixels = np.asarray(image)
@@ -136,7 +136,7 @@ def _numbers(directory: Directory, tag: int) -> tuple[int, ...]:
 
 
 def _unpacked(rows: Shaped[Array, "H b"], bits: int, samples: int) -> Shaped[Array, "H n"]:
-    """Samples of so many bits out of rows of bytes, the highest bit first as TIFF has it in either byte order."""
+    """Unpack samples of so many bits from rows of bytes, the highest bit first, as in TIFFs of either byte order."""
     weights = (1 << np.arange(bits - 1, -1, -1)).astype(np.uint16)
     levels = np.empty((len(rows), samples), np.uint16)
     for top in range(0, len(rows), _BAND):

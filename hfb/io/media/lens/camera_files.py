@@ -245,7 +245,7 @@ def _matrix(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
 
 
 def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]:
-    """A matrix, as Caliscope has it, or Rodrigues' vector, also as the column of older Pose2Sim."""
+    """Read a matrix, as of Caliscope, or Rodrigues' vector, also as the column of older Pose2Sim."""
     value = part.get(key)
     if not isinstance(value, list) or not any(isinstance(row, list) and len(row) == 3 for row in value):
         return np.asarray(cv2.Rodrigues(_vector(part, key, where))[0], np.float64)
@@ -256,7 +256,7 @@ def _rotation(part: dict[str, Any], key: str, where: str) -> Float[Array, "3 3"]
 
 
 def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
-    """Three numbers in a row, or in a column."""
+    """Read three numbers in a row, or in a column."""
     value = part.get(key)
     if isinstance(value, list) and len(value) == 3 and all(isinstance(row, list) and len(row) == 1 for row in value):
         part = {key: [row[0] for row in value]}
@@ -264,7 +264,7 @@ def _vector(part: dict[str, Any], key: str, where: str) -> Float[Array, "3"]:
 
 
 def _distortion(part: dict[str, Any], key: str, where: str) -> tuple[Float[Array, "n"], bool]:
-    """(coefficients, whether they are a fisheye's)."""
+    """Return (coefficients, whether they are a fisheye's)."""
     values = part.get(key, [0.0] * 4)
     if not isinstance(values, list):
         raise InputError(f"{where}: {key} must be 4, 5, 8, 12 or 14 numbers, as OpenCV has them.")

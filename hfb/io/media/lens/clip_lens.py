@@ -64,7 +64,7 @@ def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens |
 
 
 def _chosen(path: Path, name: str | None, video: str) -> tuple[str, dict[str, Any]]:
-    """(beginning of an error, entries of the camera that took the video)."""
+    """Return (beginning of an error, entries of the camera that took the video)."""
     document = read_document(path)
     if _find(document, _MATRIX) is not None:
         return str(path), document
@@ -91,7 +91,7 @@ def _text(value: Any) -> str | None:
 
 
 def _sections(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """Cameras by their names: tables that have a matrix, at the top, or within one table as cameras.json has them."""
+    """Return cameras by their names: tables that have a matrix, at the top, or within one table as in cameras.json."""
     tables = [(str(key), part) for key, part in list(document.items())[:_MOST_SECTIONS] if isinstance(part, dict)]
     inner = [(str(key), part) for _, table in tables for key, part in list(table.items())[:_MOST_SECTIONS]]
     for level in (tables, inner):
@@ -120,7 +120,7 @@ def _lens(where: str, entries: dict[str, Any]) -> Lens:
 
 
 def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
-    """K out of nine numbers, or of Kalibr's fx fy cx cy."""
+    """Read K from nine numbers, or from Kalibr's fx fy cx cy."""
     flat = _numbers(value.get("data") if isinstance(value, dict) else value, where)
     if flat.size == 4:
         K = np.array([[flat[0], 0, flat[2]], [0, flat[1], flat[3]], [0, 0, 1]])
@@ -149,7 +149,7 @@ def _numbers(value: Any, where: str) -> Float[Array, "n"]:
 
 
 def _size(entries: dict[str, Any]) -> tuple[int, int] | None:
-    """(height, width) [px] where the file says it."""
+    """Return (height, width) [px] where the file states it."""
     pair = _find(entries, _SIZE)
     apart = [_find(entries, _HEIGHT), _find(entries, _WIDTH)]
     sides = [*reversed(pair)] if isinstance(pair, list) and len(pair) == 2 else apart

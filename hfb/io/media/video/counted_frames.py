@@ -50,7 +50,7 @@ def read_on(
 
 
 def _taken(file: tuple[int, ...], start: int) -> Numbered | None:
-    """The resting decoder, if it comes to a frame of this very file; another one has had its time."""
+    """Return the resting decoder if it is of this very file and not past the start; it is removed in any case."""
     try:
         resting = _resting.pop()
     except IndexError:
@@ -59,7 +59,7 @@ def _taken(file: tuple[int, ...], start: int) -> Numbered | None:
 
 
 def _version(path: Path) -> tuple[int, ...]:
-    """Tells a file from every other one, and from itself when it was changed; empty where there is none."""
+    """Return a file's identity, which changes when its content does; empty where there is no file."""
     try:
         facts = path.stat()
     except OSError:

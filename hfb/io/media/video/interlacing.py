@@ -79,7 +79,7 @@ class Scan:
         return f"ffmpeg -i {shlex.quote(self._path.name)} -vf {filters} -crf 12 OUT.mp4"
 
     def _compare(self, frame: av.VideoFrame) -> None:
-        """With FFmpeg's own detector, which compares each frame's lines with its neighbours'."""
+        """Compare each frame's lines with their neighbours' by FFmpeg's own detector."""
         self._compared += 1
         try:
             if self._filter is None:

@@ -141,7 +141,7 @@ class VideoIndex:
         return reached
 
     def _decoded(self, start: int, stop: int) -> Iterator[av.VideoFrame]:
-        """Decoded frames by their stamps: the same ones, whether decoding begins at the start or not."""
+        """Yield decoded frames by their stamps, the same ones wherever decoding begins."""
         if self.counted:
             count = len(self.stamps)
             yield from read_on(self.path, start, min(stop, count), count, lambda: self._from(None))
@@ -176,7 +176,7 @@ class VideoIndex:
                 return
 
     def _from(self, stamp: int | None) -> Iterator[tuple[int, av.VideoFrame]]:
-        """(stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
+        """Yield (stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
             with open_video(self.path) as container:
                 stream = video_stream(container)
@@ -248,7 +248,7 @@ def index_video(path: Path) -> VideoIndex:
 
 
 def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
-    """With the colours that the container states, and what a user should know of them."""
+    """Decode the first frame; return it with the container's stated colours and remarks for the user."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)
@@ -263,7 +263,7 @@ def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
 
 
 def _recorded_exposure(metadata: dict[str, str]) -> tuple[float, str] | None:
-    """(seconds, where it stands) of container metadata that tell it, as some cameras do: a number or a fraction."""
+    """Return (seconds, source) of container metadata with an exposure time, a number or a fraction."""
     for name, text in sorted(metadata.items()):
         if name.lower() not in _EXPOSURE_KEYS:
             continue

@@ -117,7 +117,7 @@ def loss_of(
 
 
 def _stated_s(container: av.container.InputContainer, stream: av.VideoStream) -> float:
-    """How long the images last [s]; of the container, whose sound may last longer, where they do not say."""
+    """Return how long the images last [s], by the stream or by the container, whose sound may last longer."""
     if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     told = re.fullmatch(r"(\d{1,4}):(\d\d):(\d\d(?:\.\d{1,9})?)", stream.metadata.get("DURATION", ""))  # Matroska's tag

@@ -46,7 +46,7 @@ def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NO
 
 
 def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
-    """The stored image as RGB levels, within half a level of 8 bits of the standard's formula."""
+    """Return the stored image as RGB levels, within half a level of 8 bits of the standard's formula."""
     matrix, color_range = source_colours(frame, stated)
     form = "rgb48le" if is_deep(frame) else "rgb24"
     rgb = frame.reformat(format=form, interpolation=_CONVERSION, src_colorspace=matrix, src_color_range=color_range)
@@ -57,7 +57,7 @@ def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
 
 
 def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
-    """Turned and mirrored by the display matrix: players apply it, the decoder does not.
+    """Turn and mirror by the display matrix, which players apply and the decoder does not.
 
     The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
     image on its sides counts.

@@ -89,7 +89,7 @@ def _band_median(path: Path, wanted: Sequence[int], top: int, bottom: int) -> Fl
 
 
 def _read_levels(path: Path, start: int, stop: int | None) -> Iterator[Shaped[Array, "H W 3"]]:
-    """Decoded RGB levels, uint8, or uint16 where the video has more than 8 bits."""
+    """Yield decoded RGB levels, uint8, or uint16 where the video has more than 8 bits."""
     if start < 0 or (stop is not None and stop <= start):
         raise InputError(f"frames {start} to {stop} are an empty range; give 0 <= start < stop.")
     if not path.exists():
