@@ -207,7 +207,7 @@ class ShapedBody:
     def _placed(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
-        """Transforms of the rest body to the world, and the joints."""
+        """Return transforms of the rest body to the world, and the joints."""
         if compiled(rotations):
             return operators.place_joints(rotations, translations, self.joints, PARENT_TABLE)
         return skinning.place_joints(rotations, translations, self.joints)
@@ -215,7 +215,7 @@ class ShapedBody:
     def _skinned(
         self, T_world_rest: Float[Tensor, "S 24 3 4"], rotations: Float[Tensor, "S 24 3 3"]
     ) -> Float[Tensor, "S V 3"]:
-        """Vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
+        """Return vertices, displaced by pose blend shapes (SMPL's eq. 9) where the model has them, and skinned."""
         body, directions = self.body, self.body.pose_directions
         if compiled(rotations):
             held = body.sparse_skinning
@@ -233,7 +233,7 @@ class ShapedBody:
 
 
 def _weighed(directions: Float[Tensor, "*n K"], betas: Float[Tensor, "K"]) -> Float[Tensor, "*n"]:
-    """The sum of directions times betas.
+    """Return the sum of directions times betas.
 
     Of many fits at once a processor's matrix product adds the gradient up in an order that hangs on a fit's place among
     them: there every fit has a sum of its own.

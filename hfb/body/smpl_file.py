@@ -133,7 +133,7 @@ def _check_parents(path: Path, table: Shaped[Array, "..."]) -> None:
 def _surface(
     path: Path, arrays: Arrays, template: Float[Array, "V 3"], weights: Float[Array, "V 24"]
 ) -> tuple[Int[Array, "F 3"], Float[Array, "U 2"], Int[Array, "F 3"]]:
-    """(faces, uv, uv_faces), closed."""
+    """Return (faces, uv, uv_faces), closed."""
     faces = _indices(path, "f", arrays["f"], len(template))
     filling = fans(boundary_loops(faces))
     if not all(name in arrays for name in _TEXTURE):

@@ -71,7 +71,7 @@ def _edges_of_sides(mesh: Mesh) -> Int[Array, "F 3"]:
 
 
 def _four_faces(faces: Int[Array, "F 3"], middles: Int[Array, "F 3"]) -> Int[Array, "F4 3"]:
-    """The corner triangles and the one between them, turned like the old face."""
+    """Return the corner triangles and the one between them, turned like the old face."""
     (a, b, c), (ab, bc, ca) = faces.T, middles.T
     parts = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     return np.stack([np.stack(part, -1) for part in parts], 1).reshape(-1, 3)

@@ -121,7 +121,7 @@ def _truth(
 
 
 def _side_step(u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "S 24 3"], Float[Tensor, "S 3"]]:
-    """Poses (axis-angle, camera frame) and translations [m] of a person who steps aside and swings both arms."""
+    """Return poses (axis-angle, camera frame) and translations [m] of a person who steps aside and swings both arms."""
     eased = (_FROM + (_TO - _FROM) * (u + 0.12 * torch.sin(2 * torch.pi * u) / torch.pi))[:, None, None]
     start, end = axis_angle_to_quaternion(_key(_START)), axis_angle_to_quaternion(_key(_END))
     end = in_hemisphere_of(end, start)

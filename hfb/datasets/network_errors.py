@@ -121,7 +121,7 @@ def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -
 
 
 def _draw_turns(rng: np.random.Generator) -> Float[Array, "24 3"]:
-    """Turns of all joints in camera axes, unit size for the shoulder."""
+    """Return turns of all joints in camera axes, unit size for the shoulder."""
     own = rng.standard_normal((JOINT_COUNT, 3))
     shared = {name: rng.standard_normal(3) for name in ("torso", "left_leg", "right_leg", "left_arm", "right_arm")}
     turns = np.empty((JOINT_COUNT, 3))
@@ -150,7 +150,7 @@ def _global_rotations(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3 3
 
 
 def _directions(poses: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
-    """Unit vectors in camera axes along the bone that each joint turns."""
+    """Return unit vectors in camera axes along the bone that each joint turns."""
     rest = poses.new_zeros(JOINT_COUNT, 3)
     for joint, name in enumerate(JOINT_NAMES):
         part = name.rpartition("_")[2]

@@ -108,7 +108,7 @@ def _between_bins(blur_rate: float, means: tuple[float, ...]) -> float:
 
 
 def _row_at(truth: Truth, frame: int, u: float) -> int:
-    """The true instant nearest to u of a frame's exposure."""
+    """Return the true instant nearest to u of a frame's exposure."""
     rows = truth.motion.rows_of(frame)
     return int(rows[round(u * (len(rows) - 1))])
 
@@ -173,12 +173,12 @@ def _place(
 
 
 def _spread(points: Float[Tensor, "T 24 2"]) -> Float[Tensor, "T"]:
-    """Root mean square distance from their centre."""
+    """Return root mean square distance from their centre."""
     return (points - points.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()
 
 
 def _draw_misplacement(frames: int, rng: np.random.Generator) -> Float[Tensor, "T 3"]:
-    """Directions of misplacement: across the view, more sideways than up and down, and standard normal ones in depth.
+    """Draw directions of misplacement: across the view, more sideways than up and down, and standard normal in depth.
 
     Shared by all frames for the greater part. Upright people stay upright: their feet and heads are seldom missed.
     """

@@ -150,7 +150,7 @@ Pairs = tuple[Float[Array, "P E"], Float[Array, "P"]]
 
 
 def _against_fitted(case: DirectionCase) -> Pairs:
-    """Differences of evidence and error of every other hypothesis from the motion as fitted."""
+    """Return differences of evidence and error of every other hypothesis from the motion as fitted."""
     evidence, errors = case.evidence, case.errors_mm
     if case.frames == 1:
         half = len(errors) // 2

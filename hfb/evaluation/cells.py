@@ -218,7 +218,7 @@ def _pair(cases: DataFrame, before: str, after: str) -> tuple[Float[Array, "B"],
 
 
 def _ratio(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float | None, list[float] | None]:
-    """Ratio of the means and its 95 % interval."""
+    """Return ratio of the means and its 95 % interval."""
     if not len(below) or below.mean() <= 0:
         return None, None
     return float(above.mean() / below.mean()), _interval(ratio_ci95(above, below))

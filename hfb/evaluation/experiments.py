@@ -246,7 +246,7 @@ def _pair(experiment: Experiment, summary: Mapping[str, Any], row: PaperRow, our
 
 
 def _ratio_text(cell: Mapping[str, Any], metric: Metric) -> str:
-    """A cell's ratio to the start with its interval, as far as it has one of this metric."""
+    """Return a cell's ratio to the start with its interval, as far as it has one of this metric."""
     ratio, count = _RATIOS.get(metric, ""), "n_pa" if metric == "pa_mpjpe_mm" else "n_pose"
     return number(cell.get(ratio), 3) + interval(cell.get(f"{ratio}_ci95"), 2, cell.get(count, 0))
 
@@ -300,13 +300,13 @@ def _against_start(experiment: Experiment, summary: Mapping[str, Any]) -> list[s
 
 
 def _cells(experiment: Experiment, summary: Mapping[str, Any], method: str) -> list[Mapping[str, Any]]:
-    """A method's cell for every column, and for all."""
+    """Return a method's cell for every column, and for all."""
     cells = summary["methods"][method]
     return [*_by_column(experiment, cells["bins"]), cells["all"]]
 
 
 def _by_column(experiment: Experiment, bins: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The cell of every column; empty where the summary has other intervals."""
+    """Return the cell of every column; empty where the summary has other intervals."""
     by_interval = {blur_label(cell["blur"]): cell for cell in bins}
     return [by_interval.get(blur_label(column.blur), {}) for column in experiment.columns]
 

@@ -120,7 +120,7 @@ class DepthCues:
 
 
 def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
-    """Mean of the frames before and after; a single frame's own values."""
+    """Return mean of the frames before and after; a single frame's own values."""
     if len(values) == 1:
         return values
     before, after = values[:-1], values[1:]

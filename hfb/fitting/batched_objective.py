@@ -243,7 +243,7 @@ class BatchedObjective:
     def _render(
         self, vertices: Float[Tensor, "N T S V 3"], texture: Float[Tensor, "N A A 3"]
     ) -> Float[Tensor, "N T n H W 4"]:
-        """Mean image of every frame, or all of its sub-frames where the background term needs them."""
+        """Return mean image of every frame, or all of its sub-frames where the background term needs them."""
         weights, (fits, frames, subframes) = self.template.weights, vertices.shape[:3]
         cameras, bodies = self._cameras, vertices.flatten(0, 1)
         if weights.background > 0:

@@ -106,7 +106,7 @@ def _reach_m(rest: Float[Tensor, "24 3"]) -> Float[Array, "24"]:
 
 
 def _first_joints(first_bodies: Sequence[FirstBody], body: Body) -> Float[Array, "T 24 3"]:
-    """Joints of the first bodies about their pelvis [m]."""
+    """Return joints of the first bodies about their pelvis [m]."""
     dtype, out = body.template.dtype, []
     for first in first_bodies:
         shaped = body.shape(first.betas.to(dtype))

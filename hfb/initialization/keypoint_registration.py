@@ -85,7 +85,7 @@ class _Seen:
         return _Seen(torch.where(known[..., None], pixels, torch.zeros_like(pixels)), known, size, camera)
 
     def repeated(self, times: int) -> "_Seen":
-        """Every instant so many times, one after another."""
+        """Return every instant so many times, one after another."""
         pixels, known, size = (one.repeat_interleave(times, 0) for one in (self.pixels, self.known, self.size_px))
         return _Seen(pixels, known, size, self.camera)
 

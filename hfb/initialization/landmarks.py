@@ -219,7 +219,7 @@ def _reduce(picture: Float[Array, "H W 3"], scale: float) -> Float[Array, "h w 3
 
 
 def _region(hips: Float[Array, "2"], reach: Float[Array, "2"], score: float) -> Region:
-    """The square around the circle through `reach` (above the head of an upright person) about the hips."""
+    """Return the square around the circle through `reach` (above the head of an upright person) about the hips."""
     dx, dy = reach - hips
     angle = np.pi / 2 - np.arctan2(-dy, dx)
     angle -= 2 * np.pi * np.floor((angle + np.pi) / (2 * np.pi))
@@ -229,7 +229,7 @@ def _region(hips: Float[Array, "2"], reach: Float[Array, "2"], score: float) -> 
 
 @lru_cache
 def _anchors() -> Float[Array, "2254 2"]:
-    """Centres of the detector's anchors: two per cell and layer, layers of one stride share a grid."""
+    """Return centres of the detector's anchors: two per cell and layer, layers of one stride share a grid."""
     centres = []
     for stride in sorted(set(_STRIDES)):
         cells = -(-_DETECTOR_PX // stride)
@@ -241,7 +241,7 @@ def _anchors() -> Float[Array, "2254 2"]:
 
 
 def _load(path: Path) -> Any:
-    """An interpreter of LiteRT, which has no types."""
+    """Return an interpreter of LiteRT, which has no types."""
     try:
         from ai_edge_litert.interpreter import Interpreter
     except ImportError:

@@ -68,7 +68,7 @@ def kabsch(
 def _shortest(
     rest: Float[Tensor, "S n 3"], seen: Float[Tensor, "S n 3"], weight: Float[Tensor, "S n"]
 ) -> Float[Tensor, "S 3 3"]:
-    """The rotation from the mean rest vector to the mean seen one in their common plane."""
+    """Return the rotation from the mean rest vector to the mean observed one in their common plane."""
     before, after = (
         torch.nn.functional.normalize((vectors * weight[..., None]).sum(1), dim=-1) for vectors in (rest, seen)
     )

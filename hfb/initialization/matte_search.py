@@ -84,7 +84,7 @@ def search_by_matte(
 
 
 def _value(first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer) -> float:
-    """Soft IoU, minus a little for showing the back."""
+    """Return soft IoU, minus a little for showing the back."""
     facing = -float(axis_angle_to_matrix(first.pose[0])[2, 2])
     return overlap(first, level, body, rasterizer) - _BACK_COST * (1 - facing) / 2
 

@@ -70,7 +70,7 @@ def find_landmarks(
 def _proposals(
     networks: PoseNetworks, frame: Float[Array, "H W 3"], alone: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> Iterator[Region]:
-    """Regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
+    """Yield regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
     top, left, bottom, right = matte_region(matte, margin=0.3)
     window = (slice(top, bottom), slice(left, right))
     for picture in (frame[window], alone[window]):

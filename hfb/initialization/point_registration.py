@@ -165,7 +165,7 @@ def _laid(vertices: Float[Array, "S V 3"], body: Body, betas: Tensor | None, ite
 
 
 def _part_rotations(target: Float[Tensor, "S V 3"], body: Body, betas: Float[Tensor, "K"]) -> Float[Tensor, "S 24 3 3"]:
-    """Each part's rotation by the vertices that move mostly with its joint."""
+    """Return each part's rotation by the vertices that move mostly with its joint."""
     rest = body.shape(betas).vertices
     local: list[Tensor] = []
     world: list[Tensor] = []

@@ -114,7 +114,7 @@ def _rotations(entry: BankPose) -> Float[Tensor, "24 3"]:
 
 
 def _arm(arm: Limb, sign: float) -> tuple[tuple[float, float, float], ...]:
-    """The shortest turn from the rest direction (sideways) to the wanted one, as an axis-angle in degrees."""
+    """Return the shortest turn from the rest direction (sideways) to the wanted one, as an axis-angle in degrees."""
     up, azimuth = radians(arm[0]), radians(arm[1])
     wanted = torch.tensor([sign * sin(up) * cos(azimuth), -cos(up), sin(up) * sin(azimuth)], dtype=torch.float64)
     rest = torch.tensor([sign, 0.0, 0.0], dtype=torch.float64)

@@ -200,7 +200,7 @@ def refine_all(
 
 
 def _carried(vertices: Float[Tensor, "V 3"], travel_m: Float[Tensor, "3"]) -> Float[Tensor, "S V 3"]:
-    """The posed body at evenly spaced instants of its path."""
+    """Return the posed body at evenly spaced instants of its path."""
     instants = torch.linspace(-0.5, 0.5, SWEPT_INSTANTS, dtype=vertices.dtype)
     return vertices + (instants[:, None] * travel_m.to(vertices))[:, None]
 

@@ -120,7 +120,7 @@ def refined_swept(
 
 
 def _spreads(matte: Float[Array, "H W"]) -> tuple[float, float, float, float]:
-    """Centre [px] and variances [px^2] across and down."""
+    """Return centre [px] and variances [px^2] across and down."""
     total = max(float(matte.sum(dtype=np.float64)), 1e-9)
     told = []
     for axis in (0, 1):

@@ -137,7 +137,7 @@ def _shrunk(picture: Float[Array, "H W"], longer_px: int) -> Float[Array, "h w"]
 
 
 def _spline(picture: Float[Array, "h w"], degree: int = _DEGREE) -> Float[Array, "h w"]:
-    """The coefficients of the B-spline through the pixels."""
+    """Return the coefficients of the B-spline through the pixels."""
     pixels = np.asarray(picture, np.float32)
     return np.asarray(ndimage.spline_filter(pixels, degree, output=np.float32, mode="nearest"))
 

@@ -299,6 +299,6 @@ def _far_from(body: Bool[Array, "H W"]) -> Float[Array, "H W"]:
 
 
 def _extent(mask: Bool[Array, "H W"]) -> int:
-    """Longer side of a mask's box [px]; 1 where it is empty."""
+    """Return longer side of a mask's box [px]; 1 where it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     return int(max(rows[-1] - rows[0], columns[-1] - columns[0])) + 1 if rows.size else 1

@@ -188,7 +188,7 @@ def _sized(picture: Float[Array, "H W 3"], longer_px: int) -> Float[Array, "h w 
 
 
 def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """Alpha and the logarithm of its expected error, means of the image and its mirror image."""
+    """Return alpha and the logarithm of its expected error, means of the image and its mirror image."""
     height, width = seen.shape[1:]
     wanting = [(0, 0), (0, max(0, _LEAST_PX - height)), (0, max(0, _LEAST_PX - width))]
     picture = torch.from_numpy(np.pad(seen, wanting, mode="edge"))[None]

@@ -76,7 +76,7 @@ def check_torchscript(path: Path) -> None:
 
 
 def _packed(path: Path) -> dict[str, int]:
-    """The compressed members of an archive, and what they unpack to [bytes]."""
+    """Return the compressed members of an archive, and what they unpack to [bytes]."""
     with zipfile.ZipFile(path) as archive:
         found = [info for info in archive.infolist() if info.compress_type != zipfile.ZIP_STORED]
     return {info.filename.partition("/")[2]: info.file_size for info in found}

@@ -210,7 +210,7 @@ def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: 
 
 @lru_cache(maxsize=1)
 def _roi_align_schema() -> torch.library.Library | None:
-    """An operator of torchvision that some matting networks name and do not call; kept alive by the cache."""
+    """Return an operator of torchvision that some matting networks name and do not call; kept alive by the cache."""
     if importlib.util.find_spec("torchvision") is not None:
         try:
             importlib.import_module("torchvision")

@@ -95,7 +95,7 @@ class Objective:
     def _posed(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
-        """Vertices of every sub-frame, frame after frame, and the terms of body and motion."""
+        """Return vertices of every sub-frame, frame after frame, and the terms of body and motion."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed, joints = shaped.pose_frames(*course)
@@ -163,7 +163,7 @@ class Objective:
         translations: Float[Tensor, "T S1 3"],
         whole: bool,
     ) -> Float[Tensor, "T n 24 3"]:
-        """Joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
+        """Return joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
         some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
         index = constant(some, torch.long, rotations.device)
         places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
@@ -176,7 +176,7 @@ class Objective:
         return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
 
     def _image_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
-        """Image, matting and background terms of one frame."""
+        """Return image, matting and background terms of one frame."""
         weights, seen, mesh = self.weights, self.observation, self.body.mesh
         if weights.background > 0:  # the only term that needs each sub-frame by itself
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
@@ -270,7 +270,7 @@ class Objective:
 
 @lru_cache
 def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
-    """Cached tensor of `Objective._instants`; read only."""
+    """Return cached tensor of `Objective._instants`; read only."""
     return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 

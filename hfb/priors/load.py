@@ -55,7 +55,7 @@ def load_pose_prior(path: Path | None, kind: Literal["anatomy", "mixture"] = "an
 
 
 def _numbers(values: object, path: Path) -> Float[Array, "..."]:
-    """An array, a tensor or what stands for an array in a pickle, as float64."""
+    """Return an array, a tensor or what stands for an array in a pickle, as float64."""
     if isinstance(values, torch.Tensor):
         return values.detach().cpu().double().numpy()
     try:

@@ -101,5 +101,5 @@ def _frozen(network: NetworkT) -> NetworkT:
 
 
 def _moved(network: NetworkT, like: Tensor) -> NetworkT:
-    """A copy of a frozen network; may be called inside `torch.func.vmap`, which forbids to freeze one."""
+    """Return a copy of a frozen network; may be called inside `torch.func.vmap`, which forbids to freeze one."""
     return copy.deepcopy(network).to(like.device, like.dtype)

@@ -51,7 +51,7 @@ def outline_edges(front: Bool[Tensor, "F"], mesh: Mesh) -> Int[Tensor, "C 3"]:
 
 
 def _crossing_heights(p: Float[Tensor, "n 2"], d: Float[Tensor, "n 2"]) -> Float[Tensor, "m"]:
-    """Heights y at which edges p + t d, 0 < t < 1, cross each other."""
+    """Return heights y at which edges p + t d, 0 < t < 1, cross each other."""
     across = d[:, None, 0] * d[None, :, 1] - d[:, None, 1] * d[None, :, 0]
     apart = p[None] - p[:, None]
     safe = torch.where(across == 0, torch.ones_like(across), across)
@@ -75,7 +75,7 @@ def _share_right_of(top: Float[Tensor, "*n"], bottom: Float[Tensor, "*n"], width
 
 
 def _cover_row(p: Float[Tensor, "n 2"], q: Float[Tensor, "n 2"], row: int, width: int) -> Float[Tensor, "W"]:
-    """Covered share of one row of pixels, from the outline edges p -> q that touch it."""
+    """Return covered share of one row of pixels, from the outline edges p -> q that touch it."""
     d = q - p
     # The covered length is continuous where one slab meets the next: the heights need no gradient.
     with torch.no_grad():
@@ -227,7 +227,7 @@ def _uv_of_faces(
     inverse_depth: Float[Tensor, "V"],
     mesh: Mesh,
 ) -> Float[Tensor, "n 2"]:
-    """Perspective-correct texture coordinates of pixel centres in their faces."""
+    """Return perspective-correct texture coordinates of pixel centres in their faces."""
     corners = mesh.faces.long()[face]
     weights = barycentric(centres, xy[corners]) * inverse_depth[corners]
     uv = mesh.uv.to(xy.dtype)[mesh.uv_faces.long()[face]]
@@ -241,7 +241,7 @@ def _uv_of_edges(
     inverse_depth: Float[Tensor, "V"],
     mesh: Mesh,
 ) -> Float[Tensor, "n 2"]:
-    """Texture coordinates at the points of outline edges closest to pixel centres."""
+    """Return texture coordinates at the points of outline edges closest to pixel centres."""
     start, end, face = edge.unbind(1)
     t = closest_parameter(centres, xy[start], xy[end] - xy[start])
     weights = torch.stack([(1 - t) * inverse_depth[start], t * inverse_depth[end]], 1)

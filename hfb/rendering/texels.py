@@ -15,7 +15,7 @@ from hfb.typing import Bool, Float, Int, Tensor
 
 
 def _texel_cell(coordinate: Float[Tensor, "n"], size: int) -> tuple[Int[Tensor, "n"], Float[Tensor, "n"]]:
-    """First texel of the pair around a coordinate, and the share of the second."""
+    """Return first texel of the pair around a coordinate, and the share of the second."""
     position = (coordinate * size - 0.5).clamp(0, size - 1)
     texel = position.detach().long().clamp_max(max(size - 2, 0))
     return texel, position - texel

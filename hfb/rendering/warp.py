@@ -41,7 +41,7 @@ class WarpRasterizer:
         self._tables: tuple[Mesh, int, Tensor, list[Tensor]] | None = None
 
     def _of_mesh(self, mesh: Mesh, vertex_count: int) -> tuple[Tensor, list[Tensor]]:
-        """Texture coordinates of corners and index tables, on the device; kept for the mesh used last."""
+        """Return texture coordinates of corners and index tables, on the device; kept for the mesh used last."""
         tables = self._tables
         if tables is None or tables[0] is not mesh or tables[1] != vertex_count:
             members = *_memberships(mesh.faces, vertex_count), *_memberships(mesh.edge_vertices, vertex_count)

@@ -231,7 +231,7 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
 
 
 def _torso(first: FirstBody) -> Float[Tensor, "4 3"]:
-    """Hips and shoulders about the pelvis [m]."""
+    """Return hips and shoulders about the pelvis [m]."""
     body = load_default_body()  # lengths hardly matter here, and every body model has these joints
     shaped = body.shape(torch.zeros(body.shape_count))
     joints = shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], torch.zeros(1, 3))[0]

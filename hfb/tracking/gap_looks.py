@@ -109,7 +109,7 @@ def _is_of(others: Sequence[Track], box: Float[Array, "4"], frame: int, last: in
 
 
 def _way(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Distance of two boxes' centres [px]."""
+    """Return distance of two boxes' centres [px]."""
     return float(np.hypot(*((one[:2] + one[2:]) - (other[:2] + other[2:])))) / 2
 
 

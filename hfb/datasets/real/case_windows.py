@@ -103,7 +103,7 @@ def _bit_reversed(count: int) -> list[int]:
 
 
 def _starts(recording: Recording, footage: Footage, length: int) -> list[int]:
-    """First frames of all windows of a length.
+    """Return first frames of all windows of a length.
 
     Raises:
         InputError: the video is shorter, or joints and time stamps leave no whole window.

@@ -165,7 +165,7 @@ def _depths(
 
 
 def _at(values: Float[Array, "h w"], pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """The values at pixels (x, y); 0 outside and where unknown."""
+    """Return the values at pixels (x, y); 0 outside and where unknown."""
     x, y = np.floor(np.nan_to_num(pixels, nan=-1.0).clip(-1, 1e6)).astype(int).T
     inside = (x >= 0) & (y >= 0) & (x < values.shape[1]) & (y < values.shape[0])
     found = np.zeros(len(pixels), values.dtype)

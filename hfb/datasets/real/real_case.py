@@ -116,7 +116,7 @@ def _look(
 
 
 def _full_camera(footage: Footage, calibrated: CalibratedCamera | None, height: int, width: int) -> PinholeCamera:
-    """The undistorted full image's camera: calibrated, else clip.toml's, else the guess that a user's run makes."""
+    """Return the undistorted full image's camera: calibrated, else clip.toml's, else the guess of a user's run."""
     if calibrated is not None:
         return calibrated.pinhole()
     given = footage.clip.camera

@@ -95,7 +95,7 @@ def expose(
 
 
 def _nearest(average: int) -> list[int]:
-    """The sharp frame nearest to each of u = i / 7."""
+    """Return the sharp frame nearest to each of u = i / 7."""
     return [round(i / (SHARP_SUBFRAMES - 1) * (average - 1)) for i in range(SHARP_SUBFRAMES)]
 
 

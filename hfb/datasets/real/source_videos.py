@@ -152,7 +152,7 @@ def _looked_at(footage: Footage) -> Footage:
 
 
 def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """Every (first file, images) in the order of their paths."""
+    """Return every (first file, images) in the order of their paths."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
     videos: list[tuple[Path, tuple[Path, ...]]] = [(p, ()) for p in files if p.suffix.lower() in VIDEO_SUFFIXES]
     for inner in sorted({path.parent for path in files if path.suffix.lower() in PICTURE_SUFFIXES}):
@@ -161,7 +161,7 @@ def _candidates(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
-    """The numbered images of one folder, one run per common name, by number."""
+    """Return the numbered images of one folder, one run per common name, by number."""
     runs: dict[tuple[str, str], list[tuple[int, Path]]] = {}
     for path in sorted(folder.iterdir()):
         numbered = _NUMBERED.fullmatch(path.stem)
@@ -172,7 +172,7 @@ def _picture_runs(folder: Path) -> list[tuple[Path, tuple[Path, ...]]]:
 
 
 def _stem_of_pictures(pictures: tuple[Path, ...]) -> str:
-    """The images' common name, or their folder's where they are mere numbers (or one letter and a number)."""
+    """Return the images' common name, or their folder's where they are mere numbers (or one letter and a number)."""
     numbered = _NUMBERED.fullmatch(pictures[0].stem)
     name = numbered[1].rstrip("_-. ") if numbered else ""
     return name if len(name) > 1 else pictures[0].parent.name

@@ -125,7 +125,7 @@ def find_plate(footage: Footage) -> Path | None:
 
 
 def _matching(folder: Path, patterns: tuple[str, ...]) -> list[Path]:
-    """Files of one folder in the order of the patterns, then of their names."""
+    """Return files of one folder in the order of the patterns, then of their names."""
     if not folder.is_dir():
         return []
     return [path for pattern in patterns for path in sorted(folder.glob(pattern)) if path.is_file()]

@@ -164,7 +164,7 @@ def box_of_change(recording: Recording, footage: Footage, first: int, count: int
 
 
 def _seen_region(view: View, body: Bool[Array, "h w"], full: PinholeCamera) -> Bool[Array, "H W"]:
-    """A region of a small full image, a little widened, in the case's images."""
+    """Return a region of a small full image, a little widened, in the case's images."""
     reach = 2 * max(2, round(0.015 * max(body.shape))) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     near = cv2.dilate(body.astype(np.uint8), disc)

@@ -93,7 +93,7 @@ def _bare(body: Body) -> Array:
 
 @lru_cache(maxsize=2)
 def _average_of_neighbours(body: Body) -> sparse.csr_array:
-    """Mean of each vertex and its neighbours along edges."""
+    """Return mean of each vertex and its neighbours along edges."""
     ends, count = body.mesh.edge_vertices.numpy(), len(body.template)
     rows, columns = np.concatenate([ends, ends[:, ::-1], np.arange(count)[:, None].repeat(2, 1)]).T
     links = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))

@@ -153,7 +153,7 @@ class _Piece:
         return max(fitting, default=-1)
 
     def _look(self, exposure: int) -> tuple[Clock, PlacedCamera, float]:
-        """Clock, camera and blur rate, from small silhouettes at few instants."""
+        """Return clock, camera and blur rate, from small silhouettes at few instants."""
         latest = self._duration_s() - self._span_s(exposure)
         start_s = min(self.draw.start * (self._duration_s() - self._span_s(0)), latest)
         coarse = replace(
@@ -174,7 +174,7 @@ class _Piece:
         return clock, camera, float(blur_rates(by_frame).mean())
 
     def _fastest_px(self, joints: Float[Array, "R 24 3"], camera: PlacedCamera) -> float:
-        """The greatest speed of any joint in the full image [px per exposure]."""
+        """Return the greatest speed of any joint in the full image [px per exposure]."""
         here = joints @ camera.R_camera_world.T + camera.offset
         screen = camera.lens.fx * here[..., :2] / np.maximum(here[..., 2:], 0.2)
         by_frame = screen.reshape(self.frames, _COARSE_INSTANTS, *screen.shape[1:])

@@ -107,7 +107,7 @@ def _pictures_in(folder: Path) -> tuple[str, ...]:
 
 
 def _crop(picture_srgb: Float[Array, "h w 3"], size_px: int, rng: np.random.Generator) -> Float[Array, "H W 3"]:
-    """A random square of an image at the wanted size, averaged in linear light."""
+    """Return a random square of an image at the wanted size, averaged in linear light."""
     height, width = picture_srgb.shape[:2]
     side = max(int(min(height, width) * rng.uniform(*_CROP)), 1)
     top, left = (int(rng.integers(0, room + 1)) for room in (height - side, width - side))

@@ -162,7 +162,7 @@ def _find_scene(
 
 
 def _motion(found: Candidate, actor: _Actor) -> SampledMotion:
-    """The true motion in camera coordinates at every instant."""
+    """Return the true motion in camera coordinates at every instant."""
     clock: Clock = found.clock
     poses, translations = resample(found.clip, clock.times_s())
     body = actor.fit_body

@@ -110,7 +110,7 @@ def points_at(
 def _between(
     times_s: Float[Array, "R"], known_s: Float[Array, "M"]
 ) -> tuple[Int[Tensor, "R"], Int[Tensor, "R"], Float[Tensor, "R"]]:
-    """The estimates before and after each time and the share of the later one."""
+    """Return the estimates before and after each time and the share of the later one."""
     position = np.interp(times_s, known_s, np.arange(len(known_s), dtype=np.float64))
     before = np.minimum(position.astype(np.int64), max(len(known_s) - 2, 0))
     after = np.minimum(before + 1, len(known_s) - 1)

@@ -56,7 +56,7 @@ class _Free:
     axes_m: Float[Tensor, "3"]
 
     def vertices(self, sphere: Sphere, tau: Float[Tensor, "S"]) -> Float[Tensor, "S V 3"]:
-        """The object [m] in camera coordinates at some times."""
+        """Return the object [m] in camera coordinates at some times."""
         powers = tau[:, None] ** torch.arange(len(self.path))
         quaternion = powers[:, 1:] @ self.turn + tau.new_tensor([1.0, 0, 0, 0])
         R_camera_object = quaternion_to_matrix(normalize_quaternion(quaternion))

@@ -83,7 +83,7 @@ def _span_s(observation: Observation) -> float:
 
 
 def _moments(matte: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
-    """Centre (x, y) [px] and variance [px^2] of a matte."""
+    """Return centre (x, y) [px] and variance [px^2] of a matte."""
     height, width = matte.shape
     grid = torch.stack(torch.meshgrid(torch.arange(width) + 0.5, torch.arange(height) + 0.5, indexing="xy"), -1)
     share = matte[..., None] / matte.sum()

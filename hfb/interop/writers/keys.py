@@ -219,7 +219,7 @@ def _runs(frames: Int[Array, "R"]) -> list[slice]:
 
 
 def _slopes(times: Float[Array, "n"], values: Float[Array, "n c"]) -> Float[Array, "n c"]:
-    """Velocities of the cubic spline through one exposure's sub-frames."""
+    """Return velocities of the cubic spline through one exposure's sub-frames."""
     if len(times) < 2 or np.any(np.diff(times) <= 0):
         return np.zeros_like(values)
     return CubicSpline(times, values, axis=0)(times, 1)

@@ -56,7 +56,7 @@ def skin_of(body: Body, betas: Float[Tensor, "K"]) -> Skin:
 
 
 def _influences(body: Body) -> list[tuple[Shaped[Array, "V 4"], Float[Array, "V 4"]]]:
-    """(joints, weights) of every vertex in sets of four, the heaviest first; as many sets as the model needs."""
+    """Return (joints, weights) of every vertex in sets of four, the heaviest first; as many sets as the model needs."""
     weights, joints = body.skinning_weights.double().sort(dim=1, descending=True, stable=True)
     sets = -(-int((weights > 0).sum(1).max()) // _SET)
     shares = weights[:, : _SET * sets] / weights[:, : _SET * sets].sum(1, keepdim=True)

@@ -36,7 +36,7 @@ EMPTY_PX = 1e-6  # as in `hfb.objective.matting`
 
 @njit(**INLINE)
 def _window_of(window, k):
-    """A window's left, top, right and bottom at level k."""
+    """Return a window's left, top, right and bottom at level k."""
     rest = (1 << k) - 1
     return window[0] >> k, window[1] >> k, (window[2] + rest) >> k, (window[3] + rest) >> k
 

@@ -24,7 +24,7 @@ TIE = 1e-9
 
 @njit(**INLINE)
 def _squared(px, py, x0, y0, dx, dy, scale):
-    """Squared distance of a point from a side that starts at (x0, y0); scale is 1 / squared length."""
+    """Return squared distance of a point from a side that starts at (x0, y0); scale is 1 / squared length."""
     rx, ry = px - x0, py - y0
     t = min(max((rx * dx + ry * dy) * scale, 0.0), 1.0)
     rx, ry = rx - t * dx, ry - t * dy

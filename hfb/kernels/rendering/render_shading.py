@@ -56,7 +56,7 @@ TINY_PX2 = 1e-30  # twice the area of a face that is a line
 
 @njit(**INLINE)
 def _centre(pixel, width):
-    """Position [px] of a pixel's centre."""
+    """Return position [px] of a pixel's centre."""
     row = np.uint32(pixel) // np.uint32(width)
     return np.float64(np.uint32(pixel) - row * np.uint32(width)) + 0.5, np.float64(row) + 0.5
 

@@ -17,7 +17,7 @@ BATCH = 64  # columns of the tables of `render_shading`
 
 
 def _convert(context, builder, value, target):
-    """A vector of real numbers in another type."""
+    """Return a vector of real numbers in another type."""
     wide = context.get_abi_sizeof(value.type.element) > context.get_abi_sizeof(target)
     kind = ir.VectorType(target, value.type.count)
     return value if value.type == kind else (builder.fptrunc if wide else builder.fpext)(value, kind)

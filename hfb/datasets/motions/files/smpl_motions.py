@@ -64,7 +64,7 @@ def load_smpl_motion(path: Path, name: str) -> MotionClip:
 
 
 def _poses(arrays: Mapping[str, Shaped[Array, "..."]]) -> Float[Array, "F c"] | None:
-    """Poses as (F, 66) or (F, 72) columns; None where they are of no known shape."""
+    """Return poses as (F, 66) or (F, 72) columns; None where they are of no known shape."""
     if "poses" in arrays:
         poses = arrays["poses"]
         width = int(np.prod(poses.shape[1:]))

@@ -99,5 +99,5 @@ def _frame(bone: Float[Array, "*n 3"], hinge: Float[Array, "*n 3"]) -> Float[Arr
 
 
 def _across(vector: Float[Array, "*n 3"], bone: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """The part of a vector that is at right angles to the bone, of unit length."""
+    """Return the part of a vector that is at right angles to the bone, of unit length."""
     return unit(vector - (vector * bone).sum(-1, keepdims=True) * bone)

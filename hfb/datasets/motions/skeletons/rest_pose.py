@@ -89,7 +89,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
 
 
 def _legs(places: Float[Array, "*n N 3"], joints: JointMap) -> tuple[Float[Array, "2 *n 3"], ...]:
-    """Hips, knees and ankles, left and right."""
+    """Return hips, knees and ankles, left and right."""
     parts = [[joints.limbs[f"{side}_{part}"] for side in ("left", "right")] for part in ("hip", "knee", "ankle")]
     return tuple(np.stack([places[..., joint, :] for joint in part]) for part in parts)
 

@@ -57,11 +57,11 @@ class _Source:
     places: Float[Array, "F N 3"]
 
     def since_rest(self, joint: int) -> Float[Array, "F 4"]:
-        """How a joint has turned since the rest pose, where all its angles are zero."""
+        """Return how a joint has turned since the rest pose, where all its angles are zero."""
         return multiply(self.frames[:, joint], conjugate(self.rest.axes))
 
     def part(self, name: str) -> Float[Array, "F 4"]:
-        """World rotation of pelvis, chest or head."""
+        """Return world rotation of pelvis, chest or head."""
         return multiply(self.frames[:, getattr(self.joints, name)], self.rest.trunk[name])
 
 
@@ -193,7 +193,7 @@ def _set_arm(world: Float[Array, "F 24 4"], source: _Source, side: str) -> None:
 def _pronation(
     turn: Float[Array, "F 4"], along: Float[Array, "3"], sign: float
 ) -> tuple[Float[Array, "F"], Float[Array, "F 3"]]:
-    """A hand's turn against the forearm: about it [rad], then across it (a rotation vector).
+    """Return a hand's turn against the forearm: about it [rad], then across it (a rotation vector).
 
     Both stay within what hands can do: what is beyond is an error of the recording (often of half a turn), and does not
     show in the arm's bones.
@@ -207,7 +207,7 @@ def _pronation(
 
 
 def _translations(pelvis: Float[Array, "F 4"], source: _Source) -> Float[Array, "F 3"]:
-    """SMPL's translation that brings the middle between the hips to where it is in the recording."""
+    """Return SMPL's translation that brings the middle between the hips to where it is in the recording."""
     rest = rest_joints()
     hips = [_J[f"{side}_hip"] for side in _SIDES]
     knees, ankles = ([_J[f"{side}_{part}"] for side in _SIDES] for part in ("knee", "ankle"))

@@ -68,13 +68,13 @@ def _cosines(one: Float[Array, "F 4"], other: Float[Array, "F 4"]) -> Float[Arra
 
 
 def _frame(left: Float[Array, "F 3"], up: Float[Array, "F 3"]) -> Float[Array, "F 4"]:
-    """The rotation of SMPL's axes: x to the left exactly, y as nearly up as that allows."""
+    """Return the rotation of SMPL's axes: x to the left exactly, y as nearly up as that allows."""
     x = unit(left)
     y = unit(up - (up * x).sum(-1, keepdims=True) * x)
     return from_axes(x, y, np.cross(x, y))
 
 
 def _mean(rotations: Float[Array, "F 4"]) -> Float[Array, "4"]:
-    """The mean rotation: the quaternion with the largest sum of squared products (Markley et al., 2007)."""
+    """Return the mean rotation: the quaternion with the largest sum of squared products (Markley et al., 2007)."""
     _, vectors = np.linalg.eigh(rotations.T @ rotations)
     return vectors[:, -1]

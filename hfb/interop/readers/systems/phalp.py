@@ -54,7 +54,7 @@ def _seen(frame: dict[str, Any]) -> list[int]:
 
 
 def _stale(frame: dict[str, Any], at: int) -> bool:
-    """Whether the track only remembers the person from an earlier frame."""
+    """Return whether the track only remembers the person from an earlier frame."""
     waited = frame.get("tracked_time")
     return isinstance(waited, list) and at < len(waited) and bool(numbers(waited[at], 1)[0] != 0)
 

@@ -199,7 +199,7 @@ def _deep(path: Path, levels: Shaped[Array, "H W 3"], full: int, data: bytes, di
 
 
 def _is_stretched(levels: Shaped[Array, "H W 3"], depth: int) -> bool:
-    """Whether samples of so many bits fill 16: shifted up, and perhaps repeated below."""
+    """Return whether samples of so many bits fill 16: shifted up, and perhaps repeated below."""
     high = levels >> (16 - depth) << (16 - depth)
     low = levels - high
     return not low.any() or bool((low == levels >> depth).all())

@@ -136,7 +136,7 @@ def _matrix(where: str, value: Any) -> Float[Array, "3 3"]:
 
 
 def _find(entries: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    """The entry of the first of some names, in any spelling; None where there is none."""
+    """Return the entry of the first of some names, in any spelling; None where there is none."""
     known = {plain(str(key)): value for key, value in entries.items() if value is not None}
     return next((known[name] for name in names if name in known), None)
 
