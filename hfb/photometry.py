@@ -12,7 +12,7 @@ import torch
 from hfb.typing import Array, Float, Tensor
 
 Transfer = Literal["srgb", "linear", "bt709", "gamma22"]
-"""How files store light."""
+"""The transfer curve of stored values."""
 
 _ENCODED_KNEE = 0.04045
 _LINEAR_KNEE = 0.0031308

@@ -18,7 +18,7 @@ _PROBE_RAD = 0.35
 _LEVELS = ((1, 2, 3, 13, 14), (4, 5, 6, 16, 17), (7, 8, 9, 18, 19), (10, 11, 12, 20, 21), (15, 22, 23))
 """Joints below the root, parents before children."""
 _ALLOWED_EXCESS = 2.0
-"""Of a joint's limit penalty: eight degrees beyond the range of motion, or as far as the person really went."""
+"""Largest limit penalty of a joint: eight degrees beyond the range of motion, or the person's own excess."""
 
 # Standard deviation of a joint's own turn, relative to the shoulder's.
 _SIZES = {

@@ -34,7 +34,7 @@ _CENTRES = tuple((low + high) / 2 for low, high in BLUR_BINS)
 _MPJPE_LOG_SPREAD, _IOU_SPREAD = 0.25, 0.06
 _INSTANT_MEAN, _INSTANT_SPREAD = 0.5, 0.15
 _AMPLITUDES = torch.linspace(0.06, 1.5, 25)
-"""Of the shoulder's turn [rad]; the first is the best a network ever does."""
+"""Amplitudes of the shoulder's turn [rad]; the first is the best that a network reaches."""
 _TRIES = 6
 _SHIFT_M, _LOG_DEPTH = 0.08, 0.035
 """Across the view, and along it as a share of the distance, where the misplacement is 1."""

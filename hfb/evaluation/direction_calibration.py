@@ -18,12 +18,12 @@ from hfb.fitting.direction_trust import SIGNS, Trust, group_probability, power_o
 from hfb.typing import Array, Bool, Float
 
 _LIMB_WEIGHT = 0.1
-"""Of a limb's event, where a body's has 1: limbs of a frame hang together, and with the body."""
+"""Weight of a limb's event, where a body's is 1: limbs of a frame are correlated with each other and with the body."""
 
 _COMMON, _COMMON_SPREAD, _KINDS_APART, _SLOPES = 0.73, 0.2, 0.15, 0.15
-"""In log odds: the doubt expected of all kinds of start, how well it is known, how far kinds lie apart, and what a sign
-of trouble adds, per spread of the sign. On motions that no prior had learned from what was said to be right in .6 to .8
-was right in .53 of cases: a doubt of 0.73."""
+"""Prior of the doubts in log odds: mean and spread over all kinds of start, spread of the kinds, and slope per spread
+of a sign. On motions that no prior had learned from, predictions of .6 to .8 were right in .53 of cases: a doubt of
+0.73."""
 
 _CERTAIN = 1e-3
 

@@ -21,16 +21,17 @@ from hfb.typing import Array, Bool, Float
 
 LEAST_MATTE_IOU = 0.7
 _SPIN_DEG, _SPIN_DEG_PER_S = 75.0, 600.0
-"""Of the trunk between the middles of neighbouring frames. A pirouette has 700 degrees/s: 23 per frame at 30 fps."""
+"""Largest turn of the trunk between the middles of neighbouring frames. A pirouette has 700 degrees/s: 23 per frame at
+30 fps."""
 _MOST_LEFT_OVER = 0.08
-"""Of the matte's area, in one piece that the fitted body does not touch."""
+"""Largest share of the matte's area in one piece that the fitted body does not touch."""
 _LIGHT_PX = 48
 _LIGHT_RATIO, _LIGHT_SRGB, _LIGHT_SHARE = 0.12, 0.03, 0.15
 """Logarithm and step of brightness in one place of the scene, and the share of the places that have it: at most 0.04 in
 clean recordings, 0.26 and more with a third in light shade or an exposure that is longer by a quarter."""
 _STATIC_LOOKS, _STATIC_SHARE, _STATIC_PX = 5, 0.8, 160
 _LEAST_STATIC = 0.12
-"""Of the person's area: reflections and soft shadows of clean recordings have up to 0.06."""
+"""Share of the person's area: reflections and soft shadows of clean recordings have up to 0.06."""
 _AWAY, _STAYS = 0.3, 0.5
 _NEVER_LEFT_SHARE = 0.3
 _NAMED = 8

@@ -23,7 +23,7 @@ import numpy as np
 from hfb.typing import Array, Float, Int
 
 StartKind = Literal["simulated", "network", "matte"]
-"""Where a first body is from: drawn beside the truth, as benchmarks do; a pose network; the matte's outline alone."""
+"""Source of a first body: simulated from the truth, as benchmarks do; a pose network; the matte's outline alone."""
 
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")

@@ -26,7 +26,7 @@ from hfb.fitting.direction_odds import shipped_odds
 from hfb.typing import Array, Float
 
 SIGNS: tuple[str, ...] = ("misfit", "moved", "unusual")
-"""Of `hfb.fitting.joint_features`: the matte is not covered, the fit left its first body far behind, an odd pose."""
+"""Names in `hfb.fitting.joint_features`: an uncovered matte, a large distance from the first body, an unusual pose."""
 
 _LEAST, _SUREST = 1e-12, 1 - 1e-9
 

@@ -19,7 +19,7 @@ from hfb.rendering.texels import texel_faces, visible_texels
 from hfb.typing import Array, Float, Tensor
 
 _FLOOR_M = 0.02
-"""Added to lengths before the logarithm: smaller differences carry no information."""
+"""Constant added to lengths before the logarithm: smaller differences carry no information."""
 
 _SKIN_TEXELS = 64
 

@@ -12,7 +12,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion, multiply_quaternion
 from hfb.typing import Float, Tensor
 
 STEP = 1e-4
-"""Of the central differences, in exposures: with double precision their error is some 1e-8."""
+"""Step of the central differences, in exposures: with double precision their error is about 1e-8."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ _14_OF_17 = (3, 2, 1, 4, 5, 6, 16, 15, 14, 11, 12, 13, 8, 10)
 _LEFT_HIP, _RIGHT_HIP = 1, 2
 
 JOINT_COUNTS: tuple[int, ...] = (JOINT_COUNT, 17, 14)
-"""How many joints the known layouts have."""
+"""Numbers of joints of the known layouts."""
 
 MHR70_AS_24: dict[int, int] = {
     JOINT_NAMES.index(name): keypoint

@@ -20,7 +20,7 @@ from hfb.typing import Array, Bool, Float, Tensor
 
 LEAST_KEYPOINTS = 6
 _SPREAD = 0.01
-"""Of keypoints, in units of the person's size in the image."""
+"""Standard deviation of keypoints, relative to the person's size in the image."""
 _ROBUST = 5.0  # spreads from where on one is taken for wrong
 _WIDE = 8.0  # times the spread to begin with: from farther away, too, a joint is drawn to its keypoint
 _YAWS, _PITCHES = 16, (-0.35, 0.0, 0.35)

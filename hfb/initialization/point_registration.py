@@ -23,7 +23,7 @@ from hfb.typing import Array, Bool, Float, Int, Tensor
 _LEAST_JOINTS = 6
 _JOINT_SPREAD_M = 0.012
 _VERTEX_SPREAD_M = 0.02
-"""Of single vertices; neighbours err together, so that hundreds of them are no hundredfold evidence."""
+"""Standard deviation of single vertices; errors of neighbours are correlated, so hundreds of them count less."""
 _PRIOR = 0.1
 _SHAPE_INSTANTS, _CHUNK = 12, 128
 _MOSTLY, _PARTLY, _LEAST_MEMBERS = 0.5, 0.2, 10
@@ -31,7 +31,7 @@ _MOSTLY, _PARTLY, _LEAST_MEMBERS = 0.5, 0.2, 10
 _ENOUGH_VERTICES = 1500
 _ROUNDS, _RATE = 3, 0.02
 _WORTH_OF_A_MESH = 240
-"""As much as ten points at every joint."""
+"""Weight of a mesh, that of ten points at every joint."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from hfb.typing import Array, Float, Tensor
 _MARGIN = 0.2
 _LEAST_DEPTH_M = 0.4
 SWEPT_INSTANTS = 5
-"""Of a straight path; where a person crosses several widths, the mean is lumpy, which a matte at 64 px hardly shows."""
+"""Number of instants of a straight path; over several widths the mean is lumpy, hardly visible in a matte at 64 px."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ _FILE_LIMIT, _MEMBER_LIMIT, _NAME_LIMIT = 1 << 30, 10_000, 1000
 _NUMBERS_AND_TEXTS = "fiubUS"
 
 Objects = Callable[[bytes], Any]
-"""What is to be made of the pickle in an array of objects, e.g. by `hfb.io.safe.pickle_reader.load_pickle`."""
+"""A reader of the pickle in an array of objects, e.g. `hfb.io.safe.pickle_reader.load_pickle`."""
 
 
 def read_arrays(

@@ -426,10 +426,11 @@ def _choice(comparison):
 
 
 if_less = intrinsic(_choice("<"))
-"""In every lane `then` where left < right, else `otherwise`: of (left, right, then, otherwise), lanes or numbers."""
+"""Select, in every lane, `then` where left < right, else `otherwise`: of (left, right, then, otherwise), lanes or
+numbers."""
 
 if_equal = intrinsic(_choice("=="))
-"""As `if_less`, where left and right are equal."""
+"""`if_less` for left == right."""
 
 
 def _extreme(comparison):
@@ -448,7 +449,7 @@ smaller = intrinsic(_extreme("<"))
 """The smaller number in every lane; the second where one is not a number: of (left, right), lanes or numbers."""
 
 larger = intrinsic(_extreme(">"))
-"""As `smaller`, the larger number."""
+"""`smaller` for the larger number."""
 
 
 def _bits(comparison):
@@ -468,7 +469,7 @@ where_more = intrinsic(_bits(">"))
 """A bit per lane, the lowest the first: whether left > right: of (left, right), lanes or numbers."""
 
 where_no_less = intrinsic(_bits(">="))
-"""As `where_more`, whether left >= right."""
+"""`where_more` for left >= right."""
 
 
 @intrinsic

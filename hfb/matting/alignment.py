@@ -22,7 +22,7 @@ _SETTLED_PX = 0.001
 _DEGREE, _FINEST_DEGREE = 3, 5  # of splines
 _LEAST_PX = 0.02
 MOST_PX = 4.0
-"""How far a plate is moved, in an image of 640 px."""
+"""Largest movement of a plate, in an image of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
 _EDGE_SHARE = 0.3
 _LEAST_EDGE = 0.004  # a plain wall cannot tell

@@ -18,9 +18,9 @@ _DETECTION_PX = 480
 _SOLUTION_PX = 640
 _SEEN = 8.0  # in hundredths of alpha: pixels that certainly belong to a person
 LEAST_SHARE = 2e-4
-"""Of the image's area; less is no person."""
+"""Smallest share of the image's area that is a person."""
 MOST_SHARE = 0.75
-"""Of the image's area; where more changed the plate is another one."""
+"""Share of the image's area; where more changed the plate is another one."""
 
 
 @runtime_checkable

@@ -20,10 +20,10 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
 _LENGTHS = (0.03, 0.06, 0.11, 0.2, 0.3)
-"""Of the straight ways to begin with, as shares of the image's longer side."""
+"""Lengths of the initial straight ways, as shares of the image's longer side."""
 _DIRECTIONS = 8
 _CELL_PX = 24
-"""Of the grid that bends a way."""
+"""Cell size of the grid that bends a way."""
 
 
 class _Round(NamedTuple):
@@ -49,11 +49,12 @@ _ROBUST = 1.5  # standard deviations from where on errors count singly
 _MATTE, _SOFT, _COLOURS, _OUTLINE, _BEND = 0.3, 2.0, 5.0, 2.5, 1.0
 """Weights: the network's matte, what is neither in nor out, changes of colour, of the outline, of the way [1/px^2]."""
 _CHOICE = 30.0
-"""Added to _SOFT where candidates are compared: a soft outline that stands still explains a moving image, too, and
-its colours change less. So much while descending would leave a body of several ways nothing to make up for it with."""
+"""Constant added to _SOFT where candidates are compared: a soft outline at rest explains a moving image, too, with
+fewer changes of colour. As large a value during the descent would suppress the softness that a body with several ways
+needs."""
 _FAR = 0.03
-"""Of the longer side: where a way is this long a pixel may go twice as far from the network's matte as where it stands
-still, and in the end that matte is trusted half as much."""
+"""Length of a way, relative to the longer side, at which a pixel may deviate twice as far from the network's matte as
+at rest, and at which that matte finally has half the weight."""
 _COVERED, _CLEARLY = 0.02, 3.0  # alpha; standard deviations
 _STRAYED = 0.01
 _INVERSE_NOISE, _TRUST = slice(6, 9), 10  # their places in the kernels' input

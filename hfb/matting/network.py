@@ -38,7 +38,8 @@ _LOOKS = (1.0, 1.4)
 _LEAST_PX = 32
 _MARGIN = 0.2
 _COVERED, _REACH = 0.05, 0.05
-"""By a matte or a fit; how far beside them a third look may find the person, relative to the crop's longer side."""
+"""Share covered by a matte or a fit; and the distance at which a third pass may find the person, relative to the crop's
+longer side."""
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
 

@@ -16,7 +16,7 @@ from hfb.typing import Array, Bool, Float
 _ALIGNED_AT_PX, _JUDGED_AT_PX, _LOOKED_AT_PX = 640, 320, 256
 _FOUND_PX = 3 * MOST_PX
 _FOUND_GAINS = (0.2, 5.0)
-"""Farther than the matting mends, so that the matte is right where it tells what is wrong."""
+"""Range of gains, wider than the matting's correction, so that the reported problem is certain."""
 _AWAY_PX = 17
 _LEAST_EMPTY = 0.1
 _EDGE_SHARE, _LEAST_EDGE, _FEWEST_EDGES = 0.15, 0.02, 50

@@ -15,7 +15,7 @@ from hfb.typing import Array, Float
 
 EVIDENCE_CHANNELS = 17
 COLOUR_STARTS = (0, 3)
-"""Where in the evidence three channels are a colour's."""
+"""Channels of the evidence at which a colour's three begin."""
 
 _NEAR_PX, _FAR_PX, _UNMIXED_PX = 4, 32, 6
 _OPAQUE_POWER, _UNMIXED_POWER = 6, 2

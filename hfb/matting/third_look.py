@@ -15,10 +15,10 @@ from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Float
 
 SHARED_CHANNELS = CHANNELS + EVIDENCE_CHANNELS - 1
-"""Of what the second network saw: all but its doubt of a first matte."""
+"""Number of the second network's input channels that are used: all but the doubt of a first matte."""
 FIT_CHANNELS = 10
 FIT_COLOUR_STARTS = (0, 7)
-"""Where in the fit's evidence three channels are a colour's."""
+"""Channels of the fit's evidence at which a colour's three begin."""
 
 _LEAST_SHARE = 0.1  # a pixel that is less the fit's has no colour of its own
 _SPREAD_PX = 6

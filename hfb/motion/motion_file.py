@@ -24,7 +24,7 @@ _LARGEST = {
     "frame_index": 1e6,
     "joint_radius_mm": 1e9,
 }
-"""Beyond what a person in front of a camera can be: numbers that are read as they are would take memory or time."""
+"""Values beyond those of any person in front of a camera, which would cost readers memory or time."""
 
 _SHORTEST_STEP_S = 1e-12
 

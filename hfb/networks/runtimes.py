@@ -22,7 +22,7 @@ from hfb.networks.network_files import MOST_CODE_BYTES, check_torchscript, is_on
 from hfb.typing import Array, Float
 
 _TOO_FEW = ("k argument", "selected index k out of range")
-"""What onnxruntime and torch say where the k largest of fewer numbers are wanted."""
+"""Messages of onnxruntime and torch where the k largest of fewer numbers are wanted."""
 _HALF = torch.bfloat16
 """float16 takes twelve times as long on processors without instructions of its own, which are most."""
 _IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)[:, None, None]

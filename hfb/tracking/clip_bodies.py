@@ -37,7 +37,7 @@ _STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body a
 _TORSO = (1, 2, 16, 17)
 """Hips and shoulders: where the front is. Arms and legs move, and a search confuses them, whatever the front."""
 _DOUBT_M = 0.2
-"""What one unit of `front_doubt` weighs, in metres that hips and shoulders move: front and back are 0.3 m apart."""
+"""Weight of one unit of `front_doubt`, in metres of movement of hips and shoulders: front and back differ by 0.3 m."""
 
 
 @dataclass(frozen=True)

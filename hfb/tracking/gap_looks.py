@@ -20,12 +20,12 @@ from hfb.typing import Array, Float
 _LOOK_PX = 256
 _SEEN = 0.5
 _AROUND = 0.6
-"""Of a box's longer side: how far around it is looked."""
+"""Margin of the search around a box, relative to its longer side."""
 _FARTHEST = 0.4
 """Largest step of a person per frame, in their own height."""
 _ABOUT_AS_HIGH, _ABOUT_AS_LARGE = (0.6, 1.5), (0.35, 1.8)
 _IN_VIEW = 0.01
-"""Of a side of the frame: who is nearer to its edge may be cut off by it."""
+"""Share of a side of the frame: a person nearer to its edge may be cut off by it."""
 _MISSES = 2
 """Number of frames in a row after the last detection that are searched."""
 

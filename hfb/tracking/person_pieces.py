@@ -29,7 +29,7 @@ _LEAST_BRIDGE = 0.04
 two people and above a reflection, 0.05 to 0.7 across hips that hardly differ from a hedge."""
 _FAINT = 0.1
 _SMALLEST_PIECE = 0.06
-"""Of the larger piece's area: less changes no box that matters."""
+"""Share of the larger piece's area: a smaller piece does not change the box."""
 
 
 def join_pieces(

@@ -20,7 +20,7 @@ from hfb.typing import Array, Bool, Float
 
 _LOOK_PX = 240
 _LEAST_SHARE = 0.0015
-"""Of the image's area; a smaller change is no person."""
+"""Share of the image's area; a smaller change is no person."""
 _LEAST_OF_LARGEST = 0.15
 """Share of the frame's largest change; less is a part of a person, a shadow or a reflection."""
 _FARTHEST, _LONGEST_ABSENCE = 0.4, 30

@@ -13,7 +13,7 @@ from hfb.errors import InputError
 from hfb.typing import Array, Float
 
 MOST_SHIFT = 4
-"""How many frames joints and images may lie apart and still be brought together."""
+"""Largest shift of joints and images [frames] that is corrected."""
 
 _LOOK_PX = 240
 _LOOK_FRAMES = 240

@@ -27,8 +27,9 @@ TRUTH_SOURCES: dict[str, str] = {
 """`truth_source` of case.json."""
 
 OFFSET_MM: dict[str, tuple[int, int]] = {"hip": (20, 50), "shoulder": (20, 50)}
-"""How far an anatomical joint centre, or a detector's keypoint, lies from SMPL's joint of that name, least and most:
-SMPL's are regressed from a surface. Of knees, ankles, elbows and wrists no offset beyond the truth's error is known."""
+"""Smallest and largest distance of an anatomical joint centre, or a detector's keypoint, from SMPL's joint of that
+name: SMPL's are regressed from a surface. For knees, ankles, elbows and wrists no offset beyond the truth's error is
+known."""
 
 
 def truth_kind(markers: Markers, cameras: int) -> TruthKind:

@@ -22,7 +22,7 @@ from hfb.motion.static_pose import FirstBody, save_first_body
 from hfb.typing import Float, Tensor
 
 FORMAT = 1
-"""Of case.json; raised when a reader of older cases would go wrong."""
+"""Format of case.json; raised when a reader of older cases would go wrong."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ from hfb.rendering.formation import compose
 from hfb.typing import Array, Float, Tensor
 
 _EVERY = 13
-"""Of the vertices, and of the instants, taken to aim the camera."""
+"""Stride of the vertices, and of the instants, that are used to aim the camera."""
 _AT_ONCE = 11
 _MARGIN_S = 0.1
 _NOISE = Sensor(0.003, 0.00005, 0.3)

@@ -13,7 +13,7 @@ from hfb.typing import Array, Float, Tensor
 
 _THINNEST_M, _THICKEST_M = 0.005, 0.04
 _ROUNDS = 80
-"""Of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
+"""Rounds of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "left_hip", "right_hip", "left_shoulder", "right_shoulder")
 _CLOSE = ("left_collar", "right_collar")

@@ -21,7 +21,7 @@ _DRAWS, _DRAWS_PER_CLIP = 240, 4
 _CORRECTIONS = 5
 _COARSE_PX, _COARSE_INSTANTS = 64, 15
 _EVERY = 13
-"""Of the vertices, taken to aim the camera."""
+"""Stride of the vertices that are used to aim the camera."""
 _FIRST_GUESS_S = 0.15
 _SEEN = 0.95
 """Few instants leave gaps in a fast union: a rough blur rate is a few percent too low."""

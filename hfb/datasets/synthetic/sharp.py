@@ -13,7 +13,7 @@ from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.typing import Array, Float
 
 SHARP_SUBFRAMES = 8
-"""At u = i / 7: the instants of a fit with eight sub-frames."""
+"""Number of sub-frames at u = i / 7, the instants of a fit with eight sub-frames."""
 
 
 def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:

@@ -12,7 +12,7 @@ _AZIMUTH_DEG, _ELEVATION_DEG, _ROLL_DEG = 70.0, (-5.0, 20.0), 3.0
 _DIAGONAL_FIELD_DEG = (35.0, 65.0)
 _FILLED = (0.55, 0.85)
 _MARGIN = 0.05
-"""Of the image's side, kept free on every side of the person."""
+"""Share of the image's side that is kept free on every side of the person."""
 _ROUNDS = 8
 _UPRIGHT = 0.3
 """A front whose horizontal part is shorter than this is no direction to look from: the person lies, or bends far."""

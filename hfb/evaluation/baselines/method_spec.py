@@ -30,7 +30,7 @@ METHOD_NAMES: Mapping[str, str] = {
     "oracle-simulated": "the simulated estimator, as good as at the lowest blur, on the TRUE sharp sub-frames",
     "NAME=FILE.toml": "Human from Blur with your own options, as for `hfb fit --config FILE.toml`",
 }
-"""What a method is made of: names and one line each, for the help."""
+"""Names of methods with one line each, for the help."""
 
 
 def _stage_of_all(fit: FitConfig) -> FitConfig:
@@ -89,7 +89,7 @@ MODIFIERS: Mapping[str, str] = {
     "METHOD@true-height": "an oracle: a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
 }
-"""What may be added to a method's name, several of them one after another."""
+"""Endings that may be added to a method's name, several of them one after another."""
 
 
 class FileDigest(Record):

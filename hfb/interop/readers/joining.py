@@ -14,8 +14,8 @@ JOINT = "+"
 """Between the names of joined tracks."""
 _LONGEST_GAP = 30
 _NEAR, _PER_FRAME, _FARTHEST = 0.4, 0.05, 1.0
-"""How far apart the end of a track and the beginning of the next may lie, in heights of the person: from one frame to
-the next, more for every further one, at most."""
+"""Largest distance of the end of a track from the beginning of the next, in heights of the person: from one frame to
+the next, per further frame, and in all."""
 _HEIGHT_M = 1.7
 _log = logging.getLogger(__name__)
 

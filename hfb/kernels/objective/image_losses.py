@@ -16,7 +16,7 @@ from hfb.kernels.objective import image_kernels as kernels
 from hfb.typing import Array, Float, Int, Tensor
 
 _levels = lru_cache(kernels.levels)
-"""Of an image's size and a number of scales; not to be changed."""
+"""Table of the levels of an image's size and a number of scales; not to be changed."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ Block = tuple[Array, ...]
 """The trace of up to LANES bodies, see `render_block`; of DIB-R's silhouettes of one."""
 
 Box = tuple[int, int, int, int]
-"""Of an image: left, top, right and bottom [px], the last two not in it."""
+"""Left, top, right and bottom of a box in an image [px], the last two exclusive."""
 
 
 @dataclass(frozen=True)

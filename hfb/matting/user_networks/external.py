@@ -22,12 +22,13 @@ _MULTIPLE_PX = 4
 _LONGEST_PX = 4096
 """Larger frames are matted at this size: a matte is compared at 256 px at most, and memory stays bounded."""
 _TILES_SHARE = 0.125
-"""How much of a tile its neighbour sees too."""
+"""Overlap of neighbouring tiles, as a share of a tile."""
 _COARSE_PX = 480
 """Longer side of BackgroundMattingV2's first pass: 1/4 of an HD frame, as its authors recommend."""
 _COARSE_SCALES = (0.125, 0.5)
 _REFINED_PIXELS = 80_000
-"""At HD and below, as its authors recommend; of larger images the same share (4K: 320,000)."""
+"""Number of refined pixels at HD and below, as its authors recommend; larger images have the same share (4K:
+320,000)."""
 _REFINED_SHARE = _REFINED_PIXELS / (1920 * 1080)
 _MOST_ENLARGED = 8
 """A network whose file fixes the number of refined pixels fails on a small image, which is then shown larger."""

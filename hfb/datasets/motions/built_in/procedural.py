@@ -26,7 +26,7 @@ from hfb.typing import Array, Float
 
 FPS = 120.0
 _ROUNDS = 2
-"""How often each gesture appears: with other tempo, size, side and small deviations."""
+"""Number of appearances of each gesture, with different tempo, size, side and small deviations."""
 _MIXED = 12
 """Clips that take the legs of one gesture and the arms and trunk of another."""
 
@@ -35,7 +35,7 @@ _KEY_NOISE_DEG = 3.5
 _SOFT_DEG = 4.0
 _FEET = tuple(JOINT_NAMES.index(name) for name in ("left_ankle", "right_ankle", "left_foot", "right_foot"))
 _SOLE_M = (0.07, 0.07, 0.02, 0.02)
-"""How far below each of these joints the sole is."""
+"""Distance of the sole below each of these joints."""
 _CONTACT_M = 0.015
 
 

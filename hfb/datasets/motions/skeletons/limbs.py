@@ -15,7 +15,7 @@ _FRAME_WEIGHT = 0.02
 """Weight of the foreign frame against the plane of the bend, which has its squared sine: equal at 8 degrees."""
 
 _CARRY_S = 0.08
-"""How long the plane of a bend is trusted once the limb is straight."""
+"""Time for which the plane of a bend is used once the limb is straight."""
 
 _BACKWARD = -0.3
 """Cosine between the axis of the bends and the anatomical one below which a limb is broken: some conversions of CMU's

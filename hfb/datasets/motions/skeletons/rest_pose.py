@@ -14,7 +14,7 @@ from hfb.typing import Array, Float
 
 _STILL = np.array([1.0, 0, 0, 0])
 _FLAT_FOOT = np.array([0, -np.sin(np.deg2rad(13.5)), np.cos(np.deg2rad(13.5))])
-"""As Character Creator's feet are while they stand; used where the rest pose does not show it."""
+"""Direction of Character Creator's feet while they stand; used where the rest pose does not determine it."""
 
 
 @dataclass(frozen=True)

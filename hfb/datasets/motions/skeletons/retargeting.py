@@ -43,7 +43,7 @@ _FLEXION = {
 _AT_ELBOW = 0.6
 _MOST_PRONATION = np.deg2rad(110)
 _WRIST = np.deg2rad([[-5, -25, -60], [5, 35, 60]])
-"""How far a left wrist goes about SMPL's axes, least and most; see `hfb.priors.anatomy`."""
+"""Smallest and largest angles of a left wrist about SMPL's axes; see `hfb.priors.anatomy`."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ _SOMETIMES, _MOSTLY = 0.2, 0.6
 """Shares of frames: whoever is upright so often by the rest pose's up leaves no doubt; so often by another one is not
 lying."""
 _ON_FLOOR, _FLAT, _TRAVEL = 0.25, 0.8, 1.0
-"""In lengths of a leg: height of the floor, of somebody who lies, and a way that nobody goes on their back."""
+"""Lengths relative to a leg: height of the floor, height of a lying person, distance that nobody moves on their
+back."""
 
 
 def find_up(

@@ -28,7 +28,7 @@ from hfb.typing import Array, Float
 SYSTEM = "SAM 3D Body"
 _NEEDED = {"pred_keypoints_3d", "pred_cam_t"}
 _REACH_M = 1.0
-"""How far a pelvis moves from one frame to the next."""
+"""Largest distance that a pelvis moves from one frame to the next."""
 _LEAST_KEYPOINTS, _LEAST_SPREAD = 6, 1e-3
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,8 @@ from hfb.errors import InputError
 from hfb.io.media.images.image_kinds import foreign_kind
 
 PIXEL_LIMIT = 40_000_000
-"""Of an image, or a frame of a video (8K has 33): as float32 RGB 0.5 GB, with a decoder's copies of 16 bits 1.5 GB."""
+"""Largest number of pixels of an image, or a frame of a video (8K has 33 million): as float32 RGB 0.5 GB, with a
+decoder's copies of 16 bits 1.5 GB."""
 
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
 KINDS = "a PNG, JPEG, TIFF, WebP or BMP picture"

@@ -121,9 +121,9 @@ _PINHOLE_AT_ZERO = frozenset(
 """Other models that are a pinhole where all of their coefficients are zero."""
 
 _MODEL_KEYS = ("distortionmodel", "distortiontype", "modeltype", "projectionmodel", "projectiontype", "projection")
-"""What they say is a model, known or not."""
+"""Keys whose value is a model, known or not."""
 _LOOSE_KEYS = ("cameramodel", "lensmodel", "model", "type", "lenstype", "cameratype", "lens", "intrinsictype")
-"""What they say may be a product's name, too."""
+"""Keys whose value may be a product's name, too."""
 _LENGTHS = (4, 5, 8, 12, 14)
 _BY_NAME = {False: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), True: ("k1", "k2", "k3", "k4")}
 

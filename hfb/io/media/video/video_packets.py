@@ -10,7 +10,7 @@ from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.typing import Array, Float
 
 ASSUMED_FPS = 30.0
-"""Of footage that has no clock and states no rate."""
+"""Frame rate of footage that has no clock and states no rate."""
 
 _ROUNDING_FRAMES = 2
 """A container's duration may be longer than its images by so many frames: sound, or rounding."""
