@@ -44,9 +44,11 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
 def add_worker_flags(parser: argparse.ArgumentParser) -> None:
     """Who computes."""
     parser.add_argument(
-        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        "--workers",
+        default=str(cores()),
+        metavar="N|dask:ADDRESS|ray:ADDRESS",
         help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--store",
         metavar="URL",
@@ -61,10 +63,11 @@ def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEF
     parser.add_argument("--methods", default=methods, metavar="A,B,...", help=f"{known} [{shown}]")
     parser.add_argument("--chains", type=Path, metavar="FILE.toml", help="deblur-then-estimate chains, by name")
     parser.add_argument(
-        "--start", choices=("simulated", "estimated"),
+        "--start",
+        choices=("simulated", "estimated"),
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
         "[simulated; b-aist: estimated]",
-    )  # fmt: skip
+    )
 
 
 def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
@@ -102,9 +105,13 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
 
     start = given.start or ("estimated" if given.set == "b-aist" else "simulated")
     return BenchmarkPlan(
-        spec=set_spec(given, frames), count=given.count, methods=method_specs(given.methods, given.chains),
-        start=start, init=InitConfig(), body=given.body,
-    )  # fmt: skip
+        spec=set_spec(given, frames),
+        count=given.count,
+        methods=method_specs(given.methods, given.chains),
+        start=start,
+        init=InitConfig(),
+        body=given.body,
+    )
 
 
 def benchmark_text(result: Mapping[str, Any]) -> str:

@@ -13,14 +13,12 @@ ROOMS = ("hfb", "tasks", "flows")
 
 LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
-CROWDED = {"hfb/report": 23}
-"""Rooms with more files than that today."""
-FORMATTED_BY_HAND = 89
+FORMATTED_BY_HAND = 0
 """Statements that the formatter skips and that are no tables of numbers; the goal is 0."""
 TUPLES_OF_ANY = 0
 UNDESCRIBED = 408
 """Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
-LINES = {"product": 39_363, "training": 4_257}
+LINES = {"product": 39_738, "training": 4_257}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
 
 The product's goal is 30,183, nine tenths of what adb3d25 had.
@@ -31,8 +29,6 @@ SAME_NAME = {
     "bvh": "as above",
 }
 """Names of several modules, and why."""
-TWINS = {"benchmark_page", "metrics", "record", "strip", "train_prior"}
-"""Names of several modules today that should be of one each."""
 
 
 def sources(*rooms: str) -> list[Path]:
@@ -54,15 +50,12 @@ def test_few_modules_lie_outside_a_room() -> None:
 
 def test_no_room_is_crowded() -> None:
     files = Counter(path.parent.relative_to(ROOT).as_posix() for path in sources(*ROOMS) if path.stem != "__init__")
-    assert {room: count for room, count in files.items() if count > CROWDED.get(room, FILES_OF_A_ROOM)} == {}
-    assert not [room for room in CROWDED if files[room] <= FILES_OF_A_ROOM], "take the room off the list"
+    assert {room: count for room, count in files.items() if count > FILES_OF_A_ROOM} == {}
 
 
 def test_a_module_is_found_by_its_name() -> None:
     names = Counter(path.stem for path in sources(*ROOMS) if path.stem != "__init__")
-    twice = {name for name, count in names.items() if count > 1}
-    assert twice <= {*SAME_NAME, *TWINS}
-    assert not TWINS - twice, "take the name off the list"
+    assert {name for name, count in names.items() if count > 1} == set(SAME_NAME)
 
 
 def test_the_formatter_formats() -> None:
