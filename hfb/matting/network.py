@@ -38,8 +38,8 @@ _LOOKS = (1.0, 1.4)
 _LEAST_PX = 32
 _MARGIN = 0.2
 _COVERED, _REACH = 0.05, 0.05
-"""Share covered by a matte or a fit; and the distance at which a third pass may find the person, relative to the crop's
-longer side."""
+"""Alpha from which a matte or a fit covers a pixel; and how far from these pixels the third network may find the person,
+relative to the crop's longer side."""
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
 
