@@ -38,7 +38,7 @@ _LOOKS = (1.0, 1.4)
 _LEAST_PX = 32
 _MARGIN = 0.2
 _COVERED, _REACH = 0.05, 0.05
-"""Alpha from which a matte or a fit covers a pixel; and how far from these pixels the third network may find the person,
+"""Alpha from which a matte or a fit covers a pixel; and how far from there the third network may find the person,
 relative to the crop's longer side."""
 _CLEARLY_CHANGED = 0.05  # in sRGB
 
