@@ -1,6 +1,6 @@
 """A denser body: every triangle becomes four, on a smoother surface, with the same skeleton and the same texture.
 
-Synthetic truth is drawn from it, so that what is fitted is not the very polyhedron that made the image.
+Synthetic truth is rendered from it, so that a fit does not use the very polyhedron that made the image.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Simulated static estimates with the errors of METRO on the paper's BT-AMASS, by blur rate.
 
 The paper starts every fit from METRO (Lin et al. 2021), whose weights are not free. Its tables 1 and 2 give METRO's
-errors: with estimates of equal errors, ratios are comparable to the paper's.
+errors; with estimates of equal errors, ratios are comparable to the paper's.
 """
 
 from dataclasses import dataclass

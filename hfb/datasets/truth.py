@@ -1,7 +1,7 @@
 """truth.npz: the true motion of a case, for evaluation only.
 
-A synthetic case knows the whole motion and every silhouette (`Truth`); real video knows where some joints were
-(`JointTruth`). The file's members tell which it is.
+A synthetic case has the whole motion and every silhouette (`Truth`); real video has the positions of some joints
+(`JointTruth`). The file's members determine the kind.
 """
 
 from dataclasses import dataclass

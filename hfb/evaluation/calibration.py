@@ -1,7 +1,7 @@
 """Calibration of confidence on fits whose truth is known.
 
-Errors within a case hang together, so every case counts as one, and figures of how well it works are taken on cases of
-recordings that the coefficients were not fitted to.
+Errors within a case are correlated, so every case counts as one, and the reliability is measured on cases of recordings
+that the coefficients were not fitted to.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """Calibration of the odds of directions on fits whose truth is known, and their reliability.
 
-An event is one question with two answers: did the body, or a limb of it, move the way the result says in one frame?
+An event is the direction of the body, or of a limb, in one frame, which the result predicts rightly or wrongly.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

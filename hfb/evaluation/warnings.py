@@ -1,7 +1,7 @@
 """Checks of a finished result for signs of errors, each with a remedy.
 
-Every check compares what was seen with what was fitted; none needs the truth. Bounds lie well outside of what clean
-recordings give (tests/evaluation/test_warnings.py).
+Every check compares the images with the fit; none needs the truth. Bounds are well outside of the values of clean
+recordings (tests/evaluation/test_warnings.py).
 """
 
 import math

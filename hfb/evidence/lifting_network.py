@@ -1,9 +1,9 @@
 """The lifting network: joint depth from joints across the view, a first guess and bone lengths, without an image.
 
-Its training data is cheap but for some thousand fits, whereas the joint network needs rendered images. Once a fit has
-the joints across the view, this network knows their depth better (2D-to-3D lifting: Martinez et al., A simple yet
-effective baseline for 3d human pose estimation, ICCV 2017; here with a first guess and the lengths of the fit's bones
-as further inputs: the part of a bone that is not seen across the view lies in depth).
+Its training data is cheap except for some thousand fits, whereas the joint network needs rendered images. Once a fit
+has the joints across the view, this network predicts their depth better (2D-to-3D lifting: Martinez et al., A simple
+yet effective baseline for 3d human pose estimation, ICCV 2017; here with a first guess and the lengths of the fit's
+bones as further inputs: the part of a bone's length that is not across the view is in depth).
 """
 
 from functools import lru_cache

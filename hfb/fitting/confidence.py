@@ -1,12 +1,12 @@
 """Confidence of joints: a radius per joint and sub-frame with half of the errors, and the law of larger ones.
 
-The error meant is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
-It is taken to follow a Weibull law with one exponent k and a median of its own for every joint and instant,
+The error is the one that MPJPE averages: of a joint about the pelvis, after one rotation of the whole sequence.
+It is modelled by a Weibull law with one exponent k and a median of its own for every joint and instant,
 
     P(error <= x) = 1 - 2^-((x / radius)^k),        log radius = b_0 + sum_i b_i f_i,
 
-whose features f_i are read off the fit. The coefficients are fitted by maximum likelihood to fits whose truth is known
-(`hfb train confidence`) and lie in data/confidence.json, a set for each kind of start: a fit errs twice as much
+whose features f_i are computed from the fit. The coefficients are fitted by maximum likelihood to fits whose truth is
+known (`hfb train confidence`) and are in data/confidence.json, a set for each kind of start: errors are twice as large
 from a start that was estimated from its image as from a simulated one. A new feature is a new entry in
 `hfb.fitting.joint_features`.
 """

@@ -1,7 +1,7 @@
 """Joining of two motions: the gap between them, and the cubic Hermite curves that close it.
 
-Rotations are looked at as logarithms about the rotation half-way between both sides: there they add up like places, and
-what is continuous in value and derivative is so as a rotation too.
+Rotations are represented by logarithms about the rotation half-way between both sides: there they add up like
+positions, and continuity in value and derivative carries over to the rotation.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Registration of the body to 2D keypoints, with a prior of plausible poses.
 
-Reprojection and priors, as SMPLify (Bogo et al., ECCV 2016); depth is open where only pixels are known, so the nearest
-of some fifty poses, seen from all sides, are where it begins, and the most likely of what they become is kept.
+Reprojection and priors, as in SMPLify (Bogo et al., ECCV 2016). Pixels alone leave the depth open, so the search starts
+from the nearest of about fifty poses, seen from all sides, and keeps the most likely result.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Joint angles from joints in closed form, a close start for registration.
 
-Down the tree, every joint is turned so that the bones which leave it point the way they are seen to (Kabsch, the
-rotation between two sets of vectors that fits best). A bent elbow or knee tells the twist of its upper limb too.
+Down the tree, every joint is turned so that its child bones point in their observed directions (Kabsch, the best
+rotation between two sets of vectors). A bent elbow or knee determines the twist of its upper limb, too.
 """
 
 import torch

@@ -1,7 +1,7 @@
 """The first body from the matte alone: generic poses from all sides, the best few refined by render and compare.
 
-Needs no network and no colour. What it can't know: a silhouette looks the same from the front and from behind
-(the front is preferred a little), and which leg is which.
+It needs no network and no colour. A silhouette does not determine front and back (the front is preferred a little), nor
+which leg is which.
 """
 
 from dataclasses import dataclass

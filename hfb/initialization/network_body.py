@@ -1,8 +1,8 @@
 """METRO, the paper's start: a user's exported network, to whose mesh or joints the body is registered.
 
-In: the person's square at 224 px, normalised as ImageNet. Out, told apart by their sizes: a weak-perspective camera
-(3), 14 joints, vertices (431, 1723, 6890); y points down, metres, about the pelvis. SMPL is registered to its own
-mesh, another body to the joints.
+Input: the person's square at 224 px, normalised as ImageNet. Outputs, distinguished by their sizes: a weak-perspective
+camera (3), 14 joints, vertices (431, 1723, 6890); y points down, metres, about the pelvis. SMPL is registered to its
+own mesh, another body to the joints.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
-Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
-regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and
-every answer is drawn as a stick figure and compared with the matte.
+Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
+regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and every
+result is drawn as a stick figure and compared with the matte.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
 """Registration of the body to another model's joints or vertices: rotations, translation and shape.
 
-The paper starts from a network's mesh, to which SMPL is fitted (IPNet's registration). Angles come in closed form
-(`hfb.initialization.limb_angles`), then Adam makes the most likely body of them: Gaussian distances of points, the
+The paper starts from a network's mesh, to which SMPL is fitted (IPNet's registration). Angles are computed in closed
+form (`hfb.initialization.limb_angles`) and refined by Adam to the most likely body: Gaussian distances of points, the
 anatomical prior, betas of unit variance.
 """
 

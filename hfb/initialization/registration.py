@@ -1,7 +1,7 @@
 """Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
-The body's joints and a few surface points (nose, ears, heels, toes) are laid onto the landmarks: their pixels fix
-where things appear, the metric landmarks fix in which direction bones point, an anatomical prior fixes the rest.
+The body's joints and a few surface points (nose, ears, heels, toes) are fitted to the landmarks: their pixels determine
+positions in the image, the metric landmarks the directions of bones, an anatomical prior the rest.
 """
 
 from dataclasses import dataclass

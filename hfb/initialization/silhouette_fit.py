@@ -1,8 +1,8 @@
 """Render and compare: refine one static body until its silhouette covers the matte.
 
-The matte of a blurred frame is the mean of many silhouettes; a static body can't equal it, but the one that
-shares most with it lies in the middle of the motion. Where a person crosses more than their own width, it covers the
-densest part instead, and is too far away: there the body is carried along a straight line, and the mean compared.
+The matte of a blurred frame is the mean of many silhouettes; a static body cannot equal it, but the one with the
+largest overlap is in the middle of the motion. Where a person moves by more than their own width, it covers only the
+densest part, and is too far away: there the body is moved along a straight line, and the mean is compared.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,8 @@
 """Search for the first body of a person who moves by more than their own width during the exposure.
 
-Then no static silhouette covers half of the matte: it is wide, thin and nowhere opaque. A straight path is searched
-together with the body: generic poses, smeared along the image's axes by as much as the matte is wider than they are.
+In such a frame no static silhouette covers half of the matte, which is wide, thin and nowhere opaque. A straight path
+is searched together with the body: generic poses are smeared along the image's axes until they are as wide as the
+matte.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,8 @@
 """First bodies from another system's result.
 
-A system's camera is rarely the clip's: most assume a focal length, some of many metres. What a body looks like is
-kept: its root appears at the same pixel and in the same size, and is turned with the ray on which it is seen, since a
-body at the image's edge is seen from the front by a lens far away, and a little from the side by a wide one.
+A system's camera is rarely the clip's: most assume a focal length, some of many metres. The appearance is kept: the
+root appears at the same pixel and in the same size, and is turned with its view ray, since a body at the image's edge
+is seen from the front by a lens far away, and a little from the side by a wide one.
 """
 
 from dataclasses import replace

@@ -1,7 +1,7 @@
 """Compilation and caching of kernels: once per machine, and again when any of their sources changes.
 
-All compiled code lives in this room and has one hash, which names the folder that keeps it: another clone, or a
-package that was moved, finds the kernels of the same sources; a change in any file compiles all of them again.
+All compiled code is in this package and has one hash, which names its cache folder: another clone, or a package that
+was moved, uses the kernels of the same sources; a change in any file compiles all of them again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

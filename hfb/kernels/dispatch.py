@@ -1,7 +1,7 @@
 """The choice between compiled kernels and the readable torch formulas that they are tested against.
 
-Compiled kernels take tensors in the processor's memory, of one fit. The readable form runs on any device, and under
-`torch.func.vmap`, which gives tensors of many fits to a formula written for one.
+Compiled kernels accept tensors of one fit in the CPU's memory. The readable form runs on any device, and under
+`torch.func.vmap`, which passes tensors of many fits to a formula written for one.
 """
 
 from collections.abc import Iterator

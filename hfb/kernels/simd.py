@@ -1,8 +1,7 @@
 """SIMD operations of the kernels, written in LLVM: several neighbouring numbers in one register.
 
-The compiler that numba brings does not pack neighbouring numbers by itself where it cannot rule out that the arrays
-overlap, or tests for it at every call; so a few steps are written for it. Positions are counted in numbers from the
-beginning of an array without gaps.
+Numba's compiler does not vectorise where it cannot rule out that arrays overlap, or tests for it at every call; so a
+few steps are written by hand. Positions are counted in numbers from the beginning of a contiguous array.
 """
 # mypy: ignore-errors
 # (builds code for numba: its types are not mypy's)

@@ -1,7 +1,7 @@
 """Worker threads for compiled kernels, which release Python's lock.
 
-Not numba's: its default layer aborts the process when several Python threads use it, another kills a forked
-child. A child of fork() starts without workers (threads do not survive a fork) and makes its own.
+Numba's own threads are not used: the default layer aborts the process when several Python threads use it, another kills
+a forked child. A child of fork() starts without workers (threads do not survive a fork) and makes its own.
 """
 
 import os

@@ -1,10 +1,10 @@
 """Alignment of a plate that is shifted by some pixels.
 
-A tripod that was touched, a plate of another take, a phone's crop that follows the lens: every edge of the background
+Where a tripod was touched, a plate is of another take, or a phone's crop follows the lens, every edge of the background
 would look like a person's. The movement (shift, turn, scale) is found by Gauss-Newton on gray images, coarse to fine
-(Lucas and Kanade 1981), with weights that leave the person out (Geman and McClure), exposure gain and offset beside it.
-Between pixels both search and result take B-splines. OpenCV's cubic kernel (a = -0.75) lands up to 0.05 px too
-far, its Lanczos kernel rounds places to 1/32 px, and linear interpolation blurs, which biases the search.
+(Lucas and Kanade 1981), with weights that exclude the person (Geman and McClure), together with exposure gain and
+offset. Both search and result interpolate with B-splines: OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off, its
+Lanczos kernel rounds positions to 1/32 px, and linear interpolation blurs, which biases the search.
 """
 
 from dataclasses import dataclass

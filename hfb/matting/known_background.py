@@ -1,15 +1,15 @@
 """A matte from one frame and the clean background: alpha = <I - B, F - B> / |F - B|^2, F unknown but smooth.
 
 Blur is a mixture of light, so everything is computed in linear light: I = alpha F + (1 - alpha) B. Two kinds of
-evidence are joined, each with the precision that the camera's noise leaves it:
+evidence are combined, each with its precision under the camera's noise:
 
-- colour: the share of the way from B to the nearby body colour F, which is found again in each round from the
+- colour: the share of the way from B to the nearby body colour F, which is estimated again in each round from the
   pixels that look most opaque;
 - texture: in a small window with nearly constant alpha and F the frame is a line over the plate,
-  I = (1 - alpha) B + const, so the slope says how much background shines through, whatever F is.
+  I = (1 - alpha) B + const, so the slope is the share of the background, whatever F is.
 
-Where neither says anything (clothes of the background's colour) a membrane fills in from around. A shadow is a
-pixel that a darker background explains and no body colour does.
+Where neither gives any evidence (clothes of the background's colour) a membrane interpolates. A shadow is a pixel that
+a darker background explains and no body colour does.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
 """Matting by a moving layer: a sharp outline and its colours, averaged along its way, over the plate.
 
 I = mean_s (m c)(x - s v) + (1 - mean_s m(x - s v)) B, -1/2 < s < 1/2: the formation model of fast moving objects
-(Rozumnyi et al., "The World of Fast Moving Objects", CVPR 2017), with a way v that may differ from place to place.
-Where a ramp of the matte hides the body's colours, the layer has them from where the way leads inside. A network's
-matte says where to begin and, by its doubt, how far to go from there.
+(Rozumnyi et al., "The World of Fast Moving Objects", CVPR 2017), with a way v that may vary in the image. Where a ramp
+of the matte hides the body's colours, the layer takes them from inside along the way. A network's matte is the start,
+and its doubt bounds the distance from it.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Check of a plate's alignment and exposure against the frame's background, after both are corrected.
 
-A plate farther beside the frame than alignment.py moves it makes a person's outline of every edge; another exposure
-than camera_noise.py evens out makes a person of the whole room. The matte shows it late: it is told in words before.
+A plate that is shifted farther than alignment.py corrects turns every edge into a person's outline; an exposure that
+camera_noise.py does not correct turns the whole room into a person. Both are detected and reported before matting.
 """
 
 import cv2

@@ -1,7 +1,7 @@
 """Inputs of the second network that follow from a first matte: the body's colours, and alpha by them.
 
-alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
-far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,
+alpha = <I - B, F - B> / |F - B|^2 needs F, which follows from a first matte: from opaque neighbours, near and far, and,
+where a thin limb is nowhere opaque, from the blurred pixels themselves after removing the plate,
 F = B + (I - B) / alpha. None is right everywhere; the second network has learned to weigh them.
 """
 

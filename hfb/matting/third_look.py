@@ -1,9 +1,9 @@
 """Inputs of the third network that follow from a fit: its render, silhouette and colours.
 
-A matte that was found before any fit errs where the person looks like the plate; the fitted body errs where a limb is
-not yet where it should be. Both see the same pixels, and where they disagree the pixels say who is right: how much of
-a fitted colour is there, and what the fit's image leaves unexplained. The third network has learned to weigh that
-from people beside somebody posed and shaped a little otherwise, and from fits.
+A matte from before the fit has errors where the person looks like the plate; the fitted body has errors where a limb is
+not yet in place. Where they disagree, the pixels decide: the share of the fitted colour, and the difference that the
+fit's image leaves. The third network has learned to weigh them from people beside a body of slightly different pose and
+shape, and from fits.
 """
 
 import numpy as np

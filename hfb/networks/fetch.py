@@ -1,8 +1,8 @@
 """`hfb models fetch`: download of MediaPipe's pose networks; the only code of hfb that uses the internet.
 
-The detector and the full landmark network are taken out of the wheel on the package index, the heavy one, which no
-wheel holds, out of the npm package. Archives and networks are checked against fixed digests before a byte of them is
-kept; nothing of MediaPipe's packages is installed or run.
+The detector and the full landmark network are extracted from the wheel on the package index, the heavy one, which no
+wheel has, from the npm package. Archives and networks are checked against fixed digests before any of them is kept;
+nothing of MediaPipe's packages is installed or run.
 """
 
 import gzip

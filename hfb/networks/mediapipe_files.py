@@ -1,6 +1,6 @@
 """Local files of MediaPipe's pose networks, and the choice among them. Offline.
 
-They are not part of this project: `hfb models fetch` brings them (see fetch_networks.py).
+They are not part of this project: `hfb models fetch` downloads them (see `hfb.networks.fetch`).
 """
 
 import hashlib

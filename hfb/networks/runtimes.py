@@ -1,7 +1,7 @@
 """A user's network, TorchScript or ONNX, on one thread of the CPU.
 
-A network is a program: run those you trust. No Python object of a file is ever unpickled: what is no TorchScript
-archive and no ONNX file is refused.
+A network is a program: run only those you trust. No Python object of a file is ever unpickled: a file that is neither a
+TorchScript archive nor ONNX is refused.
 """
 
 import importlib.util

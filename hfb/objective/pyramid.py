@@ -1,6 +1,6 @@
 """Losses at several scales: a coarser image still overlaps where a body is off by a few pixels.
 
-Readable torch; a fit on the processor runs the compiled form of the same, `hfb.kernels.objective.image_losses`.
+Readable torch; a fit on the CPU runs the compiled form, `hfb.kernels.objective.image_losses`.
 """
 
 from collections.abc import Callable

@@ -1,11 +1,11 @@
 """The coefficient matrix C in the motion prior's form, for any kind of polynomials.
 
-A fit's own coefficients mean different things: quaternions or axis and angle, time from the start or from the middle,
-the root seen by whatever camera. Here C is what the motion itself determines: unit quaternions at five instants, and
-the quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
-mid-exposure, so that C, and with it the prior, does not depend on the camera: where the person stands, which way it
-faces and where "up" is are all gone. With the origin in the middle of a symmetric clock, running a column backwards in
-time, c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
+A fit's own coefficients depend on its options: quaternions or axis and angle, time from the start or from the middle,
+the camera's frame of the root. Here C is determined by the motion alone: unit quaternions at five instants, and the
+quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
+mid-exposure, so that C, and with it the prior, does not depend on the camera: neither on the person's position and
+heading nor on the vertical. With the origin in the middle of a symmetric clock, running a column backwards in time,
+c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
 """
 
 from functools import lru_cache

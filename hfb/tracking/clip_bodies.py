@@ -1,7 +1,7 @@
 """First bodies of a whole clip: a full search in some frames, interpolation and refinement in between.
 
-A search sees one frame and cannot tell front from back in a silhouette; a clip can: people do not turn around between
-two frames. What a frame does not show at all is taken from its neighbours, and marked.
+A search in one frame cannot distinguish front from back in a silhouette; a clip can, since people do not turn around
+between two frames. A body that a frame does not show is interpolated from its neighbours, and marked.
 """
 
 from collections.abc import Mapping

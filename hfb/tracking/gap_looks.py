@@ -1,8 +1,8 @@
 """A second pass over frames without the tracked person, by the matting network at full size.
 
-A frame in another exposure than its plate differs everywhere, so that nobody stands out in a small image; the network
-looks at the surroundings of where the person was, in the frame's own exposure. Only who is in full view counts, about
-as large as before and after, where they can have got to, and nearer to them than to anybody else.
+A frame in another exposure than its plate differs everywhere, so that no person stands out in a small image. The
+network therefore sees the surroundings of the person's last position, in the frame's own exposure. A person counts only
+in full view, about as large as before and after, within reach, and nearer than any other person.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,6 +1,6 @@
 """Merging of a person's pieces where clothes look like the background; two people stay two.
 
-Small images show both alike: one area above another. Between the pieces of one person the matting network sees the
+A small image shows one area above another in both cases. Between the pieces of one person the matting network finds the
 faint rest of a body, between two people nothing.
 """
 

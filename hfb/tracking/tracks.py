@@ -1,6 +1,6 @@
 """Tracking of people in a clip, as the areas that differ from the background.
 
-Cheap on purpose: a small image per frame, one pass, nothing kept but boxes. Another system's tracks can stand in.
+The tracking is cheap: a small image per frame, one pass, only boxes are kept. Another system's tracks can replace it.
 """
 
 from collections.abc import Callable, Iterable, Sequence

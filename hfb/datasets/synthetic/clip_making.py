@@ -1,6 +1,6 @@
 """Make a synthetic clip: one person of the embedded body before one static camera, with its truth.
 
-Frame by frame to the disk: memory does not grow with the length. The same bytes for the same arguments.
+Frames are written one by one, so memory does not grow with the length. The same arguments give the same bytes.
 """
 
 import math

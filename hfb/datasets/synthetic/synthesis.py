@@ -1,7 +1,7 @@
 """Make one case of a synthetic set: a person in motion, photographed with an open shutter.
 
-The truth is drawn from a denser (and, in bc-cape, clothed) surface than the one that is fitted, at more instants, with
-sensor noise and 8-bit files: what fits it must not profit from having made it.
+The truth is rendered from a denser (and, in bc-cape, clothed) surface than the fitted one, at more instants, with
+sensor noise and 8-bit files, so that a fit has no advantage from sharing the generator's model.
 """
 
 from collections import OrderedDict

@@ -3,8 +3,8 @@
 SfB: Rozumnyi et al., Shape from Blur: Recovering Textured 3D Shape and Motion of Fast Moving Objects, NeurIPS 2021;
 MfB: Rozumnyi et al., Motion-from-Blur: 3D Shape and Motion Estimation of Motion-Blurred Objects in Videos, CVPR 2022.
 One object of unknown shape, a deforming textured sphere, moves rigidly along a polynomial; its sub-frames' average
-must look like the frame. Unlike theirs, translation and rotation run on one clock, and no network gives sub-frame
-silhouettes: the matte is all that is known of them.
+is compared with the frame. Unlike theirs, translation and rotation run on one clock, and no network gives sub-frame
+silhouettes: only the matte is used.
 """
 
 import math

@@ -1,11 +1,10 @@
 """One motion out of overlapping windows: continuous in place and velocity through the whole clip.
 
-Inside the frame that two windows share their motions are blended with a weight that rises from 0 to 1 and is flat at
-both ends (3u^2 - 2u^3), so that at every edge between frames one window alone speaks. What its two frames leave of a
-jump there is taken out by a cubic Hermite correction on both sides, which fades within half an exposure. Over an
-exposure gap both frames are continued to the gap's middle and meet there; the longer the gap, the less of the
-correction reaches into the frames, and beyond one exposure nothing does: a cubic bridges a gap that long without
-touching them.
+Inside the frame that two windows share, their motions are blended with a weight that rises from 0 to 1 and is flat at
+both ends (3u^2 - 2u^3), so that at every edge between frames only one window counts. The remaining jump there is
+removed by a cubic Hermite correction on both sides, which fades within half an exposure. Over an exposure gap both
+frames are continued to the gap's middle and meet there; the longer the gap, the less of the correction reaches into the
+frames, and beyond one exposure none does: a cubic bridges a gap that long without changing them.
 
 Rotations are blended along geodesics and corrected in logarithms about the rotation half-way between both sides.
 """

@@ -1,8 +1,8 @@
 """motion.bvh: a skeleton and its angles, as text; metres, y up.
 
 Offsets are the person's own bones in the rest pose (T, facing +z). The root's offset is zero and its position channels
-are its place, so that programs that add the two and those that do not agree. Rows follow at the rate of the sub-frames:
-a program that shows one row per image shows slow motion.
+are its position, so that programs that add the two and those that do not agree. Rows have the rate of the sub-frames:
+a program that shows one row per video frame shows slow motion.
 """
 
 import warnings

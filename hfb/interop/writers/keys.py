@@ -1,9 +1,9 @@
 """A motion for animation formats: increasing instants, rotations without sign jumps, an even rate.
 
-A motion of hfb has the instants of exposures: dense while the shutter is open, none while it is closed, and where one
-exposure begins as the last one ends the same instant twice. Here each exposure is a cubic spline through its
-sub-frames; over a closed shutter a cubic continues both sides with their velocities; over frames in which the person is
-missing the body is carried from one side to the other, starting and ending at rest, and is marked as absent.
+A motion of hfb has the instants of exposures: dense while the shutter is open, none while it is closed, and the same
+instant twice where one exposure begins as the last one ends. Here each exposure is a cubic spline through its
+sub-frames; over a closed shutter a cubic continues both sides with their velocities; over frames without the person
+the body moves from one side to the other, starting and ending at rest, and is marked as absent.
 """
 
 from collections.abc import Iterator

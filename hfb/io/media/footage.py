@@ -1,7 +1,7 @@
 """Footage of one static camera: a video file, a folder or a list of images, as a stream of exact frames.
 
-A look through the whole range comes first: afterwards every frame is known to decode, and when it was taken. Frames are
-then read from wherever they are wanted; memory is that of a few frames, however long the footage is.
+The whole range is decoded once first, which verifies every frame and gives its time. Frames are then read from any
+place; memory is that of a few frames, whatever the length of the footage.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,8 @@
 """Pickles read without running them.
 
-A pickle is a programme: it may name any function and call it. Here every name resolves to a placeholder of ours
-or to an error, so nothing of numpy, scipy, chumpy, torch, joblib or the system is ever called;
-hfb.io.safe.pickled_arrays rebuilds arrays by hand from the bytes that the placeholders collected.
+A pickle is a program: it may name any function and call it. Here every name resolves to a placeholder of hfb or to an
+error, so nothing of numpy, scipy, chumpy, torch, joblib or the system is ever called; `hfb.io.safe.pickled_arrays`
+rebuilds arrays from the bytes in the placeholders.
 """
 
 import math

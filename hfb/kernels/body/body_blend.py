@@ -1,8 +1,8 @@
 """Compiled bodies with pose blend shapes: every vertex is displaced and skinned in one pass.
 
-Its directions, 3 x 207 numbers, are read from memory once there and once back: they are too many for the processor's
-cache, and are half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced vertices stay where they are for
-the way back, all instants of one side by side.
+A vertex's directions, 3 x 207 numbers, are read from memory once in the forward and once in the backward pass: they
+are too many for the CPU's cache, and take half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced
+vertices are kept for the backward pass, all instants of one side by side.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

@@ -1,9 +1,9 @@
 """Compiled body: joints along their chains, linear blend skinning, and their gradients.
 
-Skinning works on all instants at once: the 12 entries of a joint's transform lie side by side for every instant
-("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint that holds it, and the
-joints that hold it are a list: two to four of 24. The compiler makes such operations of flat loops of a length that it
-knows; nested ones it leaves slow.
+Skinning processes all instants at once: the 12 entries of a joint's transform are side by side for every instant
+("lanes", (column, row, instant)), so that a vertex costs a few long vector operations per joint of its skinning
+weights, which are a list: two to four of 24. The compiler vectorises flat loops of constant length; nested ones stay
+slow.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

@@ -1,7 +1,7 @@
 """Compiled products of all instants' pose features with a vertex's pose blend shapes, and their gradients.
 
-Written out block by block, so that every number in reach of a register stays in one: what the compiler makes of loops
-loads most of them again and again.
+The code is written block by block, so that every number stays in a register; compiled loops would load most of them
+again and again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

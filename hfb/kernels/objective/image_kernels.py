@@ -1,13 +1,13 @@
 """Compiled image and matting losses at several scales, and their gradient.
 
-Both losses are made of *differences*, four numbers a pixel: the three colours of eq. (1) minus those seen, and the
-silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its difference:
-one pyramid does for both losses. It is one list of pixels, level after level, row after row, each level half the last
-(rounding up); the finest level has an array of its own.
+Both losses are functions of *differences*, four numbers a pixel: the three colours of eq. (1) minus the frame's, and
+the silhouette minus the matte. A coarse pixel is the mean of the one, two or four that it covers, and so is its
+difference: one pyramid serves both losses. It is one list of pixels, level after level, row after row, each level half
+the last (rounding up); the finest level has an array of its own.
 
-Where nothing is drawn the differences are known beforehand. So only a window is looked at, which holds all that is
-drawn and whole pixels of the coarsest level, and what the losses sum up of the rest comes from `seen`: sums of
-(squared differences, mattes) of an image without the person, over everything above and left of a corner of pixels.
+Where nothing is drawn the differences are constant. So only a window is computed, which contains all that is drawn and
+whole pixels of the coarsest level. The losses' sums over the rest come from `seen`: sums of (squared differences,
+mattes) of an image without the person, over everything above and left of a corner of pixels.
 
 A `table` of the levels has rows (first pixel in the list, height, width, first corner in `seen`), the finest level
 first, and a last row with the numbers of pixels in the list and of corners.

@@ -1,12 +1,12 @@
 """Compiled entry points: images of a block of bodies as lists of pixels, and gradients by the vertices.
 
-Bodies are independent: each has the bits that it has alone. Every function works on memory of its own or
-of its caller, releases Python's lock and adds in a fixed order: blocks may be drawn by any number of threads with the
-same bits as the result.
+Bodies are independent: each has the bits that it has alone. Every function uses its own or its caller's memory,
+releases Python's lock and adds in a fixed order: blocks may be drawn by any number of threads with the same bits as the
+result.
 
-A block's *trace* is what the way back needs of its way forth: projected vertices (n, V, 4), outline edges, pixels,
+A block's *trace* holds the values that the backward pass needs: projected vertices (n, V, 4), outline edges, pixels,
 coverage, owners, edges, shares, the last three for every piece of outline that can change a pixel's coverage, the
-pixels' codes (of coloured bodies), and `ends` (n + 1, 3), up to where outline edges, pixels and pieces are each body's.
+pixels' codes (of coloured bodies), and `ends` (n + 1, 3), up to which outline edges, pixels and pieces are each body's.
 A piece's owner and edge are numbers among its body's pixels and outline edges.
 """
 # mypy: ignore-errors

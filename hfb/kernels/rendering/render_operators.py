@@ -1,8 +1,8 @@
 """The fast rasteriser in torch: operators for autograd, torch.compile and export, and a faster path without them.
 
-`draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
-same bits for any number of threads. `draw_gradient` is its backward pass. Both pass a body's trace as tensors; where
-nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
+`draw` renders all sub-frames and averages them in the same pass, one body at a time in a fixed order: the result has
+the same bits for any number of threads. `draw_gradient` is its backward pass. Both pass a body's trace as tensors;
+where nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,10 @@
 """Compiled coverage of the few pixels in which layers of the body may overlap.
 
-An arm's outline before the torso's: the mean winding counts their common area twice. There the pixel is cut
-into slabs at every height where a piece of outline begins, ends or crosses another; within a slab the order of
-the pieces from left to right does not change, so the length covered at its middle times its height is its
-area. Walking from left to right also tells which pieces separate body from background: only these are seen to
-move, and their weights are kept for the way back.
+Where an arm's outline is in front of the torso's, the mean winding counts their common area twice. There the pixel is
+cut into slabs at every height where a piece of outline begins, ends or crosses another; within a slab the order of the
+pieces from left to right does not change, so the length covered at its middle times its height is its area. The order
+from left to right also determines which pieces separate body from background: only these have gradients, and their
+weights are kept for the backward pass.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

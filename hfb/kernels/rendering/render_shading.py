@@ -1,15 +1,15 @@
 """Compiled shading: the visible point of each pixel, its colour, and gradients, in batches of pixels.
 
 The visible point of a pixel is a face's point at the pixel's centre or, where the centre just misses the body but the
-pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim carries the body's colour,
-and the colour is continuous as the outline passes the centre.
+pixel is partly covered, the closest point of the outline edge there: so a silhouette's rim has the body's colour, and
+the colour is continuous as the outline passes the centre.
 
-A pixel's way from its face through the texture is one long chain of operations, each waiting for the one before. A
-batch goes through it in steps, one loop each: memory is gathered, arithmetic runs along rows (many pixels at once in
-one register), texels are mixed, and what is asked of the corners is scattered. Rows lie in one array, BATCH apart: so
-the compiler sees that they never overlap. They have the texture's precision: what is large, positions, is taken from
-the first corner's before it is rounded. Pixels of faces and pixels of the rim have batches of their own, and what goes
-into which is listed without branches: where a body ends in a row is nothing that a processor could predict.
+The computation of a pixel's colour is one long chain of operations, each waiting for the one before. So pixels are
+processed in batches, step by step, one loop each: memory is gathered, arithmetic runs along rows (many pixels at once
+in one register), texels are mixed, and gradients are scattered to the corners. Rows are in one array, BATCH apart, so
+that the compiler knows that they do not overlap. They have the texture's precision; positions, which are large, are
+taken relative to the first corner before they are rounded. Pixels of faces and pixels of the rim have separate batches,
+and are sorted into them without branches, which no processor could predict.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)

@@ -1,7 +1,7 @@
 """Warp kernels: vertices on the screen, and which face is seen at each pixel's centre.
 
-One thread per vertex or face of every body of a batch. Whatever several threads write is a maximum or a sum of whole
-numbers, neither of which depends on who comes first: results have the same bits on every run. Geometry is computed in
+One thread per vertex or face of every body of a batch. Values written by several threads are maxima or sums of whole
+numbers, which do not depend on the threads' order: results have the same bits on every run. Geometry is computed in
 float64. Conventions (pixels, sides, ties) are those of `render_screen`.
 """
 # mypy: ignore-errors

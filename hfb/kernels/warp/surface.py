@@ -1,8 +1,7 @@
 """Warp kernels: the texture's colour at each pixel, the images' means, and their gradients.
 
-As in `render_surface`. The backward pass gathers: a face collects from its pixels, an outline edge from its
-own pieces (`warp/gradient.py`), so nothing but the texture's gradient is added to by several threads, and that one
-in whole steps.
+As in `render_surface`. The backward pass gathers: a face collects from its pixels, an outline edge from its own pieces
+(`warp/gradient.py`), so that several threads add only to the texture's gradient, in whole steps.
 """
 # mypy: ignore-errors
 # (Warp compiles these: its types are not mypy's)

@@ -1,8 +1,8 @@
 """BackgroundMattingV2 (Lin et al., Real-Time High-Resolution Background Matting, 2021), for its plain weights.
 
-Written from the paper's description, with its release's names of parameters: an encoder (ResNet or MobileNetV2) at a
-small size whose last block is dilated instead of strided, atrous pooling, a decoder with the encoder's finer maps
-beside it, and a refiner that looks at full size only at the 4 x 4 patches whose predicted error is largest.
+Written from the paper's description, with the released names of parameters: an encoder (ResNet or MobileNetV2) at a
+small size whose last block is dilated instead of strided, atrous pooling, a decoder with skip connections from the
+encoder, and a refiner that processes at full size only the 4 x 4 patches with the largest predicted error.
 """
 
 from collections.abc import Mapping

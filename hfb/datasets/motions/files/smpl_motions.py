@@ -1,9 +1,9 @@
 """Motions that are in a SMPL layout already: AMASS (SMPL-H, SMPL-X, SMPL), hfb's own, and plain SMPL poses.
 
-What the world's axes are follows from the keys: `mocap_framerate` or `mocap_frame_rate` mark AMASS, whose z axis
-points up; `fps` a plain file with y up; `times_s` one of hfb's own, in camera coordinates (y down). Turning the world
-about the origin would also move SMPL's translation by a constant that depends on the person's rest pelvis, since SMPL's
-root turns about that joint: it is left out, a clip's place in the world has no meaning.
+The keys determine the world's axes: `mocap_framerate` or `mocap_frame_rate` mark AMASS, whose z axis points up; `fps` a
+plain file with y up; `times_s` one of hfb's own, in camera coordinates (y down). Turning the world about the origin
+would also change SMPL's translation by a constant that depends on the person's rest pelvis, since SMPL's root turns
+about that joint. This constant is ignored, since a clip's position in the world has no meaning.
 """
 
 from collections.abc import Mapping

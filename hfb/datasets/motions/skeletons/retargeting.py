@@ -1,8 +1,8 @@
 """Retargeting of a foreign skeleton's motion to SMPL's skeleton.
 
 The directions of the limbs' bones are kept exactly; trunk, head, collars and feet keep their rotations relative to the
-skeleton's rest pose. How an arm or a leg is turned about its own bone shows in the plane in which elbow or knee bend:
-these are hinges, whatever axes the foreign skeleton's frames have (see `Limb`).
+skeleton's rest pose. The rotation of an arm or a leg about its own bone follows from the plane in which elbow or knee
+bend: these are hinges, whatever axes the foreign skeleton's frames have (see `Limb`).
 """
 
 from dataclasses import dataclass, replace

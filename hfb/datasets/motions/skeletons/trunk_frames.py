@@ -1,7 +1,8 @@
 """Rotations of pelvis, chest and head within their joints' frames.
 
-A joint's frame says how a part of the body is turned only where it is known how the part lies in it. The rest pose
-tells, where it is one. Else the motion does: on average hips, shoulders and spine show the part's own axes.
+A joint's frame determines the rotation of a part of the body only where the part's rotation within that frame is known.
+It follows from the rest pose, where this is a standing person. Else it follows from the motion: on average hips,
+shoulders and spine show the part's own axes.
 """
 
 import numpy as np

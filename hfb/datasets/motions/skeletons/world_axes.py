@@ -1,7 +1,7 @@
 """The vertical axis of a recording, by the person's posture in it and by the rest pose.
 
-Exporters write skeletons whose rest pose has another up than the world (y up beside z up), and rest poses that are no
-pose, with all bones along one axis.
+Exporters write skeletons whose rest pose has another vertical axis than the world (y up beside z up), and rest poses
+that are no pose, with all bones along one axis.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """HybrIK: res.pk, a dictionary of arrays over the frames (pred_thetas as 24 matrices, transl, bbox, ...).
 
-Its camera has a focal length of 1000 px for a crop of 256 px, scaled with the box (x1, y1, x2, y2), and looks through
-the middle of the image; `transl` is where the root joint stands.
+Its camera has a focal length of 1000 px for a crop of 256 px, scaled with the box (x1, y1, x2, y2), and its axis passes
+through the middle of the image; `transl` is the position of the root joint.
 """
 
 import re

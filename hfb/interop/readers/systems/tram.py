@@ -1,7 +1,7 @@
 """TRAM: hps/hps_track_k.npy, tensors in a pickle (pred_rotmat, pred_shape, pred_trans, frame), and camera.npy beside.
 
 `pred_trans` is SMPL's translation before the camera of camera.npy (img_focal, img_center). Without that file the focal
-length is taken for the image's diagonal, as TRAM's own first guess.
+length is assumed to be the image's diagonal, TRAM's own first guess.
 """
 
 import math

@@ -1,7 +1,8 @@
 """Conversion of colours to sRGB by what an image file states.
 
-Where a curve per channel and a matrix say it (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries), levels are
-converted exactly, 16 bits too. Profiles that are tables (of printers and scanners) are littleCMS's work, with 8 bits.
+Colours given by a curve per channel and a matrix (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries) are
+converted exactly, also with 16 bits. Profiles that are tables (of printers and scanners) are converted by littleCMS,
+with 8 bits.
 """
 
 import io

@@ -1,7 +1,7 @@
 """TIFF layouts of machine vision that Pillow and OpenCV read wrongly: 9 to 15 bits packed, 16 bits plane by plane.
 
-A plane is copied into a plain gray TIFF of 8 or 16 bits, which libtiff decompresses whatever its compression is; packed
-samples are then taken apart.
+A plane is copied into a plain gray TIFF of 8 or 16 bits, which libtiff decompresses whatever its compression; packed
+samples are then unpacked.
 """
 
 import io

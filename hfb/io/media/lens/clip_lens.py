@@ -1,6 +1,6 @@
 """The lens that clip.toml names: from Pose2Sim's Calib.toml, cameras.json, or OpenCV's, ROS' or Kalibr's file.
 
-Where the camera stands is not asked for: a lens has no place.
+The camera's pose is not needed, only its lens.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """Distortion models of calibrations: OpenCV's standard one, OpenCV's fisheye, or an unsupported one.
 
-Both have lists of four numbers (k1 k2 p1 p2 against k1 k2 k3 k4), so that only the file's own words tell them apart.
+Both have lists of four numbers (k1 k2 p1 p2 against k1 k2 k3 k4), so that only the file's own words distinguish them.
 """
 
 import re

@@ -1,6 +1,6 @@
 """Frames that can only be counted: a decoder is kept where one reader stopped, for the next one.
 
-A clip is read a few frames at a time; decoded from its start each time, it would cost the square of its length.
+A clip is read a few frames at a time; decoding from the start each time would take quadratic time.
 """
 
 from collections import deque
