@@ -384,11 +384,11 @@ _BEST = FitConfig(
     stages=(
         Stage(size_px=64, iterations=60),
         Stage(size_px=128, iterations=50),
-        Stage(size_px=256, iterations=25),  # before each of these three the fit's own image is looked at
+        Stage(size_px=256, iterations=25),  # before each of these three the evidence is refined
         Stage(size_px=256, iterations=25),
         Stage(size_px=256, iterations=50, cosine=True),
     ),
-    matte_scales=5,  # a limb beside its place has no edge in common with it: coarse pixels reach further
+    matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,
     directions=DirectionsConfig(search=True),
     settle=80,

@@ -4,7 +4,7 @@
 class InputError(ValueError):
     """The user's input cannot be used; the command line prints the message and exits with 2.
 
-    Bytes of a file's name that are no text in UTF-8 are shown as escapes: the sentence can be written anywhere.
+    Bytes of a file's name that are not UTF-8 are shown as escapes, so that the sentence can be written anywhere.
     """
 
     def __init__(self, sentence: str = "") -> None:
@@ -22,7 +22,7 @@ class Busy(TemporaryError):
 class InfrastructureError(Exception):
     """A disk, a server or memory failed during a run.
 
-    Its text names the fix. What is finished is kept, and the same command goes on from there.
+    Its text names the fix. Finished work is kept, and the same command resumes from there.
     """
 
 

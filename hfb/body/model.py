@@ -221,7 +221,7 @@ class ShapedBody:
             held = body.sparse_skinning
             if directions is None:
                 return operators.skin(T_world_rest, self.vertices, *held)
-            # Reading them is what costs in a fit, which calls this with gradients; what leaves it is exact.
+            # Reading them dominates the cost in a fit, which calls this with gradients; its result is posed exactly.
             searched = torch.is_grad_enabled() and (T_world_rest.requires_grad or self.vertices.requires_grad)
             rows = body.rounded_pose_rows if searched else body.pose_rows
             return operators.blend_and_skin(T_world_rest, rotations, self.vertices, *rows, *held)[0]
@@ -235,8 +235,8 @@ class ShapedBody:
 def _weighed(directions: Float[Tensor, "*n K"], betas: Float[Tensor, "K"]) -> Float[Tensor, "*n"]:
     """Return the sum of directions times betas.
 
-    Of many fits at once a processor's matrix product adds the gradient up in an order that hangs on a fit's place among
-    them: there every fit has a sum of its own.
+    With many fits at once a CPU's matrix product sums the gradient in an order that depends on a fit's place among
+    them, so there every fit has its own sum.
     """
     if betas.device.type == "cpu" and not compiled(betas):
         return (directions * betas).sum(-1)

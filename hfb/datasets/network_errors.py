@@ -106,8 +106,8 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
 def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -> PoseErrors:
     """Convert drawn turns to errors of these poses, of one clip or of many.
 
-    What would move the bone across the view is damped, and more so the more the bone points at the camera, where no
-    turn is hidden. The root's turn is small: the torso is what a network sees best.
+    Turns that move the bone across the view are damped, the more the bone points at the camera, where no turn is
+    hidden. The root's turn is small, since networks see the torso best.
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
@@ -172,7 +172,7 @@ def _excess_of_joints(poses: Float[Tensor, "N 24 3"]) -> Float[Tensor, "N 23"]:
 def _into_range(poses: Float[Tensor, "T 24 3"], turns: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24 3"]:
     """Reverse turns that would break a joint limit, where the reverse breaks it less: a straight knee bends.
 
-    Joint after joint down the chains, since a joint's range is measured against its parent.
+    Joints are processed down the chains, since a joint's range is relative to its parent.
     """
     turns = _PROBE_RAD * turns
     for level in _LEVELS:

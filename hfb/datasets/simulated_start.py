@@ -48,9 +48,9 @@ def simulated_starts(
 ) -> list[FirstBody]:
     """Draw one static body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
 
-    The body is the mean one (a network does not know the shape), as it was at some instant around the middle of the
-    exposure, with errors of `hfb.datasets.network_errors` that grow until the case has the MPJPE drawn for it, and
-    misplaced until it has the IoU. Where motion and shape alone are further off than that, the error is larger.
+    The body is the mean one (a network does not know the shape) in the pose of some instant around the middle of the
+    exposure. Errors of `hfb.datasets.network_errors` grow until the case has its drawn MPJPE, and it is misplaced until
+    it has its IoU. Where motion and shape alone exceed these, the error is larger.
 
     Args:
         truth: its betas count in the body's own space.
@@ -91,7 +91,7 @@ def _draw_wanted(blur_rate: float, frames: int, rng: np.random.Generator) -> _Wa
 def _knots(means: tuple[float, ...]) -> tuple[float, ...]:
     """Return values at the intervals' centres whose linear interpolation has the given mean over each interval.
 
-    The table's own values there would have its peaks and dips smoothed away.
+    The table's own values at the centres would smooth away its peaks and dips.
     """
     shares = np.stack(
         [
@@ -118,7 +118,7 @@ def _poses_with_error(
 ) -> Float[Tensor, "T 24 3"]:
     """Return the true poses of some rows with errors, at the amplitude whose MPJPE is the drawn one.
 
-    Where the joints' limits keep the error below that at any amplitude, another error is drawn.
+    Another error is drawn where the joints' limits keep this one too small at any amplitude.
     """
     true_poses = torch.from_numpy(truth.motion.poses[rows]).float().unflatten(1, (24, 3))
     for _ in range(_TRIES):
@@ -156,7 +156,7 @@ def _place(
 ) -> Float[Tensor, "T 3"]:
     """Return SMPL translations that give the estimate's joints the person's size and place in the image.
 
-    The depth takes up what the mean body is smaller or larger than the person.
+    The depth compensates the difference in size of the mean body and the person.
     """
     joints = torch.from_numpy(_joints(poses[None], person))[0].double()
     target = torch.from_numpy(true_joints)
@@ -180,7 +180,7 @@ def _spread(points: Float[Tensor, "T 24 2"]) -> Float[Tensor, "T"]:
 def _draw_misplacement(frames: int, rng: np.random.Generator) -> Float[Tensor, "T 3"]:
     """Draw directions of misplacement: across the view, more sideways than up and down, and standard normal in depth.
 
-    Shared by all frames for the greater part. Upright people stay upright: their feet and heads are seldom missed.
+    Most of it is common to all frames. Upright people stay upright, since networks seldom miss feet and heads.
     """
     angle = rng.uniform(0, 2 * pi) + 0.5 * rng.standard_normal(frames)
     depth = np.clip(sqrt(0.6) * rng.standard_normal() + sqrt(0.4) * rng.standard_normal(frames), -2, 2)

@@ -40,7 +40,7 @@ class JointCase:
 class DirectionCase:
     """One case's hypotheses: the evidence (columns: `EVIDENCE`), and their errors [mm].
 
-    Of one frame the second half of the hypotheses are the first half run backwards, in the same order.
+    For one frame the second half of the hypotheses are the first half reversed in time, in the same order.
     """
 
     recording: str
@@ -99,7 +99,7 @@ def held_out_reliability(
 ) -> dict[str, float]:
     """Measure how calibrated and how sharp the radii are on recordings that the coefficients were not fitted to.
 
-    ``within_p50`` and its like: share of joints within the radius; ``off``: mean distance from what was said;
+    ``within_p50`` and so on: share of joints within the radius; ``off``: mean distance from the predicted share;
     ``rank``: Spearman's correlation of radius and error over all joints; ``rank_in_case``: its mean within the cases.
 
     Args:
@@ -130,9 +130,9 @@ def held_out_reliability(
 def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
     """Fit coefficients of `EVIDENCE`, none below zero, to pairs of hypotheses of which one is nearer to the truth.
 
-    Logistic regression, each pair weighing as much as depends on it. Of one frame the image's evidence is fitted on
-    hypotheses whose arrow of time does not count (the better of a motion and its reverse), what knows time's
-    arrow on each motion and its reverse; of several frames there is the first kind alone.
+    Logistic regression, each pair weighted by its difference in error. For one frame the image's evidence is fitted on
+    hypotheses regardless of the arrow of time (the better of a motion and its reverse), the evidence on time's arrow on
+    each motion and its reverse; for several frames there is only the first kind.
 
     Args:
         cases: fits whose errors are known.

@@ -120,7 +120,7 @@ class _Asked:
 def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[StartKind, Trust]:
     """Fit the doubts by kind of start: a constant each, pulled to a common one, and common slopes of the signs.
 
-    Where little is known a kind's doubt stays near the common one.
+    With few events a kind's doubt stays near the common one.
 
     Args:
         events: events of fits whose truth is known, by kind of start.

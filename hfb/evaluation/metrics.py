@@ -338,7 +338,7 @@ def _aligned_residual(
 ) -> Array:
     """Return predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
 
-    The rotation is the best one for the counted joints; the residual of others means nothing.
+    The rotation is the best one for the counted joints; the residuals of other joints are meaningless.
     """
     source, target = _float64(predicted), _float64(truth)
     source = source - source[:, centre].mean(1, keepdims=True)

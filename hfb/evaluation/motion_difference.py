@@ -31,8 +31,8 @@ class MotionDifference:
 def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDifference:
     """Compare two motions at the first one's instants, in the frames that both have.
 
-    A motion with other sub-frames is read between its own, along straight lines within each frame's exposure; both
-    clocks run from the opening of a frame's shutter to its end.
+    A motion with other sub-frames is interpolated linearly within each frame's exposure; both clocks run from the
+    opening of a frame's shutter to its end.
 
     Args:
         one: the motion whose instants are used.

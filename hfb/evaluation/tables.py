@@ -25,7 +25,7 @@ def summarize(
 ) -> dict[str, Any]:
     """Return the content of summary.json: plain numbers, None where nothing is known.
 
-    Depends neither on the order of the rows nor on anything outside the arguments.
+    The result depends only on the arguments, not on the order of the rows.
 
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as in cases.parquet.

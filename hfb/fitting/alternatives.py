@@ -101,7 +101,8 @@ Record = dict[str, dict[str, float | None]]
 def direction_record(alternatives: Alternatives) -> list[Record]:
     """Return P(direction right) per frame as plain numbers, None where hardly anything moved.
 
-    ``right`` holds the whole body's and every limb's, ``given_body`` every limb's if the whole body's is right.
+    ``right`` has the whole body's and every limb's probability, ``given_body`` every limb's if the whole body's is
+    right.
 
     Args:
         alternatives: motions with their probabilities.
@@ -192,7 +193,7 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
 def _check(found: Mapping[str, Array]) -> None:
     """Raise ValueError where arrays do not match or hold values that no fit produces, KeyError where one is missing.
 
-    Wherever a frame's number is used it is the place in a table: it has to be as small as a fit's are.
+    A frame's number is used as an index, so it has to be as small as those of a fit.
     """
     several, rows = found["poses"].shape[:2] if found["poses"].ndim == 3 else (0, 0)
     frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0

@@ -112,7 +112,7 @@ class BatchedVariables:
 class _Graphed:
     """A function from tensors to a tuple of tensors, replayed as a CUDA graph with its backward pass on a GPU.
 
-    Hundreds of small launches take the processor longer than the device. The next call overwrites the results.
+    Hundreds of small launches take the CPU longer than the device. The next call overwrites the results.
     """
 
     def __init__(self, function: Callable[..., tuple[Tensor, ...]], captures: bool = True) -> None:

@@ -101,7 +101,7 @@ def search_directions(
         frame_index=motions[0].frame_index,
     )
     if not several and chosen in as_fitted and np.round(alternatives.body_right()[0], 6) < 0.5:
-        # Likelier than any other by itself, but the others together say that the body as a whole went the other way.
+        # Likelier than any other alone, but the others together imply that the body moved the other way.
         alternatives = replace(alternatives, chosen=as_fitted[1] - chosen)
     return hypotheses[alternatives.chosen].trajectory, alternatives
 
@@ -127,8 +127,8 @@ def _hypotheses(
     doubtful = [index for index, one in enumerate(turned) if low < one.loss < high]
     if not doubtful:
         return [start, *turned]
-    # What was fitted is compared at its best at this image size too, but it stays what it was; what is not refitted
-    # is taken to gain as much.
+    # The fitted motion is refitted at this image size, too, for the comparison only; hypotheses that are not refitted
+    # are assumed to gain as much.
     compared = _refit(start, found, objective, config.iterations, _REFIT_RATE)
     gain = start.loss - compared.loss
     turned = [replace(one, loss=one.loss - gain) for one in turned]

@@ -298,7 +298,7 @@ class _Schedule:
         # Radii are calibrated with the initial mattes: refined ones share the fit's errors.
         initial = replace(coarse, observation=start.initial.observation.resized(size_px))
         alternatives = None
-        if config.directions.search:  # of a window of a clip the neighbours tell the directions
+        if config.directions.search:  # in a clip the neighbouring windows determine the directions
             trajectory, alternatives = search_directions(best, coarse, stages.objective, config.directions)
             best = replace(best, trajectory=trajectory)
             chosen = alternatives.chosen

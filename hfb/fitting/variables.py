@@ -23,8 +23,8 @@ from hfb.typing import Float, Tensor
 class Variables:
     """Free variables of one fit: leaf tensors that an optimiser changes in place.
 
-    An image does not tell a tall person far away from a short one nearby. With a ``reference``, a change of shape
-    rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
+    An image does not distinguish a tall person far away from a short one nearby. With a ``reference``, a change of
+    shape rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
 
     Attributes:
         trajectory: polynomials in metres, for a person with the reference's betas where there is a reference.
@@ -147,8 +147,8 @@ def start_variables(
 ) -> Variables:
     """Start values: a body at rest per frame, moving towards its neighbours' where there are several.
 
-    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse, and a body
-    at rest is the saddle point between the two: its root gets a small velocity in a random direction.
+    The texture starts at the mean foreground colour. A single frame does not distinguish a motion from its reverse, and
+    a body at rest is the saddle point between the two: its root gets a small velocity in a random direction.
 
     Args:
         first_bodies: one static body per frame; their mean shape is used.

@@ -33,8 +33,8 @@ _WORTH_ANOTHER_LOOK = 0.5  # soft IoU below which the matte's own search is trie
 _CLEARLY_BETTER = 0.08  # what a body of unknown front and back must gain over one seen by the networks
 _CLEARLY_MOVING = 0.1  # what a straight path must gain over standing still
 _REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMPARE_PX, 30, 0.015))
-_ABOUT_AS_GOOD = 0.03  # a smear hardly shows a pose: the one found at rest is nearer to the truth
-_SAME_DISTANCE = 0.05  # but a smear shows how far away somebody is, and one found at rest is mostly too near
+_ABOUT_AS_GOOD = 0.03  # a smear hardly determines a pose: the one found at rest is nearer to the truth
+_SAME_DISTANCE = 0.05  # but a smear determines the distance, and a body found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
 _STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
 
@@ -163,7 +163,7 @@ def _searched(
     if shared < _WORTH_ANOTHER_LOOK:
         moving = search_swept(matte, camera, body, rasterizer)
         if moving.shared > shared + _CLEARLY_MOVING:
-            # At rest it fits the densest part alone, often at another distance: from there, and from where the path is.
+            # A body at rest fits only the densest part, often at another distance: start there, and at the path's.
             starts = first, replace(first, translation=moving.first.translation)
             tries = [
                 carried_along(start, moving.travel_m, matte, camera, body, rasterizer, _STAY_ON_THE_WAY)

@@ -38,7 +38,7 @@ MHR70_AS_24: dict[int, int] = {
 def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
     """Return SMPL's 24 joints from 24, from Human3.6M's 17 or from the usual 14; unknown ones are NaN.
 
-    The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
+    The pelvis of the 14 is the middle of the hips, the centre of the metrics.
 
     Args:
         joints: joints in one of the layouts of `JOINT_COUNTS`, any unit.

@@ -21,8 +21,8 @@ from hfb.typing import Array, Bool, Float, Tensor
 LEAST_KEYPOINTS = 6
 _SPREAD = 0.01
 """Standard deviation of keypoints, relative to the person's size in the image."""
-_ROBUST = 5.0  # spreads from where on one is taken for wrong
-_WIDE = 8.0  # times the spread to begin with: from farther away, too, a joint is drawn to its keypoint
+_ROBUST = 5.0  # spreads above which a keypoint counts as wrong
+_WIDE = 8.0  # factor of the spread at the start, so that distant joints are attracted to their keypoints, too
 _YAWS, _PITCHES = 16, (-0.35, 0.0, 0.35)
 _STARTS, _LEAST_APART = 4, 3
 _ROUNDS = ((_WIDE, 80, 0.04), (1.0, 80, 0.02))  # spread, iterations, rate

@@ -59,7 +59,7 @@ def kabsch(
         weight: weight of every vector.
     """
     product = (seen * weight[..., None]).transpose(1, 2) @ rest
-    # A little of the identity decides what the vectors leave open: the twist about a single bone is none.
+    # A small identity term resolves the ambiguity: the twist about a single bone is zero.
     scale = product.flatten(1).norm(dim=1).clamp_min(1e-9)
     swing = _shortest(rest, seen, weight)
     return nearest_rotations(product + 1e-4 * scale[:, None, None] * swing)

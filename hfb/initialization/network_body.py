@@ -69,7 +69,7 @@ class MetroBody:
 def read_samplings(path: Path) -> tuple[Int[Array, "..."], ...]:
     """Read which vertices of the full mesh METRO's coarse ones keep, the finest first.
 
-    mesh_downsampling.npz holds under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
+    mesh_downsampling.npz has under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
     "Generating 3D faces using convolutional mesh autoencoders", section 3).
 
     Args:

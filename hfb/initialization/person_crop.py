@@ -62,7 +62,7 @@ def weak_perspective_place(
 ) -> Float[Tensor, "3"]:
     """Return the position of a body [m] whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
 
-    The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
+    The depth is that at which f / z pixels per metre are scale times half the crop's side (Kanazawa et al. 2018).
 
     Args:
         scale: scale of the weak perspective.

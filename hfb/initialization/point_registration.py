@@ -92,8 +92,8 @@ def register_vertices(
 ) -> Registered:
     """Lay the body onto meshes of its own vertices.
 
-    The shape is settled on a dozen instants, the others are then laid on by themselves: memory and results do not
-    depend on how many there are.
+    The shape is fitted to a dozen instants, then the others are fitted one by one, so that memory and results do not
+    depend on their number.
 
     Args:
         vertices: vertices of this body's mesh [m].

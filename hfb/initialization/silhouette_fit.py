@@ -40,7 +40,7 @@ class Level:
 class SilhouetteStage:
     """A stage of the refinement: the longer side [px], iterations, learning rate of the angles [rad].
 
-    shape: whether the betas move too; without them an iteration costs a third.
+    With `shape` the betas are refined, too; without them an iteration costs a third.
     """
 
     size_px: int

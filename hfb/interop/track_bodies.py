@@ -39,7 +39,7 @@ _STAY_UNPLACED = Stay(pose=0.05, root=0.02)
 def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> FirstBody | None:
     """Return the first body of a frame; None where the system saw nobody.
 
-    The translation is NaN where the system says nothing about a camera: see `on_matte`.
+    The translation is NaN where the system gives no camera: see `on_matte`.
 
     Args:
         track: with poses (`with_poses`).
@@ -119,8 +119,8 @@ def on_matte(
 ) -> FirstBody:
     """Fit the body to the matte while keeping its pose near; keep the result only where its overlap is larger.
 
-    A body without a place is given one first: as high and in the middle of what the matte shows; where its turn is not
-    known either, twelve are tried.
+    A body without a position gets one first, by the matte's height and middle; where its turn is unknown, too, twelve
+    are tried.
 
     Args:
         first: body to start from.
@@ -152,7 +152,7 @@ def on_matte(
 def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
     """Return the mean of a matte at a person's projected joints, which identifies the person of the matte.
 
-    0 where the system did not see them in that frame, or knows no camera.
+    It is 0 where the system has no row for that frame, or no camera.
 
     Args:
         track: with poses or joints.

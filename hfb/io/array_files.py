@@ -60,8 +60,8 @@ def names_in(file: Path | bytes) -> tuple[str, ...]:
 def weights_file(path: Path) -> io.BytesIO:
     """Copy a file of torch.save to memory for torch.load, which would inflate packed members without a limit.
 
-    torch packs nothing. An archive is written anew from the members that were looked at, since two readers of
-    archives may find different ones in the same bytes.
+    torch compresses nothing. An archive is written anew from the checked members, since two readers of archives may
+    find different ones in the same bytes.
 
     Args:
         path: the file.
@@ -94,7 +94,7 @@ def weights_file(path: Path) -> io.BytesIO:
 def _opened(file: Path | bytes) -> zipfile.ZipFile:
     if isinstance(file, Path) and file.stat().st_size > _FILE_LIMIT:
         raise ValueError(f"it is larger than {_FILE_LIMIT >> 20} MB")
-    if isinstance(file, Path) and not file.is_file():  # a pipe would be waited for
+    if isinstance(file, Path) and not file.is_file():  # opening a pipe would block
         raise ValueError("it is no plain file")
     try:
         return zipfile.ZipFile(io.BytesIO(file) if isinstance(file, bytes) else file)

@@ -112,7 +112,7 @@ class ClipExposure(_ClipRecord):
 class PersonChoice(_ClipRecord):
     """The person to follow where several are seen: the largest, the one in a box, or another system's track.
 
-    Everyone: each of them in turn, as if each had been chosen.
+    `everyone` follows each of them in turn, as if each had been chosen.
 
     Attributes:
         height_m: the person's height, where it is known.
@@ -175,7 +175,7 @@ def read_clip(path: Path) -> Clip:
         InputError: the file is missing, no TOML, holds an entry that is unknown or impossible, or names a file that
             does not lie in its folder.
     """
-    with suppress(OSError):  # told by the reader
+    with suppress(OSError):  # reported by the reader
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise InputError(f"{path} is no file but a pipe, a device or a socket: put the file itself there")
     clip = to_record(Clip, read_toml(path), str(path))

@@ -24,7 +24,7 @@ def read_json(path: Path, fix: str = "make the result again") -> Any:
         InputError: it is missing, no plain file, too large, no JSON or nested without end.
     """
     try:
-        if not path.is_file():  # a pipe in its place would be waited for
+        if not path.is_file():  # opening a pipe would block
             raise InputError(f"{path} is {'no file' if path.exists() else 'missing'}: {fix}")
         size = path.stat().st_size
         if size > JSON_LIMIT_BYTES:

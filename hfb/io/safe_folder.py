@@ -208,7 +208,7 @@ def check_readable(path: Path) -> None:
 
 
 def _make(name: str, folder: int) -> None:
-    with suppress(FileExistsError):  # of whatever kind: told when it is opened
+    with suppress(FileExistsError):  # of any kind: reported when it is opened
         os.mkdir(name, dir_fd=folder)
 
 

@@ -49,7 +49,7 @@ def _sources() -> str:
 
 _DAMAGED = OSError, EOFError, pickle.UnpicklingError, ValueError, LookupError, AttributeError, ImportError, RuntimeError
 _KEPT_DAYS = 60
-_LOCKED_S = 300.0  # far longer than one kernel takes: whoever holds the lock so long has stopped
+_LOCKED_S = 300.0  # far longer than one kernel takes: the lock's owner has died by then
 _log = logging.getLogger(__name__)
 
 
@@ -107,8 +107,8 @@ class _SourcesCacheImpl(CompileResultCacheImpl):
 class _SourcesCache(FunctionCache):
     """A cache for functions whose callees are in several files; numba's own checks only the function's file.
 
-    It goes into `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else into a temporary folder; a damaged one
-    is made again. Of several processes that need a kernel which nobody has compiled, one compiles it.
+    It is in `NUMBA_CACHE_DIR`, the user's cache, beside the sources, or else in a temporary folder; a damaged one is
+    rebuilt. Of several processes that need a kernel that is not compiled yet, one compiles it.
     """
 
     _impl_class = _SourcesCacheImpl

@@ -25,7 +25,7 @@ MOST_PX = 4.0
 """Largest movement of a plate, in an image of 640 px."""
 _LEAST_GAIN = 0.04  # by which the differences at edges must fall
 _EDGE_SHARE = 0.3
-_LEAST_EDGE = 0.004  # a plain wall cannot tell
+_LEAST_EDGE = 0.004  # a plain wall does not determine it
 
 
 @dataclass(frozen=True)

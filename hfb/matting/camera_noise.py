@@ -16,8 +16,8 @@ def exposure_gain(
 ) -> Float[Array, "3"]:
     """Estimate the factor per channel by which the plate is multiplied to match the frame's background.
 
-    It is the median ratio over the pixels that differ least, found again three times: the person and clipped
-    or black pixels stay out.
+    It is the median ratio over the pixels that differ least, repeated three times, which excludes the person and
+    clipped or black pixels.
 
     Args:
         frame_linear: linear light in [0, 1].
@@ -43,7 +43,7 @@ def noise_srgb(
 ) -> Float[Array, "H W"]:
     """Estimate the standard deviation of `frame - plate` per pixel: a constant and a share of the local contrast.
 
-    The second part is what tiny camera shake, resampling and compression do to edges and texture.
+    The second part models the effect of small camera shake, resampling and compression on edges and texture.
 
     Args:
         difference_srgb: frame minus plate.

@@ -80,9 +80,9 @@ def gather_evidence(
 def main_change(change: Float[Array, "H W"], threshold: float = 6.0) -> Bool[Array, "H W"]:
     """Return the changed pixels of the largest thing that changed, with the pieces close to it.
 
-    Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth
-    of the main one's longer side belongs to it if it holds a hundredth of its energy. A second person, a waving
-    tree and speckles do not.
+    Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth of the
+    main one's longer side belongs to it if it has a hundredth of its energy. A second person, a waving tree and
+    speckles do not.
 
     Args:
         change: squared difference of frame and plate, in variances of the noise.
@@ -130,7 +130,7 @@ def texture_evidence(
     covariance = mean(dot(i, b)) - dot(mean_i, mean_b)
     variance_b = np.maximum(mean(dot(b, b)) - dot(mean_b, mean_b), 1e-6)
     variance_i = np.maximum(mean(dot(i, i)) - dot(mean_i, mean_i), 0)
-    # Noise in the plate itself flattens the slope; texture hardly above it says nothing.
+    # Noise in the plate itself flattens the slope; texture hardly above it is no evidence.
     slope = covariance / np.maximum(variance_b - 3, 0.3 * variance_b)
     misfit = np.maximum(variance_i - slope * covariance, 0) / 3
     precision = 0.1 * side**2 * np.maximum(variance_b - _LEAST_TEXTURE, 0) / (1 + misfit)
@@ -223,8 +223,8 @@ def _two_colours(
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
     """Join two hypotheses per pixel: the body colour seen nearby in front of darker things, and of brighter ones.
 
-    One smooth F would lose a dark shirt beside a bright arm. Where the hypotheses disagree the precision falls,
-    so that a place which only one of them leaves open is left to its surroundings.
+    One smooth F would lose a dark shirt beside a bright arm. Where the hypotheses disagree the precision falls, so that
+    a place which only one of them leaves open is filled from its surroundings.
 
     Returns:
         alpha's value and precision, the shadow's share, and how opaque the pixel looks.
@@ -268,10 +268,10 @@ def colour_evidence(
     value = np.clip(share, 0, 1)
     rest = evidence.difference - value[..., None] * direction
     misfit = dot(rest, rest)
-    # The body's colour varies around F: what that does to the share, relative to the distance from B to F.
+    # The body's colour varies around F: the effect on the share, relative to the distance from B to F.
     varied, apart = _COLOUR_SPREAD * colours + _DARK_SPREAD, colours - evidence.plate
     spread = dot(varied, varied) / np.maximum(dot(apart, apart), 1e-6)
-    # Where F is B's colour the pixel says nothing: keep what the surroundings said.
+    # Where F is B's colour the pixel has no evidence: keep the surroundings' value.
     open_share = 1 / (1 + 0.1 / np.clip(spread, 1e-6, 10))
     likely = np.maximum(np.maximum(value, alpha), open_share)
     variance = (1 + 0.1 * misfit) / length + 0.15 * likely**2 * spread

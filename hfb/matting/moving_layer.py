@@ -86,7 +86,8 @@ class _Scene:
     def trusted_less(self, far: Float[Array, "H W"]) -> "_Scene":
         """Reduce the weight of the network's matte with the distance: it is wrong mostly in smears.
 
-        Not where the image differs from the plate beside the person, too: shadows would be explained as a body.
+        It stays where the image differs from the plate beside the person, too, since shadows would be explained as a
+        body.
         """
         told = self.told.copy()
         told[..., _TRUST] /= 1 + np.exp(-self._strayed() / _STRAYED) * (far / _FAR) ** 2
@@ -144,9 +145,9 @@ def explained_matte(
 ) -> Float[Array, "H W"]:
     """Return the matte of the moving layer that explains the frame best, starting from a network's.
 
-    Many straight ways are tried at a small size; the best go on, may bend, and grow. Finer details than the last size
-    stay the network's. No pixel goes further from its matte than its expected error, or than some times that where the
-    way is long. About a second, the same on every run.
+    Many straight ways are tried at a small size; the best are refined, may bend, and are enlarged. Finer details than
+    the last size stay the network's. No pixel deviates more from its matte than its expected error, or than some times
+    that where the way is long. It takes about a second and is deterministic.
 
     Args:
         frame_linear: in [0, 1]; the plate already has the frame's exposure.
@@ -170,8 +171,8 @@ def explained_matte(
     found = answers[0]
     size = alpha.shape[::-1]
     change = _resized(found.alpha - scene.alpha, size)
-    # The layer takes every change for the body, a shadow of somebody who stands, too: the network knows better. What
-    # goes far and is sharp all the same explains itself.
+    # The layer explains every change by the body, also a standing person's shadow: the network is better there. A layer
+    # that moves far and is still sharp needs no support.
     most = np.exp(doubt) * (1 + _far(found.way, size) / _FAR)
     return np.clip(alpha + np.clip(change, -most, most), 0, 1)
 

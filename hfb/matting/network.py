@@ -46,8 +46,8 @@ _CLEARLY_CHANGED = 0.05  # in sRGB
 class NetworkMatting:
     """Two small networks trained on blurred people (`hfb train matting`): one or two seconds, deterministic.
 
-    The first finds the person and a matte. That matte tells the body's colours (second_look.py), and the second network
-    sees them, too. What its matte leaves open a moving layer explains (moving_layer.py).
+    The first network finds the person and a matte, from which the body's colours follow (second_look.py); the second
+    network uses them, too. Its uncertain pixels are explained by a moving layer (moving_layer.py).
     """
 
     def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:

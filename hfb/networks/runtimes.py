@@ -151,7 +151,7 @@ class OnnxNetwork:
         self._path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # we say what failed, and try again
+        options.log_severity_level = 4  # failures are reported below, or tried again
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:  # its own exception classes share no base but this

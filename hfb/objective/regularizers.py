@@ -82,8 +82,8 @@ def background_loss(
 def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
     """Return the mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
 
-    Not in the paper. The estimator of the first body knows better what the image hardly shows, such as the depth of a
-    limb; this term keeps its estimate where nothing contradicts it.
+    It is not in the paper. The estimator of the first body is more accurate where the image hardly constrains the body,
+    such as in the depth of a limb; this term keeps its estimate where nothing contradicts it.
 
     Args:
         rotations: rotations of the joints relative to the parents (the root to the camera), the middle of the exposure

@@ -69,7 +69,7 @@ _JOINTS: dict[str, _Joint] = {
 class _Tables:
     """The joints below the root, right ones mirrored, in the order twist, swing, swing.
 
-    angles: lowest, highest, mean and standard deviation [rad].
+    `angles` are lowest, highest, mean and standard deviation [rad].
     """
 
     order: Int[Tensor, "23 3"]

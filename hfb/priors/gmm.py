@@ -12,9 +12,9 @@ _POSE_SIZE = 69
 class GmmPrior:
     """prior = min_k 1/2 (theta - mu_k)' inv(Sigma_k) (theta - mu_k) - log w_k + 1/2 log(|Sigma_k| / min |Sigma|).
 
-    The sum of a mixture approximated by its largest term, as in SMPLify's eq. (3): cheap, and without exponentials that
-    vanish. The constant 69/2 log(2 pi) is left out and the determinants are relative to the smallest, as SMPLify does:
-    every part is then >= 0.
+    It approximates the sum of a mixture by its largest term, as in SMPLify's eq. (3): cheap, and without exponentials
+    that vanish. The constant 69/2 log(2 pi) is left out and the determinants are relative to the smallest, as in
+    SMPLify: every part is then >= 0.
 
     Args:
         means: mu_k, axis-angle of joints 1 to 23 [rad].

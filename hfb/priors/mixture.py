@@ -19,10 +19,16 @@ LIMITS_KEY = "joint_limits"
 class MixturePrior:
     """prior = mixture + limits: the likeliest Gaussian's part as in `GmmPrior`, plus the excess of the joint limits.
 
-    A mixture alone is smooth: a knee bent backwards by a few degrees lies as near to its means as one bent forwards.
+    A mixture alone is smooth: a knee bent backwards by a few degrees is as near to its means as one bent forwards.
 
-    Args, Raises:
-        as `GmmPrior`.
+    Args:
+        means: mu_k, axis-angle of joints 1 to 23 [rad].
+        covariances: Sigma_k.
+        weights: w_k; they are normalised to sum to one.
+        source: the file's name in messages.
+
+    Raises:
+        InputError: as for `GmmPrior`.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 
     """Return the input of D: per joint its rotation at mid-exposure and its position and motion in the body's frame.
 
     First and second differences of rotations and of joint positions are divided by their root mean square over the
-    body: how far things moved depends on how long the shutter was open. That scale comes as two features of its own.
+    body, since distances depend on the exposure time. That scale is given as two features of its own.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -91,8 +91,8 @@ class Discriminator(nn.Module):
     """D: for every column of C the log odds that it runs backwards in time, and that it is unrealistic otherwise.
 
     The paper's indicator has an entry per entry of C. A column runs backwards as a whole, so one number per column
-    holds for all of its entries. Running the whole body backwards turns every answer of the first kind into its
-    opposite and leaves those of the second kind: the network is made so, by looking at the motion and at its reverse.
+    holds for all of its entries. By construction, from the motion and its reverse, reversing the whole body negates
+    every output of the first kind and keeps those of the second kind.
     """
 
     mean: Tensor
@@ -129,8 +129,8 @@ class Discriminator(nn.Module):
     ) -> tuple[Float[Tensor, "T 25"], Float[Tensor, "T"]]:
         """Log odds that each column, and the whole body, runs backwards, as sure as they may be about strangers.
 
-        Networks are surer than they are right about people and activities that they have not learned from: their log
-        odds are divided by a temperature. The corrector G takes them as they are.
+        Networks are overconfident about people and activities outside of their training data, so their log odds are
+        divided by a temperature. The corrector G uses them as they are.
 
         Args:
             columns: motion in the body's own frame, see `motion_columns`.
@@ -143,7 +143,7 @@ class Discriminator(nn.Module):
 class Corrector(nn.Module):
     """G: realistic coefficients from given ones and the indicator.
 
-    It turns columns round by a gate, c1 -> (1 - 2 gate) c1, and adds a correction to every entry.
+    It reverses columns by a gate, c1 -> (1 - 2 gate) c1, and adds a correction to every entry.
     """
 
     mean: Tensor

@@ -53,7 +53,7 @@ class Observation:
     def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
         """Return left, top, width, height [px] of the box around all mattes, widened by a share of its size.
 
-        The box may reach outside the image: the body may too.
+        The box may reach outside the image, as the body may.
 
         Args:
             margin: added on each side, as a share of the longer side.

@@ -24,7 +24,7 @@ def _memberships(owners: Int[Tensor, "n k"], count: int) -> tuple[Int[Tensor, "c
 class WarpRasterizer:
     """The Protocol of `hfb.rendering.rasterizer` in float32 or float64, exact coverage (geometry in float64).
 
-    Draws on its own device and answers on the caller's: nothing is copied where these are the same.
+    It renders on its own device and returns results on the caller's; nothing is copied where these are the same.
     """
 
     def __init__(self, device: str = "cuda") -> None:

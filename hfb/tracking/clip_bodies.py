@@ -202,7 +202,7 @@ def body_between(
     after = min((k for k in known if k > frame), default=None)
     if shared >= _STILL_ENOUGH or before is None or after is None:
         return best
-    # Somebody who crosses their own width in a frame: laid on along the way from neighbour to neighbour.
+    # A person who moves by their own width in a frame: fitted along the path from neighbour to neighbour.
     path = (known[after].translation - known[before].translation) / (after - before)
     moving, path = refine_swept(start, path, matte, camera, body, drawing, list(_LAY_ON), _STAY)
     return moving if overlap(moving, level, body, drawing, path) > shared + _CLEARLY_MOVING else best

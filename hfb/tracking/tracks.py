@@ -236,10 +236,10 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
     """Read one person's boxes from another system's file.
 
     A .csv names its columns: ``frame`` (from 0), ``id``, ``left``, ``top`` and ``right``, ``bottom`` or ``width``,
-    ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
-    ``box`` (N, 4: left, top, right, bottom).
+    ``height``; one without a header is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N)
+    and ``box`` (N, 4: left, top, right, bottom).
 
-    An image that is the mean of several frames has the box around all of theirs.
+    An image that is the mean of several frames gets the box around all of theirs.
 
     Args:
         path: the other system's file.

@@ -22,7 +22,7 @@ _KEPT = 4
 class FolderMotions:
     """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
 
-    Hidden files are no recordings. A folder that holds the frames of a CAPE sequence is one motion.
+    Hidden files are ignored. A folder with the frames of a CAPE sequence is one motion.
     """
 
     def __init__(self, folder: Path) -> None:

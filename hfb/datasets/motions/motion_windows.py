@@ -78,7 +78,7 @@ def draw_columns(
 ) -> tuple[Float[Array, "n 3 25 4"], Float[Array, "n"]]:
     """Return C of exposures at random times of some motions, and their lengths [s].
 
-    What is drawn from a motion depends on its name and the seed, not on the other motions.
+    The exposures of a motion depend on its name and the seed, not on the other motions.
 
     Args:
         source: source of the motions.
@@ -105,8 +105,7 @@ def draw_exposures(
 ) -> tuple[Float[Array, "n S 24 3"], Float[Array, "n S 3"], Float[Array, "n"]]:
     """Draw random exposures: poses (axis-angle [rad]) and translations [m] at u, in the clip's world, and lengths [s].
 
-    Exposures begin anywhere; their lengths are drawn evenly in their logarithm. Those in which the recording jumps
-    are left out.
+    Starts are uniform, lengths log-uniform. Exposures in which the recording jumps are left out.
 
     Args:
         clip: the recorded motion.

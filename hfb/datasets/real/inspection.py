@@ -82,9 +82,9 @@ def inspect(recording: Recording, footage: Footage) -> Inspection:
 def joint_shift(inspections: Sequence[Inspection]) -> int:
     """Estimate by how many frames the rows of the joints are early (negative) or late.
 
-    A file whose rows are numbered from another frame than the video is quietly wrong by a frame or two, which at
-    60 frames per second is some centimetres at the hands. The shift at which the limbs lie deepest inside what moved
-    is taken where it is clearly better than none.
+    Rows that are numbered from another frame than the video's are off by a frame or two, which at 60 frames per second
+    is some centimetres at the hands. The shift with which the limbs are deepest inside the moving region is used where
+    it is clearly better than none.
 
     Args:
         inspections: inspections of the videos that share the joints.

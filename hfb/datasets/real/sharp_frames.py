@@ -38,8 +38,8 @@ class Exposure:
     def blur_rate(self) -> float:
         """Return |union of the masks| / |one mask| - 1.
 
-        The median mask stands for the first one, and masks of an unusual area are left out: one bad matte must not
-        decide.
+        The median mask replaces the first one, and masks of an unusual area are ignored, so that a single bad matte has
+        no influence.
         """
         areas = self.masks.sum((1, 2)).astype(float)
         usual = float(np.median(areas))

@@ -56,7 +56,7 @@ def measured_joints(
 ) -> SeenJoints:
     """Return the measured points that show SMPL's joints, in consecutive rows, camera coordinates.
 
-    They lie where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
+    They are where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
 
     Args:
         markers: measured points.

@@ -77,8 +77,8 @@ class Recording:
 def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
     """Find the files that belong to a video by their names; return them and a sentence per problem.
 
-    Searched: the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project. Where
-    several .trc files lie there the filtered one counts; whether it has y up is not decided here.
+    The search covers the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project.
+    Of several .trc files the filtered one is used; its vertical axis is determined later.
 
     Args:
         footage: the video.

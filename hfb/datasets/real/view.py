@@ -16,9 +16,9 @@ from hfb.matting.matting_protocol import shrink
 from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480
-_MARGIN = 0.12  # of the person's longer side: the matting wants to see some background
+_MARGIN = 0.12  # of the person's longer side: matting needs some background
 _REACH = 0.12  # of the joints' longer side: hands, feet and hair reach beyond the joints
-_LEAST_PX = 48  # a person who is smaller shows no limbs
+_LEAST_PX = 48  # limbs of a smaller person are not visible
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"],
         rng: draws the sensor's noise.
     """
     case = Case(folder, story.number, story.spec.frames, float(np.mean(story.blur_rates)), {})
-    # A case made before must not look whole while its files are replaced.
+    # An earlier case must not look complete while its files are replaced.
     (folder / "case.json").unlink(missing_ok=True)
     write_png(case.background, story.sensor.expose(plate_linear, rng, story.sensor.plate_share))
     boxes = []

@@ -113,7 +113,7 @@ def make_clip(
         seen = _film(motion, body, betas, height, width, for_motion)
         gone = set(range(leaves[0], leaves[1] + 1)) if leaves else set()
         sensor = _NOISE if noise else NO_NOISE
-        # First of all, so that a clip that was stopped half-way is known for ours.
+        # Written first, so that an incomplete clip is recognised as ours.
         write_bytes_atomic(folder / "clip.toml", _clip_toml(seen.lens, fps, shutter, frames, video).encode())
         write_png(folder / "background.png", sensor.expose(plate, for_sensor, sensor.plate_share))
         pictures = _expose(seen, body, scenery.texture_linear, plate, gone, sensor, for_sensor, on_progress)
@@ -134,7 +134,7 @@ def _make_room(folder: Path) -> None:
             f"{folder} holds {strange[0]}, which `hfb synth clip` did not put there: "
             "move it away, or choose another --out"
         )
-    for name in there - {"clip.toml"}:  # which tells that they are ours, until it is replaced
+    for name in there - {"clip.toml"}:  # which marks them as ours, until it is replaced
         (folder / name).unlink()
 
 

@@ -48,7 +48,7 @@ _KEPT_BYTES = 256 << 20
 def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -> Case:
     """Make case `number` (from 1) of a set in a folder: every file that `hfb.datasets.case` names.
 
-    The same bytes for the same set, number and usable motions, whatever else is made, where and by how many.
+    The bytes depend only on the set, the number and the usable motions.
 
     Args:
         spec: specification of the set.

@@ -68,7 +68,7 @@ def draw_view(rng: np.random.Generator) -> View:
 def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
     """Return the horizontal direction that a person with this root rotation faces.
 
-    Where the face looks up or down, the direction from hips to head stands in; then +z.
+    Where the face looks up or down, the direction from hips to head is used instead; then +z.
 
     Args:
         root: axis-angle [rad], body to world.

@@ -50,8 +50,8 @@ def interpolate(
 ) -> tuple[SampledMotion | None, Float[Array, "R 24 3"] | None]:
     """Interpolate estimates to a prediction's rows: (motion, None), or (None, joints) where no poses are known.
 
-    Between its estimates a frame's body moves along straight lines and great circles, beyond them it is held. One
-    estimate per frame is interpolated from frame to frame.
+    Within a frame the body moves between its estimates along straight lines and great circles, and is held beyond them.
+    A single estimate per frame is interpolated from frame to frame.
 
     Args:
         estimates: estimates of each frame's sub-frames, None where the person was not found; at least one per frame.

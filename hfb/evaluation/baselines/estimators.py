@@ -77,7 +77,7 @@ class NetworkEstimator:
         if layout.camera is not None:
             scale, x, y = _numbers(outputs, layout.camera, 3).tolist()
             place = weak_perspective_place(scale, x, y, (left + side / 2, top + side / 2), side, sight.camera)
-        if layout.betas is not None and body.betas_space == "smpl":  # another body's betas mean nothing to ours
+        if layout.betas is not None and body.betas_space == "smpl":  # another body's betas are meaningless for ours
             betas = torch.from_numpy(_numbers(outputs, layout.betas, 10))
         return Estimate(_pose(outputs, layout), place, betas)
 
@@ -101,7 +101,7 @@ def _pose(outputs: Outputs, layout: EstimatorLayout) -> Float[Tensor, "24 3"]:
     if kind == "axis-angle":
         pose = numbers
     else:
-        # A network's matrix is a rotation only nearly: its first two columns, made orthonormal, are one.
+        # A network's matrix is only nearly a rotation: its first two columns are made orthonormal.
         columns = numbers if kind == "6D" else numbers.reshape(24, 3, 3)[..., :2].transpose(1, 2).reshape(24, 6)
         pose = matrix_to_axis_angle(six_d_to_matrix(columns))
     if layout.y_up:

@@ -135,7 +135,7 @@ class TwoStageOracle:
     def _simulated(self, case: Case, observation: Observation) -> list[list[Estimate | None]]:
         """Apply the simulated estimator to every sub-frame, as if it were a frame with hardly any blur.
 
-        All are drawn together: a network errs alike on neighbouring sub-frames.
+        All are drawn together, since a network's errors on neighbouring sub-frames are alike.
         """
         truth, frames = load_truth(case.truth), len(observation.mattes)
         u = np.linspace(0.0, 1.0, SHARP_SUBFRAMES) * observation.exposure_s

@@ -8,7 +8,7 @@ from hfb.motion.clock import subframe_times_s
 from hfb.rendering.observation import Observation
 from hfb.typing import Float, Tensor
 
-# The image of one unknown object does not tell its size from its distance: this is where it is put.
+# The image of an unknown object does not determine its distance: this one is assumed.
 DEPTH_M = 3.5
 _LEAST_SHARE = 0.25  # of the matte's variance along an axis that stays the object's own, however fast it moves
 
@@ -42,7 +42,7 @@ def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
     """Return start guesses from the mattes' moments; an empty matte has none and is left out.
 
     A single frame gives three: the object is as large as its matte and rests, or half of the matte's variance across
-    (or down) the image is motion. Several frames tell the motion by where their mattes lie.
+    (or down) the image is motion. The positions of several frames' mattes determine the motion.
 
     Args:
         observation: the blurred frames with their mattes and clock.

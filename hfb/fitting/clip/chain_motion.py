@@ -102,7 +102,7 @@ class ChainMotion:
             here = rotation[rows]
             middle = self.meeting.middle[:, None].expand_as(here)
             moved = turned_by(middle, log_about(middle, here) + turn)
-            # Far from the edge nothing changes, and the logarithm about it need not be small.
+            # Far from the edge nothing changes, and the logarithm about it may be large.
             rotation = rotation.index_copy(0, rows, torch.where((away < _REACH)[..., None, None], moved, here))
             path = path.index_add(0, rows, shift)
         return rotation, path

@@ -110,10 +110,10 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
         count: largest number of chosen windows.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
-    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
+    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours tell the same
     seen = np.array([float(np.mean([matte_areas[frame] for frame in window.frames])) for window in windows])
     several = np.array([len(window.frames) > 1 for window in windows])
-    # A window of one frame knows the least about depth: it is taken only where its part has no other.
+    # A window of one frame determines depth worst: it is used only where its part has no other.
     return tuple(int(part[np.lexsort((-seen[part], ~several[part]))[0]]) for part in parts)
 
 

@@ -51,7 +51,7 @@ def number_in(name: str) -> int | None:
 def by_pictures(tracks: Sequence[PoseTrack], clip: ClipPictures) -> list[PoseTrack]:
     """Return the tracks with the clip's own frame numbers where they know the names of their images.
 
-    Rows of images that the clip does not have are left out. Where no name fits all stay as they are.
+    Rows of images that the clip does not have are dropped. Where no name matches, all stay as they are.
 
     Args:
         tracks: tracks of one result.

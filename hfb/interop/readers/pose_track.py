@@ -14,7 +14,7 @@ from hfb.typing import Array, Bool, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
 OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
-_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
+_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been fitted to them by then
 _NEAR = 0.02
 _LEAST_JOINTS = 6
 """Number of joints that fitting a body needs (`hfb.initialization.point_registration`)."""

@@ -14,8 +14,8 @@ from hfb.typing import Array, Float
 def csv_text(motion: SampledMotion) -> str:
     """Return a table with one row per sub-frame, as in motion.npz: camera coordinates, exact times.
 
-    Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m``, and where the
-    motion says how sure it is ``NAME_radius_mm``: the error is below it with a probability of one half; empty where
+    Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m``, and
+    ``NAME_radius_mm`` where the motion has radii: the error is below it with a probability of one half; empty where
     unknown.
 
     Args:

@@ -112,8 +112,8 @@ def _posed(shaped: ShapedBody, motion: SampledMotion, row: int) -> Float[Array, 
 def _obj_surface(body: Body, textured: bool) -> bytes:
     """Return the constant part: texture coordinates (v = 0 at the bottom in .obj) and faces (counted from 1).
 
-    Not by trimesh, which has one texture coordinate per vertex: every seam would split the surface, and vertices would
-    no longer be the body model's.
+    trimesh is not used, since it has one texture coordinate per vertex: every seam would split the surface, and
+    vertices would no longer be the body model's.
     """
     faces = body.mesh.faces.numpy() + 1
     if not textured:

@@ -62,7 +62,7 @@ def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
 def is_time_mapped(path: Path) -> bool:
     """Return whether an MP4's or MOV's edit list changes the speed of parts of it, as a telephone's slow motion does.
 
-    FFmpeg takes every edit for one at full speed and repeats frames; the tracks' own time stamps are the camera's.
+    FFmpeg treats every edit as one at full speed and repeats frames; the tracks' own time stamps are the camera's.
 
     Args:
         path: the video file.

@@ -15,8 +15,8 @@ from hfb.kernels.body.body_vector import FEATURES, add_features, displacements
 from hfb.kernels.compile import LOOP, entry
 from hfb.kernels.simd import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
 
-AHEAD = 4  # vertices whose directions are asked for before they are needed
-_LINE = 32  # 16-bit numbers that memory hands over at once
+AHEAD = 4  # number of vertices whose directions are prefetched
+_LINE = 32  # 16-bit numbers in a cache line
 
 
 @njit(**LOOP)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from hfb.kernels.compile import INLINE, JIT, LOOP, entry, loop_entry
-from hfb.kernels.simd import (  # instants at once: a number that the compiler knows
+from hfb.kernels.simd import (  # instants at once, a constant for the compiler
     LANES,
     lanes,
     load_apart,

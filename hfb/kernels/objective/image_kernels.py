@@ -76,7 +76,7 @@ def _subtract_row(mean, plate, frame, first, count, difference):
 def _sum_row(values, first, count):
     """Return the sums, over `count` pixels, of the colours' squared differences, of the last, and of its positive part.
 
-    Four pixels' are added up before they are widened.
+    Sums of four pixels are formed in the precision of the values first.
     """
     squares, total, positive = four(0.0), four(0.0), four(0.0)
     end = first + count

@@ -149,7 +149,7 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
         setting: camera, mesh and options.
     """
     count, lens = len(vertices), setting.lens
-    # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
+    # Four channels suit the CPU, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
     kernels.widen(texture, texels)
     at_once = bodies_at_once(count, setting.threads, setting.is_soft)
@@ -230,7 +230,7 @@ def pull_bodies(
         )
         for sums in tasks:
             kernels.move_texels(sums, total)
-    else:  # the same sums in the same order, in one place that stays in the processor's cache
+    else:  # the same sums in the same order, in one place that stays in the CPU's cache
         closes[[limit - 1 for limit in limits[1:]]] = of_texture
         pull(0, count, np.zeros(size, texels.dtype))
     return gradient, total

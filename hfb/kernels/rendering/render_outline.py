@@ -30,7 +30,7 @@ GOES_RIGHT, GOES_LEFT, GOES_DOWN, GOES_UP, ENTERED, ENTERED_AGAIN = (1, 2, 4, 8,
 def _walk(x0, y0, dx, dy, ta, tb, box, beside, n, columns, rows, ends):
     """Append the pixels that the stretch [ta, tb] of an edge crosses, with the parameter at which it leaves each.
 
-    beside: the stretch lies left of the box; its columns are not counted and written as -1.
+    With `beside` the stretch is left of the box; its columns are not counted and written as -1.
     """
     r = min(max(int(np.floor(y0 + ta * dy)), box[1]), box[3] - 1)
     r_end = min(max(int(np.floor(y0 + tb * dy)), box[1]), box[3] - 1)
@@ -198,9 +198,9 @@ def _cut_far(k, x0, y0, dx, dy, box, columns, rows, ends, pieces, n):
 def _cut_near(first, at, n_edges, box, found, pieces, n):
     """Append the pieces of up to LANES edges, a step to the next pixel of all of them at a time; returns their number.
 
-    What edges do differs from one to the next, and no processor predicts it: here nothing is asked that decides what
-    comes next. first: the batch's first edge, at: the first of these in the batch. Edges that the box cuts are left out
-    and have a zero in row WITHIN, others a one.
+    It is free of branches, since no processor can predict the next edge's course. `first` is the batch's first edge,
+    `at` the first of these in the batch. Edges that the box cuts are left out and have a zero in row WITHIN, others a
+    one.
     """
     x0, y0 = load_lanes(found, X0 + at), load_lanes(found, Y0 + at)
     dx, dy = load_lanes(found, DX + at), load_lanes(found, DY + at)

@@ -43,8 +43,8 @@ B1, B2, B1_X, B1_Y, B2_X, B2_Y = (BATCH * row for row in range(16, 22))
 OFF_X, OFF_Y = B2_X, B2_Y
 # 1 / (sum of weights / z), texture coordinates, shares of the next texel, weights of the four texels.
 SCALE, U, V, RIGHT, DOWN, W00, W01, W10, W11 = (BATCH * row for row in range(22, 31))
-# Backward: the image's gradient times each of the four texels; then, in rows that are free by then, what is asked
-# of the corners.
+# Backward: the image's gradient times each of the four texels; then, in rows that are free by then, the gradients
+# by the corners.
 G00, G01, G10, G11, D0, D1, D2 = (BATCH * row for row in range(31, 38))
 OF_ALPHA, OF_B1, OF_B2, PULL_X, PULL_Y = G00, G01, G10, G11, SCALE
 FOUND = 38 * BATCH

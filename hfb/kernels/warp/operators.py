@@ -103,7 +103,7 @@ def draw_by_warp(
         outline = _points(projected), _array(front), edge_vertices, edge_faces
         _launch(outlines.count_pieces, counts.shape, vertices, *outline, height, width, _array(counts))
         begins = torch.nn.functional.pad(counts.flatten().cumsum(0, dtype=torch.int32), (1, 0))
-        pieces = int(begins[-1])  # the one place where the processor waits for the device
+        pieces = int(begins[-1])  # the only place where the CPU waits for the device
         winding, newest = whole(bodies, height, width + 1, kind=torch.int64), whole(*shape) - 1
         older, place, span, line = whole(pieces), whole(pieces, 3), real(pieces, 2), real(pieces, 4)
         chains = _array(older), _array(place, wp.vec3i), _array(span, wp.vec2d), _array(line, wp.vec4d)
@@ -182,7 +182,7 @@ def draw_by_warp_gradient(
     bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
     subframes = bodies // len(lenses)
     groups = given.unflatten(0, (len(textures), -1)).flatten(1).abs().amax(1).double().clamp_min(1e-300)
-    steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture: it knows of no other
+    steps = 2.0**_EXACT / max(alpha.numel() // len(textures), 1) / groups  # of each texture alone
     total = vertices.new_zeros(textures.shape if of_textures else (1, 0, 0, 3), dtype=torch.int64)
     pulls = vertices.new_empty(*alpha.shape, 3, dtype=torch.float64)
     with _prepare(vertices):

@@ -136,7 +136,7 @@ def winding_to_left(
 ) -> wp.int32:
     """Return the winding number just left of a piece at a height.
 
-    Down the left border it falls by 1 where a piece comes in and rises by 1 where one goes out.
+    Down the left border it falls by 1 where a piece enters and rises by 1 where one leaves.
 
     Args:
         base: winding number of the pixel's top left corner.
@@ -233,7 +233,7 @@ def area_from_piece(
 ) -> wp.float64:
     """Return the change of the area by the stretches of a piece that separate body from background; add their shares.
 
-    Which stretches these are changes only where the piece meets another, or another begins or ends.
+    These stretches change only where the piece meets another, or another begins or ends.
 
     Args:
         piece: number of the piece; -1 for the pixel's left border.

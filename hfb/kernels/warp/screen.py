@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-wp.config.log_level = wp.LOG_ERROR  # what it says of its modules and drivers would spoil what a command prints
+wp.config.log_level = wp.LOG_ERROR  # its messages on modules and drivers would disturb a command's output
 wp.set_module_options({"enable_backward": False})
 
 NONE = wp.constant(wp.int32(-(2**31)))  # code of a pixel that shows neither a face nor an outline edge

@@ -126,7 +126,7 @@ def uniform_clip(
 ) -> MotionClip:
     """Resample poses at uneven instants, such as the sub-frames of several exposures, to a clip of even rate.
 
-    Poses are interpolated between them, at the rate that most of them have.
+    The rate is that of most of them.
 
     Args:
         name: name of the motion.

@@ -34,8 +34,8 @@ class Limb:
     def hinge(self, expected: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
         """Return the axis about which knee or elbow bend, over time [unit length].
 
-        It is across both bones where the limb is bent. In the upper bone's own frame it hardly moves, which tells the
-        rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
+        It is perpendicular to both bones where the limb is bent. In the upper bone's own frame it hardly moves, so
+        elsewhere its mean there over the clip is used, turned towards the plane of the bend as far as that is visible.
 
         Args:
             expected: axis to assume if the limb never bends.

@@ -61,7 +61,7 @@ def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
     places = motion.rest()
     hips, _, ankles = _legs(places, joints)
     trunk, across = places[joints.head] - hips.mean(0), hips[0] - hips[1]
-    # Whoever sets up a skeleton does so along the axes: the nearest ones are meant.
+    # Skeletons are set up along the axes: the nearest ones are used.
     up = _nearest_axis(trunk)
     sideways = across - (across @ up) * up
     shown = bool(min(np.linalg.norm(trunk), np.linalg.norm(sideways)) > 1e-3 * leg_length)

@@ -76,7 +76,7 @@ class Retargeted(NamedTuple):
 def retarget(motion: BvhMotion) -> Retargeted:
     """Retarget a motion to a person with the embedded body's rest joints.
 
-    Lengths are scaled by the ratio of the legs, so that feet which stand stay.
+    Lengths are scaled by the ratio of the legs, so that standing feet do not slide.
 
     Args:
         motion: motion of the foreign skeleton.
@@ -195,8 +195,8 @@ def _pronation(
 ) -> tuple[Float[Array, "F"], Float[Array, "F 3"]]:
     """Return a hand's turn against the forearm: about it [rad], then across it (a rotation vector).
 
-    Both stay within what hands can do: what is beyond is an error of the recording (often of half a turn), and does not
-    show in the arm's bones.
+    Both are limited to a hand's range: larger values are errors of the recording (often of half a turn) that the arm's
+    bones do not show.
     """
     twist = np.unwrap(2 * np.arctan2((turn[:, 1:] * along).sum(-1), turn[:, 0]))
     swing = to_axis_angle(multiply(turn, from_axis_angle(-twist[:, None] * along)))

@@ -155,7 +155,7 @@ def _stored(path: Path, data: bytes, with_colours: bool) -> _Levels:
         levels, full = read_unusual(path, data, directory)
         return _deep(path, _turned(levels, number(directory, _ORIENTATION, 1)), full, data, directory)
     image = _open(path, data)
-    image.load()  # all of it, whoever decodes: OpenCV fills what is missing with gray
+    image.load()  # all of it for any decoder, since OpenCV fills missing parts with gray
     deep = data[24] > 8 if image.format == "PNG" else directory is not None and number(directory, _BITS, 8) > 8
     if deep:
         told = image.getexif().get(_ORIENTATION, 1) if directory is None else number(directory, _ORIENTATION, 1)

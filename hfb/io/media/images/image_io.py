@@ -69,7 +69,7 @@ def recorded_exposure(path: Path) -> tuple[float, str] | None:
             with Image.open(path, formats=FORMATS) as image:
                 seconds = image.getexif().get_ifd(_EXIF_DIRECTORY).get(_EXPOSURE_TAG)
         value = float(seconds) if seconds is not None else 0.0
-    except Exception:  # metadata that cannot be read tells nothing
+    except Exception:  # unreadable metadata is ignored
         return None
     return (value, f"the EXIF entry ExposureTime of {path.name}") if 0 < value < 10 else None
 

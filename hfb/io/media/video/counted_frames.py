@@ -22,7 +22,7 @@ class _Resting:
     frames: Numbered
 
 
-# One, since a decoder holds images. A thread that takes it out has it for itself: both ends are atomic.
+# One, since a decoder holds images. A thread that takes it owns it: both operations are atomic.
 _resting: deque[_Resting] = deque(maxlen=1)
 
 
@@ -41,7 +41,7 @@ def read_on(
     file = _version(path)
     frames = _taken(file, start) or from_start()
     for number, frame in frames:
-        if number == stop - 1 and stop < count and file:  # before the last is given: who has it may ask for no more
+        if number == stop - 1 and stop < count and file:  # before the last: its reader may stop there
             _resting.append(_Resting(file, stop, frames))
         if number >= start:
             yield frame

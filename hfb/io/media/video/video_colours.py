@@ -33,7 +33,7 @@ def stated_colours(stream: av.VideoStream) -> Stated:
 def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, int | None]:
     """Return the (matrix, range) to decode a frame with; None where the frame states it, or has no such thing.
 
-    Untagged video is BT.709 to players above 576 lines and BT.601 below; swscale by itself takes all for BT.601.
+    Players treat untagged video as BT.709 above 576 lines and as BT.601 below; swscale alone treats all as BT.601.
 
     Args:
         frame: decoded.

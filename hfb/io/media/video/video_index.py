@@ -148,7 +148,7 @@ class VideoIndex:
             return
         wanted = self.stamps[start:stop]
         keys = self.keys[self.keys <= wanted[0]]
-        # One key frame earlier than needed: what refers across a key frame (open groups) is complete then.
+        # One key frame earlier than needed, since frames of open groups refer across a key frame.
         origin = int(keys[-2]) if len(keys) > 1 else None
         given = 0
         for stamp, frame in self._from(origin):

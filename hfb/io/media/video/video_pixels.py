@@ -59,8 +59,8 @@ def _rgb(frame: av.VideoFrame, stated: Stated) -> Shaped[Array, "h w 3"]:
 def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Array, "H W 3"]:
     """Turn and mirror by the display matrix, which players apply and the decoder does not.
 
-    The matrix takes (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight ways to lay a
-    image on its sides counts.
+    The matrix maps (x, y), y down, to (a x + c y, b x + d y), in fixed point; the nearest of the eight rotations and
+    reflections by right angles is applied.
     """
     told: Any = frame.side_data.get("DISPLAYMATRIX")
     if told is None:
@@ -94,7 +94,7 @@ def is_deep(frame: av.VideoFrame) -> bool:
 def pixel_aspect(stream: av.VideoStream) -> float:
     """Return width / height of a stored pixel before rotation by the container; HDV and anamorphic ones are not 1.
 
-    1 where the file does not say, says what no camera does, or is within a hundredth of it: encoders round.
+    It is 1 where the file states none, states an implausible one, or one within a hundredth of 1, since encoders round.
 
     Args:
         stream: stream of the video.
@@ -118,7 +118,7 @@ def square_size(height: int, width: int, aspect: float) -> tuple[int, int]:
 def stretched(picture: Shaped[Array, "h w 3"], height: int, width: int) -> Shaped[Array, "H W 3"]:
     """Resize an image of uint8, uint16 or float32, sharply.
 
-    Lanczos keeps what it shows in place to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
+    Lanczos keeps positions to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
 
     Args:
         picture: image to resize.

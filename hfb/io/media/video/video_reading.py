@@ -54,8 +54,8 @@ def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array,
 def median_plate(path: Path, frames: Sequence[int], memory_bytes: int = PLATE_BYTES) -> Float[Array, "H W 3"]:
     """Return the background without the person: each pixel's median over the given frames [sRGB].
 
-    The median of an odd number of frames is the same in sRGB and in linear light. The image is done in
-    bands of rows, one pass through the video each, so that no more than `memory_bytes` are held.
+    The median of an odd number of frames is the same in sRGB and in linear light. The image is computed in bands of
+    rows, one pass through the video each, so that no more than `memory_bytes` are held.
 
     Args:
         path: the video file.

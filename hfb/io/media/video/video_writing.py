@@ -21,8 +21,8 @@ _TICK = Fraction(1, 1_000_000)
 class VideoWriter:
     """Writes sRGB images of one size; the file appears when the `with` block ends without an error.
 
-    The file says how its colours are meant (players guess differently where it does not), and its index comes first, so
-    that a browser shows it while it loads. An image is encoded while the next one is drawn.
+    The file states its colours (players guess differently otherwise), and its index comes first, so that a browser
+    shows it while it loads. An image is encoded while the next one is drawn.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class VideoWriter:
     def _begin(self, height: int, width: int) -> av.VideoStream:
         assert self._container is not None
         # The same images give the same bytes: one thread, and no macroblock tree, whose AVX-512 code reads memory
-        # that nobody wrote where a width is no whole number of vectors.
+        # uninitialised where a width is no whole number of vectors.
         options = {**self._options, "x264-params": "mbtree=0"}
         stream = self._container.add_stream("libx264", rate=self._fps or 1000, options=options)
         stream.height, stream.width = height, width
