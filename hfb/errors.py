@@ -5,6 +5,9 @@ class InputError(ValueError):
     """The user's input cannot be used; the command line prints the message and exits with 2.
 
     Bytes of a file's name that are not UTF-8 are shown as escapes, so that the sentence can be written anywhere.
+
+    Args:
+        sentence: problem and fix, for the user.
     """
 
     def __init__(self, sentence: str = "") -> None:

@@ -189,7 +189,11 @@ class JointClaim:
 
 
 class JointNetwork(nn.Module):
-    """One feature map per image; three rounds that sample it around every joint and move the joint."""
+    """One feature map per image; three rounds that sample it around every joint and move the joint.
+
+    Args:
+        widths: sizes of the layers.
+    """
 
     def __init__(self, widths: Widths = SHIPPED) -> None:
         super().__init__()

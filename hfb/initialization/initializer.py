@@ -46,7 +46,18 @@ class Initializer(Protocol):
     def __call__(
         self, frame_linear: Picture, plate_linear: Picture, matte: Matte, camera: PinholeCamera, body: Body
     ) -> FirstBody:
-        """Return the body in camera coordinates. Raises InputError where the matte is empty or no person is found."""
+        """Return the body in camera coordinates.
+
+        Args:
+            frame_linear: blurred frame, linear light.
+            plate_linear: background plate, linear light.
+            matte: the person's alpha in [0, 1].
+            camera: pinhole camera of the frame.
+            body: model of the result.
+
+        Raises:
+            InputError: the matte is empty, or no person is found.
+        """
         ...
 
 
@@ -70,7 +81,11 @@ def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -
 
 
 class MatteInitializer:
-    """Render and compare with generic poses: no network, no colour (see matte_search.py, swept_search.py)."""
+    """Render and compare with generic poses: no network, no colour (see matte_search.py, swept_search.py).
+
+    Args:
+        rasterizer: draws silhouettes.
+    """
 
     def __init__(self, rasterizer: Rasterizer) -> None:
         self._rasterizer = rasterizer
@@ -83,7 +98,12 @@ class MatteInitializer:
 
 
 class LandmarkInitializer:
-    """MediaPipe's landmarks, registered to the body, then refined to the matte while staying near the landmarks."""
+    """MediaPipe's landmarks, registered to the body, then refined to the matte while staying near the landmarks.
+
+    Args:
+        rasterizer: draws silhouettes.
+        choice: choice among the landmark networks.
+    """
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer
@@ -127,7 +147,12 @@ class LandmarkInitializer:
 
 
 class AutoInitializer:
-    """The networks where available and certain, else the matte's search; where both are uncertain the better one."""
+    """The networks where available and certain, else the matte's search; where both are uncertain the better one.
+
+    Args:
+        rasterizer: draws silhouettes.
+        choice: choice among the landmark networks.
+    """
 
     def __init__(self, rasterizer: Rasterizer, choice: LandmarkChoice = "auto") -> None:
         self._rasterizer = rasterizer

@@ -115,6 +115,9 @@ def networks_ready(choice: LandmarkChoice = "auto") -> bool:
 class PoseNetworks:
     """Both networks, loaded; one thread, deterministic.
 
+    Args:
+        choice: choice among the landmark networks.
+
     Raises:
         InputError: a file or the interpreter is missing; the text says how to get it.
     """

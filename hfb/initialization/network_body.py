@@ -36,7 +36,13 @@ _STAY = Stay(pose=0.05, root=0.1, place=0.1)
 
 
 class MetroBody:
-    """An `Initializer` by a network with METRO's interface."""
+    """An `Initializer` by a network with METRO's interface.
+
+    Args:
+        weights: file of the network.
+        rasterizer: draws silhouettes.
+        mesh_sampling: file that relates METRO's coarse meshes to the full one, or None.
+    """
 
     def __init__(self, weights: Path, rasterizer: Rasterizer, mesh_sampling: Path | None = None) -> None:
         """Load the files, see `hfb.config.InitConfig`. Raises InputError where a file is not as expected."""

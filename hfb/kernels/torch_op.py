@@ -29,6 +29,10 @@ def arrays(*tensors: Tensor) -> list[Array]:
 class Operator:
     """A function of tensors that computes in numpy.
 
+    Args:
+        name: name of the operator, such as ``hfb::skin``.
+        function: takes tensors and numbers, computes in numpy.
+
     Attributes:
         registered: the operator as torch.compile, export and `torch.library.opcheck` take it.
     """

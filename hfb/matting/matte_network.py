@@ -75,8 +75,9 @@ class MatteNetwork(nn.Module):
     The second output is the logarithm of the expected error (a Laplace scale) of the first.
 
     Args:
+        widths: channels of the layers from fine to coarse.
+        normalise: makes a normalisation layer for a number of channels; None for none.
         channels: number of input channels.
-        normalise: made behind every convolution while it is trained, then folded into it; nothing by default.
     """
 
     def __init__(

@@ -28,7 +28,15 @@ class Matting(Protocol):
     """Estimates alpha of eq. (1): the share of the exposure in which a pixel shows the person."""
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """Return the matte in [0, 1]. Raises InputError where frame and plate do not match, or no person is found."""
+        """Return the matte in [0, 1].
+
+        Args:
+            frame_linear: blurred frame, linear light.
+            plate_linear: background plate, linear light, in the frame's size.
+
+        Raises:
+            InputError: frame and plate do not match, or no person is found.
+        """
         ...
 
 

@@ -48,6 +48,10 @@ class NetworkMatting:
 
     The first network finds the person and a matte, from which the body's colours follow (second_look.py); the second
     network uses them, too. Its uncertain pixels are explained by a moving layer (moving_layer.py).
+
+    Args:
+        network: the first network; None for the shipped one.
+        second: the second network; None for the shipped one.
     """
 
     def __init__(self, network: MatteNetwork | None = None, second: MatteNetwork | None = None) -> None:

@@ -73,7 +73,15 @@ class Network(Protocol):
     """A network from images to arrays."""
 
     def __call__(self, inputs: Sequence[Given]) -> Outputs:
-        """Run it. Raises InputError where it fails, FloatingPointError where an output is not finite."""
+        """Run the network.
+
+        Args:
+            inputs: its inputs, in order.
+
+        Raises:
+            InputError: it fails.
+            FloatingPointError: an output is not finite.
+        """
         ...
 
 
@@ -97,7 +105,13 @@ def load_network(path: Path, settings: Mapping[str, float | str] | None = None, 
 
 
 class TorchNetwork:
-    """A `Network` of a torch module."""
+    """A `Network` of a torch module.
+
+    Args:
+        path: origin of the weights, named in messages.
+        module: the torch module.
+        half: compute in 16 bits, in half the memory.
+    """
 
     def __init__(self, path: Path, module: torch.nn.Module, half: bool = False) -> None:
         """Take a module; `path` names its weights in messages, `half` computes in 16 bits, in half the memory."""
@@ -123,7 +137,13 @@ class TorchNetwork:
 
 
 class TorchScriptNetwork(TorchNetwork):
-    """A `Network` of torch.jit.save's archive."""
+    """A `Network` of torch.jit.save's archive.
+
+    Args:
+        path: the network's file.
+        settings: attributes to set, as far as the network has them.
+        half: compute in 16 bits.
+    """
 
     def __init__(self, path: Path, settings: Mapping[str, float | str], half: bool = False) -> None:
         """Load the file. Raises InputError where torch cannot read it."""
@@ -139,7 +159,11 @@ class TorchScriptNetwork(TorchNetwork):
 
 
 class OnnxNetwork:
-    """A `Network` run by onnxruntime."""
+    """A `Network` run by onnxruntime.
+
+    Args:
+        path: the network's file.
+    """
 
     def __init__(self, path: Path) -> None:
         try:

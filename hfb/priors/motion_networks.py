@@ -93,6 +93,11 @@ class Discriminator(nn.Module):
     The paper's indicator has an entry per entry of C. A column runs backwards as a whole, so one number per column
     holds for all of its entries. By construction, from the motion and its reverse, reversing the whole body negates
     every output of the first kind and keeps those of the second kind.
+
+    Args:
+        width: width of the hidden layers.
+        depth: number of hidden layers.
+        dropout: dropout rate in training.
     """
 
     mean: Tensor
@@ -144,6 +149,11 @@ class Corrector(nn.Module):
     """G: realistic coefficients from given ones and the indicator.
 
     It reverses columns by a gate, c1 -> (1 - 2 gate) c1, and adds a correction to every entry.
+
+    Args:
+        width: width of the hidden layers.
+        depth: number of hidden layers.
+        dropout: dropout rate in training.
     """
 
     mean: Tensor

@@ -17,6 +17,6 @@ class PosePrior(Protocol):
         """Return a number >= 0 per pose, lower for likelier poses; differentiable.
 
         Args:
-            axis_angle: SMPL's joints 1 to 23, relative to their parents [rad].
+            axis_angle: joints below the root [rad].
         """
         ...

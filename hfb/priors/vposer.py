@@ -71,6 +71,11 @@ class VPoserPrior:
     """prior(theta) = |mu(theta)|_2^2, the latent mean's squared norm: VPoser's latent space is a unit Gaussian.
 
     Dropout is off and batch norms use their running statistics, as at any time but training.
+
+    Args:
+        version: version of the checkpoint.
+        encoder: layers of the encoder.
+        decoder: layers of the decoder.
     """
 
     def __init__(self, version: str, encoder: tuple[_Dense, ...], decoder: tuple[_Dense, ...]) -> None:

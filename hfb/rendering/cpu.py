@@ -15,7 +15,12 @@ from hfb.typing import Float, Tensor
 
 
 class CpuRasterizer:
-    """The Protocol of `hfb.rendering.rasterizer` in float32 or float64 (the kernels compute and add in float64)."""
+    """The Protocol of `hfb.rendering.rasterizer` in float32 or float64 (the kernels compute and add in float64).
+
+    Args:
+        silhouette: exact coverage, or DIB-R's mask.
+        threads: number of threads; results do not depend on it.
+    """
 
     def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage", threads: int = 1) -> None:
         self.silhouette = silhouette

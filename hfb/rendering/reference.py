@@ -252,7 +252,11 @@ def _uv_of_edges(
 
 
 class ReferenceRasterizer:
-    """The Protocol of `hfb.rendering.rasterizer` in plain torch, in the precision of the vertices."""
+    """The Protocol of `hfb.rendering.rasterizer` in plain torch, in the precision of the vertices.
+
+    Args:
+        silhouette: exact coverage, or DIB-R's mask.
+    """
 
     def __init__(self, silhouette: Literal["coverage", "dibr"] = "coverage") -> None:
         self.silhouette = silhouette

@@ -25,6 +25,9 @@ class WarpRasterizer:
     """The Protocol of `hfb.rendering.rasterizer` in float32 or float64, exact coverage (geometry in float64).
 
     It renders on its own device and returns results on the caller's; nothing is copied where these are the same.
+
+    Args:
+        device: "cuda", "cuda:1" ..., or "cpu", where the same kernels run on one thread, for tests.
     """
 
     def __init__(self, device: str = "cuda") -> None:

@@ -23,6 +23,9 @@ class FolderMotions:
     """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
 
     Hidden files are ignored. A folder with the frames of a CAPE sequence is one motion.
+
+    Args:
+        folder: folder of the recordings.
     """
 
     def __init__(self, folder: Path) -> None:

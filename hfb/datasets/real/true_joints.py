@@ -98,7 +98,14 @@ def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> 
 
 
 class SharpEstimates:
-    """An estimator's results in sharp frames, one after another."""
+    """An estimator's results in sharp frames, one after another.
+
+    Args:
+        initializer: the estimator.
+        body: model of the estimates.
+        plate_linear: background through the case's view, linear light.
+        camera: pinhole camera of the view.
+    """
 
     def __init__(
         self, initializer: Initializer, body: Body, plate_linear: Float[Array, "H W 3"], camera: PinholeCamera

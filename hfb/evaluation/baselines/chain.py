@@ -28,7 +28,14 @@ from hfb.typing import Array, Float, Tensor
 
 
 class Chain:
-    """Sub-frames of every blurred frame, an estimate in each, interpolated to the clock of the prediction."""
+    """Sub-frames of every blurred frame, an estimate in each, interpolated to the clock of the prediction.
+
+    Args:
+        name: name of the method.
+        chain: its table in the chains file.
+        subframes: rows per frame of the prediction.
+        body: model of the prediction.
+    """
 
     def __init__(self, name: str, chain: ChainSpec, subframes: int, body: Body) -> None:
         self.name = name

@@ -30,7 +30,11 @@ class SharpPictures:
 
 
 class Deblurrer:
-    """The deblurrer of a chain's table: a network, a folder of images, or none, which keeps the frames."""
+    """The deblurrer of a chain's table: a network, a folder of images, or none, which keeps the frames.
+
+    Args:
+        chain: table of the chains file.
+    """
 
     def __init__(self, chain: ChainSpec) -> None:
         self._layout = chain.deblurrer_layout
@@ -39,7 +43,11 @@ class Deblurrer:
         self.changes_pictures = self._network is not None or self._folder is not None
 
     def __call__(self, case: Case, observation: Observation) -> SharpPictures:
-        """Sub-frames of all frames.
+        """Return the sub-frames of all frames.
+
+        Args:
+            case: gives the number by which stored images are found.
+            observation: the blurred frames.
 
         Raises:
             InputError: the network fails, or the folder lacks this case's images.

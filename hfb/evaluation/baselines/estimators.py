@@ -42,12 +42,24 @@ class Estimator(Protocol):
     """Estimates a body from one image."""
 
     def __call__(self, sight: Sight, body: Body) -> Estimate:
-        """Estimate the body. Raises InputError where no person is found."""
+        """Estimate the body.
+
+        Args:
+            sight: the sub-frame.
+            body: model of the estimate.
+
+        Raises:
+            InputError: no person is found.
+        """
         ...
 
 
 class InitializerEstimator:
-    """One of hfb's initialisers; the matte must belong to the same image."""
+    """One of hfb's initialisers; the matte must belong to the same image.
+
+    Args:
+        initializer: estimates the body.
+    """
 
     def __init__(self, initializer: Initializer) -> None:
         self._initializer = initializer
@@ -59,7 +71,12 @@ class InitializerEstimator:
 
 
 class NetworkEstimator:
-    """A user's network on a square crop around the person."""
+    """A user's network on a square crop around the person.
+
+    Args:
+        network: the user's network.
+        layout: its inputs and outputs.
+    """
 
     def __init__(self, network: Network, layout: EstimatorLayout) -> None:
         self._network = network

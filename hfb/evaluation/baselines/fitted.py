@@ -26,7 +26,14 @@ from hfb.typing import Array, Float
 
 
 class HumanFromBlur:
-    """A fit by eq. (11), of all frames together or of each alone, drawn with exact silhouettes at every row."""
+    """A fit by eq. (11), of all frames together or of each alone, drawn with exact silhouettes at every row.
+
+    Args:
+        name: name of the method.
+        config: options of the fit.
+        frames_alone: fit every frame separately.
+        body: model that is fitted.
+    """
 
     def __init__(self, name: str, config: RunConfig, frames_alone: bool, body: Body) -> None:
         self.name = name

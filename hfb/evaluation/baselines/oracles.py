@@ -33,7 +33,12 @@ _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
 
 
 class TrueMatte:
-    """Another method with the exact mattes in place of the estimated ones."""
+    """Another method with the exact mattes in place of the estimated ones.
+
+    Args:
+        name: name of the method.
+        method: method that gets the exact mattes.
+    """
 
     def __init__(self, name: str, method: Method) -> None:
         self.name = name
@@ -48,7 +53,13 @@ class TrueMatte:
 
 
 class TrueStart:
-    """Another method that starts from the true body in the middle of every exposure."""
+    """Another method that starts from the true body in the middle of every exposure.
+
+    Args:
+        name: name of the method.
+        method: method that starts from the true body.
+        body: model of the start.
+    """
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name
@@ -73,7 +84,13 @@ class TrueStart:
 
 
 class TrueHeight:
-    """A fit with the person's true height, which a user may know."""
+    """A fit with the person's true height, which a user may know.
+
+    Args:
+        name: name of the method.
+        method: the fit.
+        body: model that is fitted.
+    """
 
     def __init__(self, name: str, method: HumanFromBlur, body: Body) -> None:
         self.name = name
@@ -94,7 +111,15 @@ class TrueHeight:
 
 
 class TwoStageOracle:
-    """An estimator on the TRUE sharp sub-frames with their exact mattes: the limit of perfect deblurring."""
+    """An estimator on the TRUE sharp sub-frames with their exact mattes: the limit of perfect deblurring.
+
+    Args:
+        name: name of the method.
+        initializer: the estimator; None for the simulated one.
+        subframes: rows per frame of the prediction.
+        seed: seed of the simulated estimator.
+        body: model of the prediction.
+    """
 
     def __init__(self, name: str, initializer: Initializer | None, subframes: int, seed: int, body: Body) -> None:
         self.name = name

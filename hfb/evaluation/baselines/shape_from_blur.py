@@ -69,7 +69,14 @@ class _Free:
 
 
 class ShapeFromBlur:
-    """SfB: every frame alone. MfB: one object and one motion through all frames, the gaps between them included."""
+    """SfB: every frame alone. MfB: one object and one motion through all frames, the gaps between them included.
+
+    Args:
+        name: name of the method.
+        together: fit one motion to all frames (MfB).
+        subframes: rows per frame.
+        stages: longer side of the region [px] and number of iterations of each stage.
+    """
 
     def __init__(self, name: str, together: bool, subframes: int, stages: Sequence[tuple[int, int]] = _STAGES) -> None:
         self.name = name

@@ -14,7 +14,14 @@ from hfb.rendering.observation import Observation
 
 
 class Static:
-    """Each frame's first body, held still through the exposure, or interpolated between the exposures' middles."""
+    """Each frame's first body, held still through the exposure, or interpolated between the exposures' middles.
+
+    Args:
+        name: name of the method.
+        interpolated: interpolate between the exposures' middles.
+        subframes: rows per frame of the prediction.
+        body: model of the first bodies.
+    """
 
     def __init__(self, name: str, interpolated: bool, subframes: int, body: Body) -> None:
         self.name = name

@@ -46,6 +46,7 @@ class Bytes(io.BytesIO):
     """A stream over bytes in memory that returns parts without a copy.
 
     Args:
+        data: content.
         steps: limit of the work; by default that of a file of these bytes.
     """
 

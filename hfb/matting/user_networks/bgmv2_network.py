@@ -18,7 +18,12 @@ _BASE_CHANNELS = 1 + 3 + 1 + 32  # alpha, colour, error, and further input of th
 
 
 class MattingNetwork(nn.Module):
-    """Base and, where the weights have one, refiner; its attributes are those of the released TorchScript files."""
+    """Base and, where the weights have one, refiner; its attributes are those of the released TorchScript files.
+
+    Args:
+        backbone: mobilenetv2, resnet50 or resnet101.
+        refined: whether the weights have a refiner.
+    """
 
     def __init__(self, backbone: str, refined: bool) -> None:
         """Build the layers; `backbone` is mobilenetv2, resnet50 or resnet101."""
@@ -67,7 +72,12 @@ class MattingNetwork(nn.Module):
 
 
 class AtrousPooling(nn.Module):
-    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the image's mean."""
+    """DeepLabV3's atrous spatial pyramid: dilations 3, 6, 9, a 1 x 1 convolution and the image's mean.
+
+    Args:
+        channels: number of input channels.
+        inner: number of output channels.
+    """
 
     def __init__(self, channels: int, inner: int = 256) -> None:
         super().__init__()
@@ -95,7 +105,12 @@ class AtrousPooling(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Four doublings, each with the encoder's map of that size as a skip connection."""
+    """Four doublings, each with the encoder's map of that size as a skip connection.
+
+    Args:
+        channels: number of channels of each step.
+        beside: number of channels of the encoder's maps.
+    """
 
     def __init__(self, channels: tuple[int, ...], beside: tuple[int, ...]) -> None:
         super().__init__()

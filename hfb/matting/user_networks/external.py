@@ -170,7 +170,13 @@ class BackgroundMattingV2:
 
 
 class RobustVideoMatting:
-    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not used."""
+    """Lin et al. 2022 (GPL-3.0 weights) and networks with its interface; the plate is not used.
+
+    Args:
+        path: the network's file.
+        tile_px: side of tiles in which larger frames are processed.
+        half: compute in 16 bits.
+    """
 
     def __init__(self, path: Path, tile_px: int | None = None, half: bool = False) -> None:
         """Load the network. Raises InputError where the file cannot be used."""

@@ -40,7 +40,11 @@ _CONTACT_M = 0.015
 
 
 class ProceduralMotions:
-    """A `MotionSource` whose clips are functions of the seed and their number alone."""
+    """A `MotionSource` whose clips are functions of the seed and their number alone.
+
+    Args:
+        seed: seed of all clips.
+    """
 
     def __init__(self, seed: int) -> None:
         self._seed = seed
