@@ -1,4 +1,4 @@
-"""Motions that explain the pictures too: what was weighed, how likely each is, and what that leaves unknown."""
+"""Alternative motions with the same images: their terms and probabilities, and the remaining ambiguity."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,13 +43,15 @@ class FrontMotion:
 
 @dataclass(frozen=True)
 class Alternatives:
-    """A motions of R = frames x sub-frames rows each, one of which became the result.
+    """A alternative motions of R = frames x sub-frames rows each, one of which is the result.
 
     Attributes:
         reversed_limbs: per frame which limbs (`LIMB_NAMES`) run backwards compared with what was first fitted.
-        poses: axis-angle [rad]. trans: SMPL's translation [m]. joints: camera coordinates [m].
+        poses: axis-angle [rad].
+        trans: SMPL's translation [m].
+        joints: camera coordinates [m].
         scores: per motion, the objective's terms by name, their weighted sum ``loss`` and the motion prior's evidence.
-        probability: of each motion, given that one of them is right; adds up to 1.
+        probability: probability of each motion, given that one of them is right; adds up to 1.
         chosen: the number of the result.
         frame_index: the frame each row belongs to.
         other_front: where both fronts were fitted, the one that was not kept; all other motions have the kept one.
@@ -99,7 +101,7 @@ class Alternatives:
         A tie counts half. NaN where the joints hardly moved.
 
         Args:
-            joints: of every motion [m].
+            joints: joints of every motion [m].
             chosen: numbers of the joints to compare.
         """
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)
@@ -119,7 +121,8 @@ Record = dict[str, dict[str, float | None]]
 def direction_record(alternatives: Alternatives) -> list[Record]:
     """Return P(direction right) per frame as plain numbers, None where hardly anything moved.
 
-    ``right`` holds the whole body's and every limb's, ``given_body`` every limb's if the whole body's is right.
+    ``right`` has the whole body's and every limb's probability, ``given_body`` every limb's if the whole body's is
+    right.
 
     Args:
         alternatives: motions with their probabilities.
@@ -166,7 +169,7 @@ def save_alternatives(
     Args:
         path: the file.
         alternatives: motions with their probabilities.
-        joint_features: what the joints' radii were computed from; calibrations read them.
+        joint_features: features behind the joints' radii; calibrations read them.
     """
     arrays = {name: np.asarray(getattr(alternatives, name)) for name in _ARRAYS}
     arrays |= {name: arrays[name].astype(np.float32) for name in ("poses", "trans", "joints")}
@@ -215,9 +218,9 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
 
 
 def _check(found: Mapping[str, Array]) -> None:
-    """Raises ValueError where arrays do not belong together or hold what no fit leaves, KeyError where one is missing.
+    """Raise ValueError where arrays do not match or hold values that no fit produces, KeyError where one is missing.
 
-    Wherever a frame's number is used it is the place in a table: it has to be as small as a fit's are.
+    A frame's number is used as an index, so it has to be as small as those of a fit.
     """
     several, rows = found["poses"].shape[:2] if found["poses"].ndim == 3 else (0, 0)
     frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0

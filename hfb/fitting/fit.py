@@ -44,13 +44,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted motion and how it was found.
+    """A fitted motion and facts about the fit.
 
     Attributes:
         motion: poses, translations and joints of every sub-frame.
         texture: linear light, the atlas' gutter filled.
         trajectory: polynomials of the best iterate, in metres.
-        mattes: those that the last stage was compared with, as large as the frames.
+        mattes: mattes of the last stage, in the frames' size.
         history: one value per iteration for every unweighted term and the weighted ``total``.
         best_iteration: the iteration that was kept, counted through all stages.
         seconds: wall time of the fit.
@@ -120,10 +120,10 @@ def fit(
         first_bodies: one static body per frame.
         body: the body model.
         config: options of the fit.
-        seed: of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        seed: seed of the first velocity's direction.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: called at the beginning of every stage and after every iteration; see `Progress`.
-        motion_prior: how people move, for the directions; the shipped one when not given.
+        motion_prior: prior of the motion, for the directions; the shipped one when not given.
         identity: known shape and texture, held fixed; the first bodies must have that shape.
         other_front: see `Problem`.
 
@@ -156,8 +156,8 @@ def fit_all(
         problems: observation, first bodies and, where known, identity of each.
         body: the body model.
         config: options of all fits.
-        seed: of the first velocity's direction.
-        pose_prior: how unlikely each pose is.
+        seed: seed of the first velocity's direction.
+        pose_prior: prior of the pose, L_P of eq. (6).
         on_progress: as of `fit`; of a batch with the mean loss.
         motion_prior: as of `fit`.
         batch_size: on a device a batch is padded to this size, so that results do not depend on the other fits in it.
@@ -317,7 +317,7 @@ class _Schedule:
         return _Start(problem, first_bodies, variables, initial, self._objective(initial, first_bodies))
 
     def _objective(self, initial: InitialEvidence, first_bodies: Sequence[FirstBody]) -> Objective:
-        """Eq. (11) at full size; it renders on the processor."""
+        """Return eq. (11) at full size, rendered on the CPU."""
         config, body = self.config, self.body
         poses = torch.stack([one.pose for one in first_bodies]).to(initial.observation.mattes)
         weights = base_weights(config, len(first_bodies))
@@ -380,7 +380,7 @@ class _Schedule:
         # Radii are calibrated with the initial mattes: refined ones share the fit's errors.
         initial = replace(coarse, observation=start.initial.observation.resized(size_px))
         alternatives = None
-        if config.directions.search:  # of a window of a clip the neighbours tell the directions
+        if config.directions.search:  # in a clip the neighbouring windows determine the directions
             trajectory, alternatives = search_directions(best, coarse, stages.objective, config.directions)
             best = replace(best, trajectory=trajectory)
             chosen = alternatives.chosen
@@ -438,8 +438,8 @@ def paste_mattes(
     Args:
         whole: mattes of whole frames.
         window: mattes of the window, which may reach outside the frames.
-        left: of the window [px].
-        top: of the window [px].
+        left: left edge of the window [px].
+        top: top edge of the window [px].
     """
     (height, width), (rows, columns) = whole.shape[1:], window.shape[1:]
     pasted = whole.clone()

@@ -22,7 +22,7 @@ class StageClock:
         """Start with no stage.
 
         Args:
-            n_iterations: of all image stages together.
+            n_iterations: number of iterations of all image stages together.
             on_progress: called at the beginning of a stage and after every iteration.
         """
         self.seconds: dict[str, float] = {}
@@ -36,7 +36,7 @@ class StageClock:
         """Time the work inside as one stage.
 
         Args:
-            name: such as `stage_1`.
+            name: name such as `stage_1`.
         """
         self._name = name
         self._report(name.replace("_", " "))
@@ -75,7 +75,7 @@ class StageClock:
         """Count iterations that a stage ends without.
 
         Args:
-            n_iterations: that are left out.
+            n_iterations: number of iterations that are left out.
         """
         self._done += n_iterations
 

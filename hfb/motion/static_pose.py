@@ -48,7 +48,7 @@ def save_first_body(path: Path, first: FirstBody) -> None:
     """Write a first body (.npz, no pickle) whole or not at all.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
         first: the body.
     """
     numbers = {name: getattr(first, name).double().numpy() for name in _NUMBERS}
@@ -59,7 +59,7 @@ def load_first_body(path: Path) -> FirstBody:
     """Read a first body.
 
     Args:
-        path: of the .npz.
+        path: the .npz file.
 
     Raises:
         InputError: missing, damaged, or of other shapes.

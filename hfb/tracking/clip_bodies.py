@@ -1,7 +1,7 @@
-"""First bodies of a whole clip: a full search in some frames, their neighbours laid onto the mattes in between.
+"""First bodies of a whole clip: a full search in some frames, interpolation and refinement in between.
 
-A search sees one frame and cannot tell front from back in a silhouette; a clip can: people do not turn around between
-two frames. What a frame does not show at all is taken from its neighbours, and marked.
+A search in one frame cannot distinguish front from back in a silhouette; a clip can, since people do not turn around
+between two frames. A body that a frame does not show is interpolated from its neighbours, and marked.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body a
 
 @dataclass(frozen=True)
 class ClipBodies:
-    """One body per frame of a clip, as far as there is one.
+    """One body per frame of a clip, where there is one.
 
     Attributes:
         bodies: None where the person is absent.
@@ -106,7 +106,7 @@ def body_between(
         frame: number of the frame.
         known: bodies by frame number, at least one.
         matte: alpha of the frame.
-        camera: of the frame.
+        camera: camera of the frame.
         body: model of the first bodies.
         rasterizer: draws silhouettes; the compiled one with exact coverage by default.
 
@@ -124,7 +124,7 @@ def body_between(
     after = min((k for k in known if k > frame), default=None)
     if shared >= _STILL_ENOUGH or before is None or after is None:
         return best
-    # Somebody who crosses their own width in a frame: laid on along the way from neighbour to neighbour.
+    # A person who moves by their own width in a frame: fitted along the path from neighbour to neighbour.
     path = (known[after].translation - known[before].translation) / (after - before)
     moving, path = refine_swept(start, path, matte, camera, body, drawing, list(_LAY_ON), _STAY)
     return moving if overlap(moving, level, body, drawing, path) > shared + _CLEARLY_MOVING else best
@@ -136,7 +136,7 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
     Args:
         found: bodies by frame.
         present: frames in which the person is seen: others never get a body.
-        longest_fill: of more missed frames in a row none is filled: the clip falls into segments there.
+        longest_fill: longest run of missed frames that is filled; at longer ones the clip is split into segments.
     """
     bodies: list[FirstBody | None] = [found.get(frame) for frame in range(len(present))]
     filled = np.zeros(len(present), bool)

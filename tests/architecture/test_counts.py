@@ -16,7 +16,7 @@ FILES_OF_A_ROOM = 20
 FORMATTED_BY_HAND = 0
 """Statements that the formatter skips and that are no tables of numbers; the goal is 0."""
 TUPLES_OF_ANY = 0
-UNDESCRIBED = 408
+UNDESCRIBED = 216
 """Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
 LINES = {"product": 39_738, "training": 4_257}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.

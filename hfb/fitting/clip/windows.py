@@ -1,4 +1,4 @@
-"""A clip in windows: a few neighbouring frames each, fitted by themselves, overlapping by one frame.
+"""Windows of a clip: a few neighbouring frames each, fitted separately, overlapping by one frame.
 
 With the person known, no window needs another's result: they can be fitted in any order and at once, and the cost
 grows in proportion to the frames.
@@ -51,10 +51,11 @@ class ClipWindow:
 
 @dataclass(frozen=True)
 class WindowFit:
-    """What the fit of one window found, in metres and camera coordinates.
+    """Result of one window's fit, in metres and camera coordinates.
 
     Attributes:
-        frames, segment: see `ClipWindow`.
+        frames: see `ClipWindow`.
+        segment: see `ClipWindow`.
         texture: linear light; None where the person was known.
         joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
         loss: the kept iterate's weighted sum.
@@ -108,15 +109,15 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
     """Choose windows that determine the person: in the middle of equal parts of the clip, where most is seen.
 
     Args:
-        windows: of one clip.
-        matte_areas: of every frame of the clip [px]; how much is seen of the person grows with it.
-        count: how many are chosen at most.
+        windows: windows of one clip.
+        matte_areas: matte area of every frame of the clip [px], a measure of how much of the person is visible.
+        count: largest number of chosen windows.
     """
     whole = np.array_split(np.arange(len(windows)), min(count, len(windows)))
-    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours would tell the same
+    parts = [part[len(part) // 4 : len(part) - len(part) // 4] for part in whole]  # neighbours tell the same
     seen = np.array([float(np.mean([matte_areas[frame] for frame in window.frames])) for window in windows])
     several = np.array([len(window.frames) > 1 for window in windows])
-    # A window of one frame knows the least about depth: it is taken only where its part has no other.
+    # A window of one frame determines depth worst: it is used only where its part has no other.
     return tuple(int(part[np.lexsort((-seen[part], ~several[part]))[0]]) for part in parts)
 
 
@@ -148,10 +149,11 @@ def person_config(config: RunConfig) -> FitConfig:
 
 @dataclass(frozen=True)
 class WindowScene:
-    """A window and what its fit sees.
+    """A window and the input of its fit.
 
     Attributes:
-        observation, first_bodies: of the window's frames alone.
+        observation: observation of the window's frames alone.
+        first_bodies: first bodies of the window's frames alone.
         identity: shape and texture to hold fixed; both are fitted where it is not given.
         other_front: see `hfb.fitting.fit.Problem`.
     """
@@ -178,9 +180,9 @@ def fit_windows(
         scenes: windows with their observations, first bodies and, where known, identity.
         body: the body model.
         config: options of the fits.
-        seed: of everything random.
-        pose_prior: how unlikely each pose is.
-        motion_prior: how people move; the shipped one when not given.
+        seed: seed of everything random.
+        pose_prior: prior of the pose, L_P of eq. (6).
+        motion_prior: prior of the motion; the shipped one when not given.
     """
     batch_size = window_batch_size(config)
     found: dict[int, WindowFit] = {}
@@ -199,7 +201,7 @@ def fit_windows(
 
 
 def _kind(scene: WindowScene) -> tuple[int, bool, float, float]:
-    """Windows of one kind can be one problem."""
+    """Return a key of windows that can be fitted in one batch."""
     seen = scene.observation
     return len(scene.window.frames), scene.identity is not None, seen.exposure_s, seen.interval_s
 
@@ -232,7 +234,7 @@ def save_window(path: Path, found: WindowFit) -> None:
     """Write a window's result (.npz, no pickle) whole or not at all; without the seconds, so that bytes repeat.
 
     Args:
-        path: where it is written.
+        path: file to write.
         found: the window's result.
     """
     motion = found.trajectory
