@@ -54,17 +54,17 @@ def batch(
 ) -> dict[str, Any]:
     """Run every clip of a folder through `hfb.flows.everyone.run_clip`, into ``out/NAME``, with ``out/summary.html``.
 
-    One clip's trouble, such as a name that no folder can have or a damaged result, is that clip's alone.
+    A problem of one clip, such as an impossible folder name or a damaged result, does not affect the others.
 
     Args:
         folder: of the clips.
         out: where the results go.
-        config: options as plain content, or the file that holds them.
+        config: options as plain content, or a file of them.
         workers: see `hfb.tasks.workers.engine.engine_of`.
         attempts: failures after which a clip is set aside.
         wait_s: before the second attempt [s], doubled for each further.
-        watch_s: keep looking for new clips, so often [s]; None: end when nothing is left to do.
-        again: take clips that were set aside once more.
+        watch_s: interval of the search for new clips [s]; None: end when nothing is left to do.
+        again: whether to retry clips that were set aside.
         store: see `hfb.tasks.workers.engine.engine_of`.
 
     Returns:
@@ -104,7 +104,7 @@ def batch(
 
 
 class _Rounds:
-    """A folder, looked through again and again."""
+    """A folder that is looked through repeatedly."""
 
     def __init__(
         self,
@@ -127,7 +127,7 @@ class _Rounds:
         self._seen: dict[str, float] = {}  # stamp of a clip -> when it was first seen, on a clock that does not jump
 
     def once(self) -> float | None:
-        """Work on every clip whose time has come; the seconds until the next one's, None where nothing waits."""
+        """Run every clip that is due; return the seconds until the next one, None where none waits."""
         due: list[float] = []
         self._troubles.clear()
         for place in self._look():
@@ -158,10 +158,9 @@ class _Rounds:
         return None if gone else entry
 
     def _wait(self, stamp: str, entry: Entry | None, written: float) -> float:
-        """Seconds until a clip's time has come.
+        """Return the seconds until a clip is due.
 
-        Clocks jump, and files bring the times of other machines' clocks: a time that lies further ahead than it can
-        is not believed.
+        Clocks jump, and files carry the times of other machines' clocks: implausibly late times are ignored.
         """
         now = time.time()
         still_s, again_s = written + _STILL_S - now, entry.due - now if entry else 0.0
@@ -217,7 +216,7 @@ class _Rounds:
         return entry
 
     def summary(self) -> dict[str, Any]:
-        """How many clips there are, and what became of them."""
+        """Return the number of clips in each state."""
         counts, out = self._summary.counts(), self._out.resolve()
         return {
             "clips": counts.clips,

@@ -1,4 +1,4 @@
-"""Methods against cases of known truth: make the set, run everything on it from the same starts, and tabulate."""
+"""Run methods on cases with known truth: make the set, run everything from the same starts, and tabulate."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ R = TypeVar("R")
 
 
 class BenchmarkPlan(Record):
-    """Everything that decides a benchmark's figures; how many workers compute them does not."""
+    """Everything that decides a benchmark's figures; the number of workers does not."""
 
     spec: Spec
     count: int
@@ -60,28 +60,28 @@ class BenchmarkPlan(Record):
 def run_benchmark(
     plan: BenchmarkPlan, out: Path, engine: Engine | int, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    """See `_benchmark`; the engine changes nothing but the seconds.
+    """Run methods on a set of cases; see `_benchmark`. The engine does not change the result.
 
-    Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+    Cases are drawn on this machine; estimates and methods run on the engine.
 
     Args:
-        plan: what decides the figures.
+        plan: set, methods and starts.
         out: where the results go.
-        engine: what computes.
-        experiment: the paper's table that is set beside the results.
+        engine: where computations run.
+        experiment: the paper's table to compare with.
     """
     with workers(engine):
         return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
-    """See `_synthesis`.
+    """Write the cases of a set; see `_synthesis`.
 
     Args:
         spec: the set.
-        count: how many cases.
+        count: number of cases.
         out: where they go.
-        engine: what computes.
+        engine: where computations run.
     """
     with workers(engine):
         return _synthesis.with_options(task_runner=_threads())(spec, count, out)

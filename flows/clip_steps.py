@@ -1,4 +1,4 @@
-"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join, look."""
+"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join, score, draw."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Scene:
-    """A clip whose frames are pictures.
+    """A clip whose frames are image files.
 
     Attributes:
-        mattes: of the frames in which somebody is seen.
-        areas: their sums [px], 0 elsewhere.
-        warnings: of the plate, which are told before the fit.
+        mattes: of the frames in which the person is visible.
+        areas: sums of the mattes [px], 0 elsewhere.
+        warnings: about the plate, shown before the fit.
     """
 
     inputs: VideoInputs
@@ -81,17 +81,30 @@ class Scene:
     warnings: tuple[ResultWarning, ...] = ()
 
     def of(self, numbers: Sequence[int]) -> tuple[ClipHandle, tuple[FileHandle, ...]]:
-        """Some frames as a clip of their own, and their mattes."""
+        """Return some frames as a clip of their own, and their mattes.
+
+        Args:
+            numbers: of the frames.
+        """
         plate = FileHandle(path=self.plate.path, sha256=self.plate.sha256)
         frames = tuple(self.frames[number] for number in numbers)
         return self.footage.clip(frames, plate), tuple(self.mattes[number] for number in numbers)
 
     def still(self, number: int) -> ClipHandle:
-        """Return one frame for a step that needs the camera but no time."""
+        """Return one frame for a step that needs the camera but no time.
+
+        Args:
+            number: of the frame.
+        """
         return self.footage.still(self.frames[number], self.plate, camera=True)
 
     def shot(self, motion: FileHandle, person: FileHandle) -> ShotHandle:
-        """Return what films are drawn from."""
+        """Return everything that films are rendered from.
+
+        Args:
+            motion: of the whole clip.
+            person: with the texture.
+        """
         plate = FileHandle(path=self.plate.path, sha256=self.plate.sha256)
         return ShotHandle(
             clip=self.footage.clip(self.frames, plate),
@@ -104,7 +117,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Fitted:
-    """All windows of a clip, and whose motion they are.
+    """All windows of a clip, and the person's identity.
 
     Attributes:
         resumed: frames whose fit an earlier run had finished.
@@ -116,7 +129,12 @@ class Fitted:
 
 
 def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
-    """The frames as pictures, the plate, and the person's matte in every frame where somebody is seen.
+    """Extract the frames, find the plate, and estimate the matte of every frame in which the person is visible.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+        folder: of intermediate files.
 
     Raises:
         InputError: the footage, the plate or the track cannot be used, or nobody is seen in any frame.
@@ -170,7 +188,10 @@ def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) ->
 
 
 def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
-    """A body for every frame but those of long absences.
+    """Find a body for every frame except in long gaps.
+
+    Args:
+        scene: the clip.
 
     Raises:
         InputError: no body is found in any frame.
@@ -268,12 +289,12 @@ def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle]) -> ClipBodiesHandl
 
 
 def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tuple[int, ...], float], None]) -> Fitted:
-    """The person from a few windows, then every window with that person.
+    """Estimate the identity from a few windows, then fit every window with it.
 
     Args:
         scene: the clip.
         bodies: its first bodies.
-        on_fitted: called in order with the frames that a window settles and its loss.
+        on_fitted: called in order with the frames that a window adds and its loss.
     """
     config = scene.config
     windows = plan_windows(np.array(bodies.usable, bool), config.video.window)
@@ -296,7 +317,12 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
 
 
 def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
-    """One continuous motion."""
+    """Join all windows into one continuous motion.
+
+    Args:
+        scene: the clip.
+        fitted: its windows.
+    """
     config = scene.config
     return join_clip(
         footage=scene.footage,
@@ -310,7 +336,13 @@ def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
 
 
 def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[int, float]]:
-    """How well the motion explains every frame, and how far it is from the truth where that is known."""
+    """Score how well the motion explains every frame, and its errors where the truth is known.
+
+    Args:
+        scene: the clip.
+        fitted: its windows.
+        joined: its motion.
+    """
     numbers = sorted({frame for window in fitted.windows for frame in window.frames})
     calls = []
     for at in range(0, len(numbers), _CHUNK):
@@ -338,7 +370,7 @@ def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[
 
 
 def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[int, float]) -> list[ResultWarning]:
-    """What is wrong with the result, the plate's warnings first.
+    """Return the warnings of the result, the plate's first.
 
     Args:
         scene: the clip.
@@ -362,7 +394,13 @@ def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[
 
 
 def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:
-    """A few frames, spread over the clip, as a strip."""
+    """Draw a few frames, spread over the clip, as a strip.
+
+    Args:
+        scene: the clip.
+        fitted: its windows.
+        joined: its motion.
+    """
     numbers = sorted({frame for window in fitted.windows for frame in window.frames})
     shown = tuple(sorted({numbers[round(float(at))] for at in np.linspace(0, len(numbers) - 1, _SHOWN)}))
     clip, mattes = scene.of(shown)

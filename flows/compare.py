@@ -1,4 +1,4 @@
-"""Recorded runs beside each other: a page with all of them under one slider, a picture, and the numbers."""
+"""Compare recorded runs: a page with one time slider for all of them, an image, and the numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PAGE, PICTURE, FIGURES = "comparison.html", "comparison.png", "comparison.json"
 
 @dataclass(frozen=True)
 class _Shown:
-    """What there is to see of a run: what it found, drawn by itself, and as a body that can be turned."""
+    """Motion, image and viewer of a run."""
 
     run: StoredRun
     motion: SampledMotion | None
@@ -49,11 +49,11 @@ class _Shown:
 
 
 def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
-    """Compare two runs or more; leaves comparison.html, comparison.png and comparison.json.
+    """Compare two runs or more; writes comparison.html, comparison.png and comparison.json.
 
     Args:
         words: of each run its id, the beginning of it, or its result's folder.
-        out: a folder; one under runs/ when not given.
+        out: a folder; None for one under runs/.
 
     Returns:
         the content of comparison.json.
@@ -85,7 +85,11 @@ def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
 
 
 def sentence(difference: MotionDifference | None) -> str:
-    """How far two motions are from each other, in words."""
+    """Return a sentence on the distance of two motions.
+
+    Args:
+        difference: of the motions; None where one is missing.
+    """
     if difference is None:
         return "At least one of them has no motion: there is none to compare."
     if difference.bit_equal:

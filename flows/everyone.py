@@ -1,4 +1,4 @@
-"""A clip as a user means it: one person's motion, or everyone's, one after the other."""
+"""Fit a clip of one person, or of several people one after the other."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ _KEPT = (
 
 
 def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
-    """The person whom the clip names, into ``out``; everyone, each into a folder and a run of their own in it.
+    """Fit the clip's person into ``out``; or everyone, each into a folder and a run of their own in it.
 
     Args:
-        inputs: what the user handed over.
+        inputs: of the run.
         out: where the results go.
         config: all options.
-        engine: what computes.
+        engine: where computations run.
 
     Returns:
         the content of result.json; of everyone: what became of each person, and the sums.
@@ -89,7 +89,12 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
 
 
 def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[PersonSeen, ...]:
-    """Who is there, in the order of appearance, or of their names in a file of tracks.
+    """Return the people of a clip in the order of appearance, or of their names in a file of tracks.
+
+    Args:
+        inputs: of the run.
+        out: where the results go.
+        config: all options.
 
     Raises:
         InputError: nobody is seen, or the clip cannot be used.

@@ -36,17 +36,17 @@ def export_result(
     films: Sequence[Film] = (),
     inputs: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a result's motion in the asked-for formats, and draw the asked-for films of it.
+    """Write a result's motion in several formats, and draw films of it.
 
     Args:
         source: a result's folder, a motion file, or a recorded run's id.
-        out: where the files go; ``export`` beside the motion when not given.
+        out: where the files go; None for ``export`` beside the motion.
         formats: of motion files.
         meshes: of a mesh per sub-frame.
-        body: the model that was fitted; when not given the one that the result names, or the embedded one.
+        body: the model that was fitted; None for the one that the result names, or the embedded one.
         amass_rate: poses per second in amass.npz.
         films: which.
-        inputs: where the pictures lie, for films, if they were moved; they are told by their content.
+        inputs: where to look for images that were moved; they are recognised by their content.
 
     Returns:
         ``out``, ``files`` (name: bytes), how many ``meshes``, and whose betas they are.

@@ -1,4 +1,4 @@
-"""Results that wait to be recorded: their runs are made in MLflow, and the results name them."""
+"""Record results that MLflow did not take when they were made; the results then name their runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from hfb.tasks.tracking.tracking import StoreLost
 
 
 def record_folder(folder: Path) -> dict[str, Any]:
-    """Record the result in a folder, or of a clip of several people every person's. Doing it again changes nothing.
+    """Record the result in a folder, or every person's of a clip of several people. Repetition changes nothing.
+
+    Args:
+        folder: of the result.
 
     Returns:
         ``runs``: of each ``out``, ``mlflow_run_id``, ``mlflow_link``, and whether it is ``new``.

@@ -1,4 +1,4 @@
-"""The page of an earlier result, made from what it left: its folder, or the files of a recorded run."""
+"""The page of an earlier result, made from its folder or from the files of a recorded run."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def make_report(source: str, out: Path | None, body: Path | None = None, inputs:
 
     Args:
         source: a result's folder, or a recorded run's id.
-        out: the folder that the page goes to; the result's own when not given.
-        body: the model that was fitted; when not given the one that the result names, or the embedded one.
-        inputs: where the pictures lie, for the film, if they were moved; they are told by their content.
+        out: folder of the page; None for the result's own.
+        body: the model that was fitted; None for the one that the result names, or the embedded one.
+        inputs: where to look for images that were moved, for the film; they are recognised by their content.
 
     Returns:
         ``report`` (its path), ``bytes``, and whether it has a ``film`` and the body's ``surface``.

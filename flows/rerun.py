@@ -1,4 +1,4 @@
-"""A recorded run, made again from the same inputs and options, and how far the two results are from each other."""
+"""Repeat a recorded run from the same inputs and options, and compare the two results."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ _ENVIRONMENT = ("version.", "platform", "processor", "device")
 
 @dataclass(frozen=True)
 class Plan:
-    """A run that can be repeated: its inputs are all there.
+    """A run that can be repeated: all its inputs exist.
 
     Attributes:
         again: runs the command's chain and returns the content of its result.json.
-        out: a fresh folder, or one in which this repetition was interrupted.
-        results: sha256 of what the run made, by name.
-        changed: what computes otherwise than then, in words.
+        out: a new folder, or one in which this repetition was interrupted.
+        results: sha256 of the run's files, by name.
+        changed: differences in code and machine, one sentence each.
     """
 
     run: StoredRun
@@ -71,8 +71,8 @@ def plan_rerun(
 
     Args:
         words: a run's id, the beginning of it, or its result's folder.
-        inputs_folder: where to look for files that are no longer where they were; they are told by their content.
-        out: the folder of the repetition; a new one under runs/ when not given.
+        inputs_folder: where to look for files that were moved; they are recognised by their content.
+        out: the folder of the repetition; None for a new one under runs/.
         workers: processes that compute a clip; their number changes no digit.
         options: values that the record hides, since they held a secret.
 
@@ -105,7 +105,10 @@ def plan_rerun(
 
 
 def repeat(plan: Plan) -> dict[str, Any]:
-    """Run it again, and compare.
+    """Run the command's chain again, and compare.
+
+    Args:
+        plan: the run.
 
     Returns:
         the content of rerun.json.
@@ -135,7 +138,13 @@ def _chain(
 
 
 def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT, RunConfig]:
-    """The same fetched pose networks as then; where there were none, `auto` meant the matte alone."""
+    """Return inputs and options with the run's pose networks; without any, `auto` meant the matte alone.
+
+    Args:
+        inputs: of the run.
+        config: all options.
+        run: its title, for messages.
+    """
     if config.init.method not in _FETCHED_NETWORKS or getattr(inputs, "first_bodies", None):
         return inputs, config
     if not inputs.networks and config.init.method == "auto":

@@ -1,4 +1,4 @@
-"""A prior from anybody's motion capture: read it, learn, measure on what was kept apart, record."""
+"""Train a prior from the user's motion capture: read, train, measure on held-out motions, record."""
 
 from __future__ import annotations
 
@@ -40,13 +40,21 @@ class TrainingPlan(Record):
 
 
 def work_folder(out: Path) -> Path:
-    """Where a training keeps what it needs to go on after an interruption."""
+    """Return the folder in which a training keeps its intermediate files.
+
+    Args:
+        out: the file of the weights.
+    """
     return out.with_name(f"{out.stem}-training")
 
 
 @flow(name="train-prior", persist_result=False, on_running=[mark_owner])
 def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
-    """Train a prior, publish its weights as ``out`` and what they are beside it as .json; recorded in MLflow.
+    """Train a prior, publish its weights as ``out`` with their description as .json; recorded in MLflow.
+
+    Args:
+        plan: recordings and options.
+        out: the file of the weights.
 
     Returns:
         the content of the .json, and where things are.

@@ -1,4 +1,4 @@
-"""A blurred video, or a folder of its frames, to one continuous motion."""
+"""Fit a blurred video, or a folder of its frames, to one continuous motion."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ _SEEN, _FILLED, _GAP = 1.0, 0.5, 0.0
 
 
 def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:
-    """From a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
+    """Fit a clip to one motion for all its frames; recorded in MLflow, published in ``out``.
 
-    One Prefect task per frame for its matte and its first body, one per window for its fit. Finished steps are kept in
-    ``out``: the same call goes on from them, after a kill too. The engine changes nothing but the seconds.
+    One task per frame for its matte and its first body, one per window for its fit. Finished steps are cached in
+    ``out``: the same call continues from them, also after a kill. The engine does not change the result.
 
     Args:
-        inputs: what the user handed over.
+        inputs: of the run.
         out: where the results go.
         config: all options.
-        engine: what computes.
+        engine: where computations run.
 
     Returns:
         the content of result.json.
@@ -191,7 +191,11 @@ def _mean(values: Mapping[int, float]) -> float | None:
 
 @contextmanager
 def clip_place(out: Path, engine: Engine | int) -> Iterator[Path]:
-    """The folder for intermediate files, held for this process alone, with the engine's workers at hand.
+    """Provide the folder of intermediate files inside the block, locked for this process, and the engine's workers.
+
+    Args:
+        out: where the results go.
+        engine: where computations run.
 
     Raises:
         InputError: see `hfb.flows.runtime.workspace.workspace` and `hfb.tasks.workers.workers.workers`.

@@ -1,4 +1,4 @@
-"""One task over many inputs: in parallel, in order, and with a result of its own for every input.
+"""One task over many inputs: in parallel, in order, and with a cached result for every input.
 
 A run of a task costs Prefect's server 35 ms and 25 KB, whatever it does, so a run takes a chunk of calls. Each call
 keeps its result under the key that it would have alone: chunks change neither what is redone after a kill nor what
@@ -53,10 +53,10 @@ class Outcome(Generic[R]):
 
 
 class Chunk(Generic[C, R]):
-    """Consecutive calls in one run of a task. No record, so that Prefect does not visit its content.
+    """Consecutive calls in one run of a task. It is no record, so that Prefect does not visit its content.
 
     Attributes:
-        calls: the calls.
+        calls: in order.
         results: one future per call, in their order; an error is the call's own.
     """
 
@@ -70,7 +70,10 @@ class Chunk(Generic[C, R]):
         return self._name
 
     def run(self, task: Task[..., R]) -> bool:
-        """Make every result; return whether an earlier run had made them all.
+        """Compute every result; return whether earlier runs had computed them all.
+
+        Args:
+            task: of one record.
 
         Raises:
             Exception: the first of those that calls ended with; the other results are made all the same.
@@ -88,7 +91,11 @@ class Chunk(Generic[C, R]):
         return all(result.result().reused for result in self.results)
 
     def fail(self, reason: BaseException) -> None:
-        """Fail all unfinished calls with `reason`."""
+        """Fail all unfinished calls.
+
+        Args:
+            reason: their exception.
+        """
         for result in self.results:
             if not result.done():
                 result.set_exception(reason)
@@ -108,9 +115,9 @@ def map_task(
     Args:
         task: a task of one record.
         calls: the records.
-        label: what a person reads while they run.
-        on_outcome: called with each outcome and its call's number, in the order of the calls; what it raises ends
-            the rest.
+        label: displayed while they run.
+        on_outcome: called with each outcome and its call's number, in the order of the calls; what it raises ends the
+            rest.
     """
     outcomes: list[Outcome[R]] = []
     waiting: deque[Chunk[C, R]] = deque()

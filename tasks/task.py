@@ -48,7 +48,7 @@ class BatchFunction:
     """Several calls of a task as one computation, where that is faster than one after another.
 
     Attributes:
-        size: how many calls like this one are computed together; 1 where each is as fast by itself.
+        size: number of calls like this one that are computed together; 1 where batching does not help.
         run: returns the results of several calls, in their order.
     """
 
@@ -61,8 +61,8 @@ class CachedResult(Generic[R]):
     """The result of one call.
 
     Attributes:
-        result: what the task returned.
-        reused: whether an earlier run had made it.
+        result: as returned by the task.
+        reused: whether it comes from an earlier run.
     """
 
     result: R
@@ -74,8 +74,8 @@ class Task(Generic[P, R]):
 
     Attributes:
         fn: the bare function, which needs no server.
-        name: its name at Prefect's server and in cache keys.
         batch: how several calls are computed together, if at all.
+        name: at Prefect's server and in cache keys.
     """
 
     def __init__(
@@ -128,21 +128,29 @@ class Task(Generic[P, R]):
             return run_remote(self, cast(Call, args[0]), gpu=where == "gpu")  # what leaves this machine is one record
 
     def run_batch(self, calls: Sequence[Any]) -> list[R]:
-        """Return the results of several calls, computed together on this machine; raises as `run` does."""
+        """Return the results of several calls, computed together on this machine; raises as `run` does.
+
+        Args:
+            calls: records of a mapped task.
+        """
         assert self.batch is not None
         with verify_unchanged(calls):
             return run_local(self.batch.run, calls)
 
     def key(self, call: Any) -> str:
-        """Return the cache key of a call of a mapped task."""
+        """Return the cache key of a call of a mapped task.
+
+        Args:
+            call: its one argument.
+        """
         return cache_key(self.name, self._arguments(call))
 
     def kept(self, call: Any, ahead: R | None = None) -> CachedResult[R]:
-        """Return a call's earlier result, or a new one, which is kept as Prefect keeps a run's.
+        """Return a call's cached result, or a new one, which is cached as Prefect caches a run's.
 
         Args:
             call: the one argument of a mapped task.
-            ahead: the call's result, where it has been made already.
+            ahead: the call's result, where it was computed in a batch.
         """
         key, records = self.key(call), get_result_store()
 
@@ -177,8 +185,8 @@ def task(
     """Make a module's function of handles and options a task.
 
     Args:
-        label: what a person reads while it runs.
-        where: which process runs it, or a function of the task's arguments that tells.
+        label: displayed while it runs.
+        where: which process runs it, or a function of the task's arguments that decides.
         cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
         batch: how several calls are computed together; each result is the one that its call makes by itself.
     """
@@ -186,13 +194,22 @@ def task(
 
 
 def cache_key(name: str, parameters: dict[str, Any]) -> str:
-    """Return the task's name and a hash of everything that can change its result; a repetition has keys of its own."""
+    """Return the task's name and a hash of everything that can change its result; a repetition has keys of its own.
+
+    Args:
+        name: of the task.
+        parameters: its arguments by name; paths do not count.
+    """
     inputs = {key: digest(value) for key, value in sorted(parameters.items()) if not isinstance(value, Path)}
     return f"hfb-{name}-{digest([name, inputs, code_version(), repetition.salt()])[:40]}"
 
 
 def verify(result: object) -> None:
-    """Raises StaleFile where a file that a result names is gone or no longer what it was."""
+    """Raise StaleFile if a file that a result names is missing or was changed.
+
+    Args:
+        result: handles, or anything without files.
+    """
     for file in files_in(result):
         file.verify()
 

@@ -1,4 +1,4 @@
-"""The `hfb` command line: results on standard output, everything else on standard error.
+"""The `hfb` command line: results go to standard output, everything else to standard error.
 
 Exit codes: 0 done; 1 something unexpected (the log tells more), or a clip of a batch has no result; 2 something the
 user gave cannot be used; 3 a run was repeated and came out otherwise; 130 interrupted; 141 nobody reads the output.
@@ -42,7 +42,11 @@ _last_resorts: list[threading.Timer] = []
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit code."""
+    """Run one command; returns the exit code.
+
+    Args:
+        arguments: words of the command line; None for those of this process.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     as_json = "--json" in words
     signal.signal(signal.SIGTERM, _end_orderly)
@@ -91,7 +95,14 @@ def _parse(words: list[str]) -> argparse.Namespace:
 
 
 class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are `InputError`."""
+
     def error(self, message: str) -> NoReturn:
+        """Raise InputError.
+
+        Args:
+            message: of argparse.
+        """
         raise InputError(f"{message}; see `{self.prog} --help`")
 
 

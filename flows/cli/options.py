@@ -1,7 +1,7 @@
-"""Options of a run from four places: flag over --config file over preset over default.
+"""Options of a run from four sources: flag over --config file over preset over default.
 
-The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it
-costs nothing to import: `hfb --help` has to answer at once.
+The flags are made from the records in hfb/config.py, one per key (``--fit.subframes 8``). argparse, since it costs
+nothing to import: `hfb --help` has to answer at once.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ _NEED_WEIGHTS = {"matting": ("bgmv2", "rvm"), "init": ("metro",)}
 
 
 def add_config_flags(parser: argparse.ArgumentParser) -> None:
-    """One flag per key of the configuration; nothing is set unless the user gives it."""
+    """Declare one flag per key of the configuration; only flags that the user gives are set.
+
+    Args:
+        parser: of the command.
+    """
     group = parser.add_argument_group(
         "options of the method", f"defaults are those of --preset {_DEFAULT_PRESET}; a flag wins over --config"
     )
@@ -59,7 +63,7 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
 
 
 class _EarlierName(argparse.Action):
-    """Sets the key that an earlier name of a flag stands for, and says what it is called now."""
+    """Sets the key of a renamed flag, with a warning that gives the new name."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -101,7 +105,10 @@ class _Short(argparse.Action):
 
 
 def run_config(given: argparse.Namespace) -> RunConfig:
-    """The configuration that flags, --config file and preset make together.
+    """Return the configuration from flags, --config file and preset.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: an unknown key or an impossible value, named with where it came from.

@@ -1,4 +1,4 @@
-"""The commands about recorded runs: `hfb rerun`, `hfb compare`. Light to import."""
+"""The commands `hfb rerun` and `hfb compare`. Light to import."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ _WIDTH, _NARROWEST, _WIDEST = 34, 14, 60
 
 
 def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
-    """Which run, and where its inputs are."""
+    """Declare the options of `hfb rerun`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("run_id", metavar="RUN_ID", help=_RUN)
     parser.add_argument(
         "--inputs", type=Path, metavar="DIR", help="where inputs lie that were moved; they are told by their content"
@@ -40,14 +44,22 @@ def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_compare_flags(parser: argparse.ArgumentParser) -> None:
-    """Which runs."""
+    """Declare the options of `hfb compare`.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument("run_a", metavar="RUN_A", help=_RUN)
     parser.add_argument("run_b", metavar="RUN_B", help="another one")
     parser.add_argument("more", nargs="*", metavar="RUN_C", help="and others")
 
 
 def rerun(given: argparse.Namespace) -> int:
-    """`hfb rerun`; returns the exit code."""
+    """Run `hfb rerun`; returns the exit code.
+
+    Args:
+        given: the parsed options.
+    """
     if given.seed is not None:
         raise InputError("a repetition keeps its run's seed: leave --seed out")
     options = _named(given.option)
@@ -73,7 +85,11 @@ def _named(options: Sequence[str]) -> dict[str, str]:
 
 
 def compare(given: argparse.Namespace) -> None:
-    """`hfb compare`."""
+    """Run `hfb compare`.
+
+    Args:
+        given: the parsed options.
+    """
     with open_session(given, given.out or Path("runs")):
         with libraries():
             from hfb.flows.compare import compare_runs
@@ -82,7 +98,11 @@ def compare(given: argparse.Namespace) -> None:
 
 
 def rerun_text(verdict: Mapping[str, Any]) -> str:
-    """What came out of a repetition, in a sentence or two."""
+    """Return the lines printed at the end of `hfb rerun`.
+
+    Args:
+        verdict: content of rerun.json.
+    """
     lines = ["", _sentence(verdict)]
     if verdict["changed"]:
         lines.append("not as it was then: " + "; ".join(verdict["changed"]))
@@ -93,7 +113,11 @@ def rerun_text(verdict: Mapping[str, Any]) -> str:
 
 
 def compare_text(comparison: Mapping[str, Any]) -> str:
-    """The short tables that end a comparison."""
+    """Return the tables printed at the end of `hfb compare`.
+
+    Args:
+        comparison: content of comparison.json.
+    """
     width = max(_NARROWEST, _WIDEST // len(comparison["names"]))
     lines = ["", *comparison["sentences"], "", _row("", comparison["names"], width)]
     for title, entry in (("options", "config"), ("machine and versions", "environment")):

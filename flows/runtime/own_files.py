@@ -1,4 +1,4 @@
-"""Files of hfb in a folder that holds no result: a record names them, and what it does not name is never replaced."""
+"""Files of hfb in a folder without a result: a record names them, and other files are never replaced."""
 
 from __future__ import annotations
 
@@ -19,9 +19,13 @@ _LIMIT_BYTES = 1 << 20
 
 @contextmanager
 def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
-    """A temporary folder for files of these names, which are put into ``out`` at the end.
+    """Provide a temporary folder inside the block, whose files are moved into ``out`` at its end.
 
-    The record is written first, so that files which a killed command left are known as well.
+    The record is written first, so that files of a killed command are known as well.
+
+    Args:
+        out: the folder.
+        names: of the files.
 
     Raises:
         TemporaryError: under one of the names lies something that hfb did not write, or that was changed since.

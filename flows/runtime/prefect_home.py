@@ -1,4 +1,4 @@
-"""The folder of hfb's own Prefect: the user's settings apply, the user's database is never opened. Light to import.
+"""hfb's own Prefect home: the user's settings apply, the user's database is never opened. Light to import.
 
 Prefect's default home holds a database that every Prefect of the user migrates to its own version. hfb's temporary
 server therefore has a home of its own; only the profiles, which name the API address and its login, are the user's.
@@ -37,7 +37,7 @@ def use_own_home() -> None:
 
 
 def check_home() -> None:
-    """Raises InputError where nobody knows the user's home folder, so that files would land in a folder called ~."""
+    """Raise InputError if the user's home folder is unknown, so that files would land in a folder called ~."""
     try:
         Path.home()
     except RuntimeError:

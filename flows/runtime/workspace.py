@@ -1,4 +1,4 @@
-"""A run's folder: one worker at a time, results that appear together or not at all, nothing left after an error.
+"""A run's folder: one process at a time, results that appear together or not at all, nothing left after an error.
 
 OUT/motion.npz strip.png texture.png matte_0.png ... result.json    the latest finished result
 OUT/intermediate/                                                   what tasks leave for each other
@@ -38,15 +38,18 @@ _FOLDER = re.compile(r"(case|person)[_-]\d+")
 
 
 class OutputConflict(InputError):
-    """A file of the user's lies where a result belongs; what was computed is kept."""
+    """A file of the user's has the name of a result's file; what was computed is kept."""
 
 
 @contextmanager
 def workspace(out: Path) -> Iterator[Path]:
-    """The folder for intermediate files, held for this process alone.
+    """Provide the folder of intermediate files inside the block, locked for this process.
 
-    It stays after a crash, so that the next run goes on from there; after an InputError what was not there
-    before is removed again.
+    It stays after a crash, so that the next run continues from there; after an InputError new folders are removed
+    again.
+
+    Args:
+        out: where the results go.
 
     Raises:
         InputError: the folder cannot be written, another process works in it, or it holds a link or a special file
@@ -105,7 +108,11 @@ def _remove_leftovers(out: Path, folder: Path) -> None:
 
 
 def check_writable(out: Path) -> None:
-    """Raises InputError where a folder cannot be made, or written into; makes nothing."""
+    """Raise InputError if a folder cannot be created or written; creates nothing.
+
+    Args:
+        out: where the results go.
+    """
     if not is_text(out.absolute()):
         raise InputError(f"{out.absolute()} has a name that is not text in UTF-8: choose another --out")
     for folder in (out.absolute(), *out.absolute().parents):
@@ -121,15 +128,15 @@ def check_writable(out: Path) -> None:
 
 
 def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> None:
-    """Put finished files into the run's folder: they appear together, or result.json says that they are unfinished.
+    """Move finished files into the run's folder: they appear together, or result.json marks them as unfinished.
 
-    All are first copied beside their places. From then on, until the last of them is renamed, result.json is a note
-    that says ``unfinished`` (see tasks/core/result_folder.py); the next run of any command puts its own result there.
-    What an earlier result had beyond this one is removed, as far as it is what hfb wrote, and nothing else.
+    All are first copied beside their places. From then on, until the last of them is renamed, result.json holds
+    ``unfinished`` (see tasks/core/result_folder.py); the next run of any command replaces it. Further files of an
+    earlier result are removed, as far as hfb wrote them.
 
     Args:
         out: the run's folder.
-        files: name -> where it lies now.
+        files: name -> current place.
         result: the content of result.json; it gets ``files``, the names of the others, and their ``sha256``.
 
     Raises:
@@ -156,7 +163,11 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
 
 
 def mark_unfinished(out: Path) -> None:
-    """Say in an earlier result's result.json that parts of it are being replaced; nothing where there is none."""
+    """Mark an earlier result as unfinished while parts of it are replaced; does nothing where there is none.
+
+    Args:
+        out: folder of the result.
+    """
     earlier = _published(out)
     if earlier.known:
         _mark(out, {"out": str(out.resolve())}, earlier)
@@ -164,9 +175,13 @@ def mark_unfinished(out: Path) -> None:
 
 @contextmanager
 def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
-    """The folder that files go into which are made of a result later on.
+    """Provide a folder inside the block for files made later from a result.
 
-    Where ``out`` holds a result they are moved beside it at the end and count as its own: they go when another comes.
+    Where ``out`` holds a result they are moved beside it at the end and belong to it: the next result removes them.
+
+    Args:
+        out: folder of the result.
+        names: of the files.
 
     Raises:
         Busy: another process works there.
@@ -211,12 +226,12 @@ def _as_json(result: dict[str, Any]) -> bytes:
 
 @dataclass(frozen=True)
 class _Published:
-    """What hfb's result.json says that it put into a folder.
+    """The files that hfb's result.json names.
 
     Attributes:
-        known: there is such a result.json.
+        known: whether there is such a result.json.
         files: names.
-        complete: it names every file and its content; results of older versions do not.
+        complete: whether it names every file and its hash; results of older versions do not.
         sha256: of these files; several where one was being replaced.
     """
 
@@ -226,7 +241,12 @@ class _Published:
     sha256: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def wrote(self, name: str, path: Path) -> bool:
-        """Whether a file is what hfb put there under this name."""
+        """Return whether a file is the one that hfb wrote under this name.
+
+        Args:
+            name: in result.json.
+            path: the file.
+        """
         return name in self.files and (not self.complete or sha256_of(path) in self.sha256.get(name, ()))
 
 

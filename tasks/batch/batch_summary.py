@@ -1,4 +1,4 @@
-"""summary.html of a batch: rows and small pictures are kept, and only pages that changed are written."""
+"""summary.html of a batch: rows and thumbnails are cached, and only changed pages are written."""
 
 from __future__ import annotations
 
@@ -53,11 +53,15 @@ class BatchSummary:
         self._told: set[str] = set()
 
     def status(self, name: str) -> str:
-        """What is shown of a clip's state."""
+        """Return the displayed state of a clip.
+
+        Args:
+            name: of the clip.
+        """
         return self._clips[name].status
 
     def counts(self) -> BatchCounts:
-        """How many clips there are, and what became of them."""
+        """Return the number of clips in each state."""
         from hfb.report.pages.batch_page import BatchCounts
 
         states = [clip.status for clip in self._clips.values()]
@@ -65,7 +69,11 @@ class BatchSummary:
         return BatchCounts(len(states), states.count("done"), states.count("set aside"), warned_of)
 
     def show_all(self, states: Sequence[tuple[str, str, str, str | None]]) -> None:
-        """Show these clips, and no others: (name, status, reason, link) in the order of the pages."""
+        """Show these clips and no others.
+
+        Args:
+            states: (name, status, reason, link) in the order of the pages.
+        """
         from hfb.report.pages.batch_page import page_count
 
         self._names = [name for name, *_ in states]
@@ -77,12 +85,12 @@ class BatchSummary:
         self._remove_from(pages)
 
     def show(self, name: str, status: str, reason: str = "", link: str | None = None) -> None:
-        """Show what became of one clip: its page, and the first, which counts.
+        """Update one clip: its page, and the first page, which counts.
 
         Args:
             name: of the clip.
-            status: what became of it.
-            reason: why, where it failed.
+            status: its state.
+            reason: why it failed; empty otherwise.
             link: its page in MLflow.
         """
         from hfb.report.pages.batch_page import CLIPS_PER_PAGE

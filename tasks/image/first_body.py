@@ -48,5 +48,9 @@ def first_body(
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:
-    """A first body that the caller brought."""
+    """Return the handle of a first body that the caller provides.
+
+    Args:
+        file: the first body.
+    """
     return FirstBodyHandle(**file.model_dump(), source=load_first_body(file.path).source)

@@ -1,4 +1,4 @@
-"""The user's pictures: are they pictures, do they fit together, and how were they taken."""
+"""Check and read the user's images: whether they fit together, and how they were taken."""
 
 import math
 from collections.abc import Callable
@@ -92,7 +92,11 @@ class _Images:
         self._depths: list[tuple[Path, int | None]] = []
 
     def read(self, file: FileHandle) -> tuple[Float[Array, "H W 3"], Callable[[], Float[Array, "H W 3"]]]:
-        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light."""
+        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light.
+
+        Args:
+            file: the image.
+        """
         found, image = decode_once(file, self._transfer, self._light)
         self._told += found.remarks
         self._depths.append((file.path, found.seems_bits))
@@ -106,7 +110,7 @@ class _Images:
         return stored, linear
 
     def remarks(self) -> tuple[str, ...]:
-        """Raises InputError where all of them seem to be of fewer bits than their files are."""
+        """Return the remarks, after a check of the images' bit depths."""
         told = (*self._told, *doubt_depths(self._depths, self._transfer))
         return tuple(dict.fromkeys(told))
 

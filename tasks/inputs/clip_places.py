@@ -1,4 +1,4 @@
-"""Where clips lie: a video, a folder of pictures, a clip.toml, or a folder that holds one of these. Light to import."""
+"""Locate clips: a video, a folder of images, a clip.toml, or a folder that holds one of these. Light to import."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ class ClipPlace:
     """One clip of a folder of clips.
 
     Attributes:
-        source: what `hfb video` would be given.
-        clip: its clip.toml, where it has one.
-        files: everything that its result depends on, as far as the folder tells.
-        stray: an entry because of which the clip is not worked on, and why.
-        twin: the clip to which the result folder of this name belongs; this one's ``name`` is then no folder's.
-        trouble: why it cannot be looked at.
+        source: argument of `hfb video`.
+        clip: its clip.toml, if any.
+        files: everything that its result depends on, as far as the folder shows.
+        stray: an entry because of which the clip is refused.
+        why: why that entry is refused.
+        twin: the clip that owns the result folder of this name; this one's ``name`` is then no folder's.
+        trouble: why the clip cannot be read.
     """
 
     name: str
@@ -53,9 +54,9 @@ class ClipPlace:
         return shown_name(self.name)
 
     def check(self) -> None:
-        """Raises InputError where no folder can have this name, another clip has it, or files are not the folder's own.
+        """Check that the clip has a folder name of its own and reads no files outside the folder of clips.
 
-        Who may put clips into a folder may not see other files. What is watched and what is read are the same files.
+        Whoever may put clips into a folder may not read other files. The files watched and the files read are the same.
         """
         if self.trouble:
             raise InputError(f"{self.source} cannot be read ({self.trouble}): mend its permissions or its name")
@@ -72,14 +73,18 @@ class ClipPlace:
             raise InputError(f"{self.stray} {self.why}")
 
     def check_read(self, read: Iterable[FileHandle]) -> None:
-        """Raises TemporaryError where a file was read that is not watched, since the folder was changed meanwhile."""
+        """Raise TemporaryError if a file was read that is not watched, because the folder has changed meanwhile.
+
+        Args:
+            read: files of the clip's inputs.
+        """
         watched = {path.resolve() for path in self.files}
         if other := next((file.path for file in read if file.path not in watched), None):
             raise TemporaryError(f"{other} came to {self.source} while it was being read: it is looked at again")
 
 
 def find_clips(folder: Path, out: Path) -> tuple[ClipPlace, ...]:
-    """The clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
+    """Return the clips of a folder, by name: ``NAME.mp4`` with ``NAME.toml``, and folders ``NAME/`` with a clip.toml.
 
     Args:
         folder: of the clips.
@@ -207,11 +212,11 @@ def _made_of(result: Path, source: Path) -> bool:
 
 
 def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], Path | None]:
-    """The files of a clip's pictures, in order, and its clip.toml.
+    """Return the files of a clip's images, in order, and its clip.toml.
 
     Args:
-        source: a video, a folder of pictures, a clip.toml that names its video, or a folder that holds a clip.toml.
-        clip: a clip.toml that the user names; it wins over one that is found.
+        source: a video, a folder of images, a clip.toml that names its video, or a folder that holds a clip.toml.
+        clip: a clip.toml that the user names; it overrides one that is found.
 
     Raises:
         InputError: nothing is there, or it is not clear which of several is meant.
@@ -228,10 +233,13 @@ def resolve_source(source: Path, clip: Path | None) -> tuple[tuple[Path, ...], P
 
 
 def plate_beside(files: Sequence[Path]) -> Path | None:
-    """The background that lies with a clip as a picture, in small or capital letters.
+    """Return the background image that belongs to a clip by its name, in any letter case.
 
-    NAME_plate, background or plate beside the video NAME; background or plate in the folder of pictures, another that
-    is a plate by its name there, or background or plate one folder up.
+    NAME_plate, background or plate beside the video NAME; background or plate in the folder of images, another image
+    named like a plate there, or background or plate one folder up.
+
+    Args:
+        files: the video, or the images.
     """
     first = files[0]
     if first.suffix.lower() not in PICTURE_SUFFIXES:

@@ -1,4 +1,4 @@
-"""The files of a result for other programs and for people: motion files, and films of the open shutter."""
+"""A result's files for other programs and for people: motion files and films."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ExportsHandle(Record):
 
 
 class ShotHandle(Record):
-    """Everything that films of a result are drawn from.
+    """Everything that films of a result are rendered from.
 
     Attributes:
         clip: all frames of the clip: the motion names them by their numbers.
@@ -167,12 +167,12 @@ def write_film(film: Film, shot: Shot, folder: Path) -> Path:
 def with_progress(
     label: str, images: Iterator[tuple[float | None, Float[Array, "Y X 3"]]], total: int
 ) -> Iterator[tuple[float | None, Float[Array, "Y X 3"]]]:
-    """Yield the (time, image) pairs of a film, and tell how far it is now and then.
+    """Yield the (time, image) pairs of a film, and report progress.
 
     Args:
         label: of the film.
         images: the pairs.
-        total: how many they are.
+        total: their number.
     """
     said = 0.0
     for number, image in enumerate(images, 1):

@@ -1,8 +1,8 @@
-"""Progress artifacts: how far the long steps of a flow run are, in Prefect's own pages.
+"""Progress artifacts: the progress of a flow run's long steps in Prefect's pages.
 
-Light to import: Prefect is loaded long after the display was chosen. An artifact costs its server a request, so steps
-that end soon have none, and the others a few updates; they are sent from a thread of their own, since a server that is
-slow, or gone, must not hold the work up.
+Light to import: Prefect is loaded long after the display was chosen. An artifact costs its server a request, so short
+steps have none, and the others a few updates. They are sent from a thread of their own: a slow or unreachable server
+must not delay the work.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _Watched:
 
 
 class Artifacts:
-    """One progress artifact for every step that takes longer and says how far it is."""
+    """One progress artifact for every long step that reports its progress."""
 
     def __init__(self, first_s: float = _FIRST_S, every_s: float = _EVERY_S) -> None:
         self._first_s, self._every_s = first_s, every_s
@@ -49,25 +49,45 @@ class Artifacts:
         self._gone = False
 
     def begin(self, shown: Shown) -> None:
+        """Watch the step, if it belongs to a flow run.
+
+        Args:
+            shown: the step.
+        """
         flow_run = _flow_run_id()
         if flow_run is not None and not self._gone:
             with self._lock:
                 self._watched.append(_Watched(shown, flow_run, copy_context()))
 
     def update(self, shown: Shown) -> None:
-        """The sending thread reads what it needs when its time comes."""
+        """Do nothing: the sending thread reads the step when its time comes.
+
+        Args:
+            shown: the step.
+        """
 
     def end(self, shown: Shown, failed: bool) -> None:
+        """Mark the step as ended.
+
+        Args:
+            shown: the step.
+            failed: whether it raised.
+        """
         with self._lock:
             for one in self._watched:
                 one.ended = one.ended or one.shown is shown
             self._watched = [one for one in self._watched if not one.ended or one.artifact is not None]
 
     def say(self, line: str) -> None:
-        """Lines are for other displays."""
+        """Ignore lines; other displays show them.
+
+        Args:
+            line: text without secrets.
+        """
 
     @contextmanager
     def running(self) -> Iterator[None]:
+        """Run the sending thread."""
         thread = threading.Thread(target=self._send, name="hfb-artifacts", daemon=True)
         thread.start()
         try:

@@ -1,4 +1,4 @@
-"""The tasks of a clip as a whole: what is known about it, its background, and whom it is about."""
+"""The tasks of a clip as a whole: its description, its background, and its people."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 def look_at_clip(
     *, inputs: VideoInputs, average: int, camera: CameraConfig, exposure: ExposureConfig, folder: Path
 ) -> FootageHandle:
-    """Decode everything once: how many frames there are, when and how they were taken, and what is wrong with them.
+    """Decode everything once: number of frames, when and how they were taken, and their defects.
 
     Args:
-        inputs: what the user handed over.
-        average: how many frames of the video are one frame of the clip.
+        inputs: of the run.
+        average: number of video frames averaged into one frame of the clip.
         camera: options of the camera.
         exposure: options of the exposure.
         folder: where the description goes.
@@ -179,7 +179,11 @@ def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle 
 
 
 def load_footage(handle: FootageHandle) -> Footage:
-    """What the pictures of a clip are read with."""
+    """Return the reader of a clip's images.
+
+    Args:
+        handle: the clip.
+    """
     from hfb.io.media.footage import Footage
 
     return Footage(**_numbers(_content(handle.path, handle.sha256)["footage"]))
@@ -187,7 +191,12 @@ def load_footage(handle: FootageHandle) -> Footage:
 
 @contextmanager
 def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> Iterator[Footage]:
-    """What the pictures of a clip are read with, of which frames `start` to `stop` are wanted.
+    """Provide the reader of a clip's images inside the block.
+
+    Args:
+        handle: the clip.
+        start: first frame that will be read.
+        stop: end of the frames that will be read; None for the clip's end.
 
     Raises:
         StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
@@ -202,7 +211,11 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
 
 
 def load_timing(handle: FootageHandle) -> Timing:
-    """The clock of a clip."""
+    """Return the times of a clip's frames.
+
+    Args:
+        handle: the clip.
+    """
     from hfb.io.media.timing import Timing
 
     return Timing(**_numbers(_content(handle.path, handle.sha256)["timing"]))

@@ -154,7 +154,11 @@ def _needs(call: WindowCall) -> Where:
 
 @task("windows", where=_needs, batch=BatchFunction(_gpu_batch_size, _fit_windows))
 def fit_clip_window(call: WindowCall) -> WindowHandle:
-    """Fit one window, with the clip's person where it is known."""
+    """Fit one window, with the clip's person where it is known.
+
+    Args:
+        call: the window.
+    """
     return _fit_windows([call])[0]
 
 

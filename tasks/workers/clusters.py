@@ -1,8 +1,7 @@
-"""Computations on machines that are there already: those of a Dask or a Ray cluster, found at its address.
+"""Computations on the machines of an existing Dask or Ray cluster.
 
-What travels is a function's name and its handles. Where a store is given the files travel through it: the worker needs
-nothing but the URL, and this machine gets what came out. Whoever may talk to such a cluster may run code on it: see
-SECURITY.md.
+A call sends a function's name and its handles. With a store the files travel through it: a worker needs nothing but the
+URL, and this machine gets the results. Whoever may talk to such a cluster may run code on it: see SECURITY.md.
 """
 
 from __future__ import annotations
@@ -36,17 +35,22 @@ _CACHE_BYTES = 2 << 30
 class _Members(Protocol):
     """A cluster's workers, each with one thread."""
 
-    def count(self) -> int: ...
-    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R: ...
-    def close(self) -> None: ...
+    def count(self) -> int:
+        """Number of workers."""
+
+    def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
+
+    def close(self) -> None:
+        """Leave the cluster."""
 
 
 class Cluster:
     """Runs functions of handles elsewhere, any number at a time.
 
     Attributes:
-        count: workers when it was found.
-        busy_s: for how long they computed, together.
+        count: workers at the start.
+        busy_s: their total computing time [s].
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -86,7 +90,7 @@ class Cluster:
         return value
 
     def close(self) -> None:
-        """Leave it, whatever it still computes for us."""
+        """Leave the cluster, whatever it still computes."""
         with self._lock:
             closed, self._closed = self._closed, True
         if not closed:
@@ -94,6 +98,8 @@ class Cluster:
 
 
 class _Dask:
+    """Workers of a Dask cluster."""
+
     def __init__(self, address: str) -> None:
         try:
             from distributed import Client
@@ -107,6 +113,7 @@ class _Dask:
         self._address, self._running = address, set[Any]()
 
     def count(self) -> int:
+        """Number of workers."""
         try:
             self._client.wait_for_workers(1, timeout=_ANSWER_S)
         except TimeoutError:
@@ -116,6 +123,7 @@ class _Dask:
         return sum(self._client.nthreads().values())
 
     def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
         from distributed.client import FutureCancelledError
         from distributed.scheduler import KilledWorker
 
@@ -131,11 +139,14 @@ class _Dask:
             self._running.discard(future)
 
     def close(self) -> None:
+        """Leave the cluster."""
         self._client.cancel(list(self._running), force=True)
         self._client.close(timeout=5)
 
 
 class _Ray:
+    """Workers of a Ray cluster."""
+
     def __init__(self, address: str) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
@@ -151,9 +162,11 @@ class _Ray:
         self._running: set[Any] = set()
 
     def count(self) -> int:
+        """Number of workers."""
         return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
 
     def call(self, gpu: bool, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Return a function's result from one of the workers."""
         errors = self._ray.exceptions
         distant = self._ray.remote(num_cpus=1, num_gpus=int(gpu), max_retries=_RETRIES)(function)
         reference = distant.remote(*args, **kwargs)
@@ -169,6 +182,7 @@ class _Ray:
             self._running.discard(reference)
 
     def close(self) -> None:
+        """Leave the cluster."""
         for reference in list(self._running):
             self._ray.cancel(reference, force=True)
         self._ray.shutdown()

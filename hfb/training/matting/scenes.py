@@ -115,8 +115,7 @@ def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Genera
 def _place(
     figures: np.ndarray, plate: np.ndarray, picture: np.ndarray | None, rules: Difficulty, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return premultiplied colour and coverage of a figure at a random place; then of its double, where the bank has
-    doubles.
+    """Return premultiplied colour and coverage of a figure at a random place, then of its double where there is one.
 
     Args:
         figures: a bank (N, CHANNELS, H, W).
