@@ -39,7 +39,7 @@ def table_markdown(
     metrics: Sequence[Metric] | None = None,
     oracles: Sequence[str] | None = None,
 ) -> str:
-    """A summary as a page: all cases, then per metric a column per interval of blur rates, then ratios with intervals.
+    """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
         summary: what `summarize` returns (or summary.json holds).
@@ -76,34 +76,64 @@ def table_markdown(
 
 
 def number(value: float | None, digits: int) -> str:
-    """A number, or the dash for an unknown one."""
+    """Format a number; an unknown one is a dash.
+
+    Args:
+        value: or None where it is unknown.
+        digits: after the point.
+    """
     return UNKNOWN if value is None else f"{value:.{digits}f}"
 
 
 def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
-    """`` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only."""
+    """Format `` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only.
+
+    Args:
+        bounds: low and high, or None.
+        digits: after the point.
+        cases: n.
+    """
     if bounds is None:
         return ""
     return f" [{bounds[0]:.{digits}f},{_TIED}{bounds[1]:.{digits}f};{_TIED}n{_TIED}{cases}]"
 
 
 def ratio_text(cell: Cell, digits: int) -> str:
-    """A method's ratio to the start with its interval."""
+    """Format a method's ratio to the start with its interval.
+
+    Args:
+        cell: of the method, by `make_cell`.
+        digits: of the interval, after the point.
+    """
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
 
 def blur_label(blur: Sequence[float]) -> str:
-    """An interval of blur rates."""
+    """Format an interval of blur rates.
+
+    Args:
+        blur: low and high.
+    """
     return f"< {blur[1]:g}" if blur[0] <= 0 else f"{blur[0]:g}–{blur[1]:g}"
 
 
 def is_oracle(method: str) -> bool:
-    """Whether a method's name says that it sees the truth: "oracle-..." and "...@true-..."."""
+    """Return whether a method's name says that it uses the truth: "oracle-..." and "...@true-...".
+
+    Args:
+        method: its name.
+    """
     return method.startswith("oracle") or "@true-" in method
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """A markdown table; the first `left` columns are set left, the others right."""
+    """Return a markdown table; the first `left` columns are aligned left, the others right.
+
+    Args:
+        header: a text per column.
+        rows: a text per column each.
+        left: number of columns aligned left.
+    """
     rule = [":---"] * left + ["---:"] * (len(header) - left)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in [header, rule, *rows])
 

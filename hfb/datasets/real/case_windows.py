@@ -28,9 +28,15 @@ class RealWindow:
 
 
 def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
-    """(every window of every usable video, by path and time; relative path -> why a video is not used).
+    """Return every window of every usable video, by path and time, and by relative path why a video is not used.
 
     A window has no dropped frame and, where joints were measured, a row of them for each of its frames.
+
+    Args:
+        spec: of the set.
+
+    Raises:
+        InputError: the folder is missing or holds no video.
 
     Raises:
         InputError: the folder is missing or holds no video.
@@ -65,10 +71,15 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
 
 
 def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWindow]:
-    """Up to `count` windows, spread evenly over videos and, within a video, over time.
+    """Choose up to `count` windows, spread evenly over videos and, within a video, over time.
 
     The videos take turns. Within one the windows come in bit-reversed order (van der Corput), rotated by the seed:
     every prefix is spread out, and a longer choice begins with the shorter one.
+
+    Args:
+        windows: to choose from.
+        count: largest number of chosen windows.
+        seed: rotates the order.
     """
     rng = np.random.default_rng(seed)
     videos: dict[object, list[RealWindow]] = {}

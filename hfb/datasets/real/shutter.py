@@ -35,5 +35,5 @@ class Shutter:
         return self.average / self.fps
 
     def instants(self) -> tuple[Float[Array, "R"], Int[Array, "R"]]:
-        """Times [s] of the R = T * K sharp frames since the first one's middle, and the window each belongs to."""
+        """Return times [s] of the R = T * K sharp frames since the first one's middle, and the window of each."""
         return subframe_times_s(self.frames, self.average, self.exposure_s, self.interval_s)
