@@ -150,7 +150,7 @@ class _Rounds:
         return max(0.2, min(due) - time.monotonic()) if due else None
 
     def _entry(self, place: ClipPlace, stamp: str) -> Entry | None:
-        """What is known of a clip; None too where its result is gone: it is made again."""
+        """Return the state of a clip; None also where its result is missing: it is then made again."""
         entry = self.ledger.entry(place.name, stamp)
         result = self._out / place.name / RESULT
         there = os.path.lexists(result) and not is_unfinished(self._out, place.name)
@@ -171,11 +171,11 @@ class _Rounds:
         return max(still_s, again_s)
 
     def _pause(self, entry: Entry) -> float:
-        """Seconds between a failure and the next attempt."""
+        """Return the seconds between a failure and the next attempt."""
         return pause_s(self._wait_s, entry.attempts)
 
     def _work(self, place: ClipPlace, stamp: str) -> Entry | None:
-        """One clip; None where it is done."""
+        """Run one clip; returns None where it is done."""
         progress.say(f"hfb: {place.shown}")
         hopeless = False
         try:
@@ -228,7 +228,7 @@ class _Rounds:
         }
 
     def _look(self) -> tuple[ClipPlace, ...]:
-        """The clips as they are now; the pages show these."""
+        """List the clips as they are now, and update the pages."""
         places = find_clips(self._folder, self._out)
         states = []
         for place in places:
@@ -240,13 +240,13 @@ class _Rounds:
 
 
 def _state(entry: Entry | None) -> str:
-    """What the pages say of a clip."""
+    """Return the displayed state of a clip."""
     if entry is None:
         return "new"
     return entry.status if entry.status != "failed" else f"tried {entry.attempts} times, again later"
 
 
 def _unrecorded(result: dict[str, Any]) -> bool:
-    """Whether the tracking store was away when a finished clip, or somebody in it, was to be recorded."""
+    """Return whether the tracking store was unavailable when a finished clip, or a person in it, was recorded."""
     parts = [one for one in result["people"] if not one["error"]] if result.get("people") else [result]
     return any(one.get("mlflow_run_id") is None for one in parts)

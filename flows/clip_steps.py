@@ -180,7 +180,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
 
 
 def _check_plate(inputs: VideoInputs, plate: PlateHandle, track: TrackHandle) -> tuple[ResultWarning, ...]:
-    """Whether the plate holds the person."""
+    """Return warnings where the plate contains the person."""
     if HOLDS_PERSON in plate.source:
         return plate_warnings([f"it seems that {HOLDS_PERSON}"])
     never = check_never_left(track.boxes) if inputs.plate == "median" else None
@@ -240,7 +240,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
 
 
 def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
-    """Another system's bodies, each laid onto its matte; frames in which it saw nobody by their neighbours."""
+    """Align another system's bodies with their mattes; frames without the person are filled from their neighbours."""
     inputs, first = scene.inputs, scene.config.init.frame
     names, frames = pictures_of(scene.footage, inputs.video, first)
     result = read_result(
@@ -277,7 +277,7 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
 
 
 def _fill(scene: Scene, known: Mapping[int, FirstBodyHandle]) -> ClipBodiesHandle:
-    """Bodies of the other frames, from their neighbours'."""
+    """Fill the other frames from their neighbours' bodies."""
     numbers = tuple(sorted(known))
     return fill_bodies(
         numbers=numbers,
@@ -437,7 +437,7 @@ def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, per
 
 
 def _assign_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
-    """Per window the frames that no window before it has: every frame once."""
+    """Return per window the frames that no earlier window has."""
     seen: set[int] = set()
     settled = []
     for window in windows:
@@ -447,7 +447,7 @@ def _assign_frames(windows: Sequence[ClipWindow]) -> list[tuple[int, ...]]:
 
 
 def _around(number: int, known: Mapping[int, FirstBodyHandle]) -> tuple[tuple[int, FirstBodyHandle], ...]:
-    """The nearest known bodies before and after a frame: more would make every frame depend on all."""
+    """Return the nearest known bodies before and after a frame; with more, every frame would depend on all."""
     before = max((frame for frame in known if frame < number), default=None)
     after = min((frame for frame in known if frame > number), default=None)
     return tuple((frame, known[frame]) for frame in (before, after) if frame is not None)
@@ -459,7 +459,7 @@ def _require_all(
     label: str,
     on_outcome: Callable[[int, Outcome[R]], None] | None = None,
 ) -> list[R]:
-    """All results in order; the first failure ends the rest, for the whole needs every one."""
+    """Return all results in order; the first failure stops the rest."""
     server = ServerWatch()
 
     def watched(index: int, outcome: Outcome[R]) -> None:

@@ -120,7 +120,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
 
 
 def _picture(run: StoredRun, folder: Path) -> Any:
-    """The run's own picture of what it found."""
+    """Return the run's own image of its result."""
     for name in _PICTURES:
         path = fetch_file(run, name, folder)
         if path is not None:
@@ -132,13 +132,13 @@ def _picture(run: StoredRun, folder: Path) -> Any:
 
 
 def _differences(motions: Sequence[SampledMotion | None]) -> list[MotionDifference | None]:
-    """Of every motion but the first from the first."""
+    """Return the difference of every motion but the first from the first."""
     first, *others = motions
     return [motion_difference(first, other) if first and other else None for other in others]
 
 
 def _overlay(shown: Sequence[_Shown], differences: Sequence[MotionDifference | None]) -> Any:
-    """All skeletons that share a frame with the first; None where there are none."""
+    """Draw all skeletons that share a frame with the first; None where there are none."""
     pairs = [(one, far) for one, far in zip(shown[1:], differences, strict=True) if far and far.mean_mm is not None]
     if not pairs:
         return None
@@ -183,7 +183,7 @@ def _rows(every: Sequence[Words]) -> tuple[tuple[str, ...], ...]:
 def _result(
     comparison: RunComparison, differences: Sequence[MotionDifference | None], folder: Path, has_picture: bool
 ) -> dict[str, Any]:
-    """comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others; distances are from the first."""
+    """Return comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others."""
     place, runs = folder.resolve(), comparison.runs
     motions = [
         far and {"bit_equal": far.bit_equal, "mean_mm": far.mean_mm, "max_mm": far.max_mm} for far in differences
@@ -219,7 +219,7 @@ def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
 
 
 def _check_room(folder: Path) -> None:
-    """Raises InputError where files lie that an earlier comparison did not leave, or an input would be replaced."""
+    """Raise InputError if foreign files or an input would be replaced."""
     for name in (FIGURES, PAGE, PICTURE):
         check_ordinary(folder, name)
     try:

@@ -264,9 +264,9 @@ def _on_a_worker(
     /,
     **files: Path | str | Sequence[Path | str] | None,
 ) -> Iterator[None]:
-    """What `hfb.flows.runtime.session` sets up around a command, after a look at where the parameters point.
+    """Set up what `hfb.flows.runtime.session` sets up around a command, after a check of the parameters' paths.
 
-    A store that does not answer is told before anything is done.
+    A store that does not answer is reported before anything is computed.
     """
     if places.is_limited():
         for name, paths in {"out": folder, **files}.items():

@@ -115,7 +115,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
 def _motion_of(
     one: PersonSeen, inputs: VideoInputs, out: Path, *, config: RunConfig, engine: Engine | int
 ) -> dict[str, Any]:
-    """What became of one person; whoever cannot be followed does not end the others."""
+    """Fit one person; a failure is part of the result and does not end the others."""
     progress.say(f"hfb: {one.name} (seen in {one.frames} frames)")
     theirs = inputs.model_copy(update={"clip": inputs.clip.model_copy(update={"person": one.choice})})
     told: dict[str, Any] = {"name": one.name, "seen": one.frames, "error": None, **dict.fromkeys(_KEPT)}

@@ -88,7 +88,7 @@ def export_result(
 def _draw_films(
     folder: Path, films: Sequence[Film], place: FoundResult, *, exported: Exported, inputs: Path | None
 ) -> list[Path]:
-    """The films; what they need is found before anything is written."""
+    """Draw the films; their inputs are located before anything is written."""
     from hfb.tasks.results.exports import write_film
     from hfb.tasks.results.reload_inputs import reload_shot
 

@@ -181,7 +181,7 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
 def _first_bodies(
     scene: ClipHandle, mattes: tuple[FileHandle, ...], *, inputs: Inputs, config: RunConfig, folder: Path
 ) -> tuple[FirstBodyHandle, ...]:
-    """One per frame: given, out of another system's result, or estimated and agreed on one front."""
+    """Return one body per frame: given, from another system's result, or estimated and made consistent in front."""
     if inputs.first_bodies:
         return tuple(given_body(file) for file in inputs.first_bodies)
     numbers = tuple(range(len(scene.frames)))
@@ -237,7 +237,7 @@ def _result(
     scores: ScoresHandle,
     warnings: tuple[ResultWarning, ...],
 ) -> dict[str, Any]:
-    """result.json: scores and times, where things are, and what they were made from."""
+    """Return result.json: scores, times, places of files, inputs and options."""
     sources = [first.source for first in firsts]
     directions = {"directions": direction_condition(sources)} if fitted.directions else {}
     return {

@@ -69,7 +69,7 @@ def _record(folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _name_run(folder: Path, facts: dict[str, Any], run: RunHandle) -> None:
-    """Let the result name its run; what it was recorded from is gone then."""
+    """Write the run's id into the result, and remove the waiting record."""
     files = [name for name in facts.get("files") or () if name != RECORD]
     _rewrite(folder, facts | {"mlflow_run_id": run.run_id, "mlflow_link": run.link, "files": files})
     (folder / RECORD).unlink()

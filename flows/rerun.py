@@ -127,7 +127,7 @@ def repeat(plan: Plan) -> dict[str, Any]:
 def _chain(
     recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, out: Path, workers: int
 ) -> Callable[[], dict[str, Any]]:
-    """The command's chain with its inputs where they lie now."""
+    """Return the command's chain with the current places of its inputs."""
     if recipe.command == "fit":
         inputs, settled = with_networks(recipe_inputs(Inputs, recipe, places, run), config, run)
         check_pictures_out([one.path for one in inputs.frames], out)
@@ -162,7 +162,7 @@ def with_networks(inputs: InputsT, config: RunConfig, run: str) -> tuple[InputsT
 
 
 def _fresh(out: Path | None, run_id: str) -> Path:
-    """A folder without a result, for this repetition alone."""
+    """Return a folder without a result, for this repetition alone."""
     if out is not None:
         if not _is_fresh(out):
             raise InputError(f"{out} holds something already: choose a new folder with --out")
@@ -176,7 +176,7 @@ def _fresh(out: Path | None, run_id: str) -> Path:
 
 
 def _is_fresh(folder: Path) -> bool:
-    """Nothing there, or what an interrupted run leaves."""
+    """Return whether a folder is empty, or holds only what an interrupted run leaves."""
     if not folder.exists() or not folder.is_dir():
         return not folder.exists()
     return {path.name for path in folder.iterdir()} <= {INTERMEDIATE, *list_unfinished_files(folder)}
@@ -193,7 +193,7 @@ def _list_changes(run: StoredRun) -> tuple[str, ...]:
 
 
 def _compare(plan: Plan) -> dict[str, Any]:
-    """The result against the recorded one; how far it is from a motion that the store lost cannot be told."""
+    """Compare the result with the recorded one; distances are None where the store lost the motion."""
     made = {name: sha256_of(plan.out / name) if (plan.out / name).is_file() else None for name in plan.results}
     differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
     bit_equal, mean_mm, max_mm = _difference(plan) if MOTION in differing else (True, 0.0, 0.0)
@@ -210,7 +210,7 @@ def _compare(plan: Plan) -> dict[str, Any]:
 
 
 def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:
-    """Whether the arrays are the same after all (another packing of the file), and mean and largest distance [mm]."""
+    """Return whether all arrays are equal (files may be packed differently), and mean and largest distance [mm]."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             path = fetch_file(plan.run, MOTION, Path(folder))
@@ -223,7 +223,7 @@ def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:
 
 
 def _record(verdict: dict[str, Any]) -> None:
-    """The verdict beside the repetition's own record; the result does not depend on it."""
+    """Add the verdict to the repetition's record; the result does not depend on it."""
     if verdict["mlflow_run_id"] is None:
         return
     try:

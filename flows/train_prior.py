@@ -88,7 +88,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
 
 
 def _check_room(out: Path) -> None:
-    """Raises InputError where a file that no training left would be replaced."""
+    """Raise InputError if a file that no training wrote would be replaced."""
     about = out.with_suffix(".json")
     if there := [path for path in (out, about) if path.exists() and not work_folder(out).is_dir()]:
         with suppress(InputError, KeyError, TypeError):
@@ -99,7 +99,7 @@ def _check_room(out: Path) -> None:
 
 
 def _params(plan: TrainingPlan) -> dict[str, Any]:
-    """What the run is found by; where the recordings lie does not count, what they hold does."""
+    """Return the run's identity: the content of the recordings counts, their place does not."""
     other = "pose" if plan.kind == "motion" else "motion"
     return {**plan.model_dump(mode="json", exclude={other}), "motions": plan.motions.name}
 
@@ -107,7 +107,7 @@ def _params(plan: TrainingPlan) -> dict[str, Any]:
 def _about(
     plan: TrainingPlan, lessons: LessonsHandle, trained: TrainedHandle, measures: FileHandle, name: str
 ) -> dict[str, Any]:
-    """What a file of weights is: made how, from what, and what it knows."""
+    """Return the description of a file of weights: options, recordings and measurements."""
     history = json.loads(trained.history.path.read_text())
     return {
         "weights": name,

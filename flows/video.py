@@ -134,7 +134,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
 
 
 def _seen(bodies: ClipBodiesHandle, joined: JoinedHandle) -> dict[int, float]:
-    """Every frame of the clip: seen, filled in from its neighbours, or in a gap."""
+    """Return per frame of the clip whether it was seen (1), filled from its neighbours (0.5), or a gap (0)."""
     filled = {number for number, made in enumerate(bodies.filled) if made} | set(joined.bridged)
     pairs = enumerate(bodies.usable)
     return {number: _FILLED if number in filled else _SEEN if usable else _GAP for number, usable in pairs}
@@ -149,7 +149,7 @@ def _result(
     scores: Mapping[str, Mapping[int, float]],
     out: Path,
 ) -> dict[str, Any]:
-    """result.json: what came out, how good it is, where things are, and what they were made from."""
+    """Return result.json: scores, places of files, inputs and options."""
     footage = scene.footage
     return {
         "frames": footage.count,
@@ -177,7 +177,7 @@ def _result(
 
 
 def _pairs(scores: Mapping[str, Mapping[int, float]]) -> dict[str, tuple[tuple[int, float], ...]]:
-    """The scores that are known, as they are written."""
+    """Return the known scores as (frame, value) pairs."""
     return {
         name: tuple((number, value) for number, value in sorted(values.items()) if math.isfinite(value))
         for name, values in scores.items()

@@ -167,12 +167,12 @@ def split_calls(label: str, calls: Sequence[C], n_workers: int, batch_size: int 
 
 
 def _batch_size(task: Task[..., R], calls: Sequence[Call]) -> int:
-    """How many calls are computed together; a cluster's worker is given one at a time."""
+    """Return how many calls are computed together; a cluster's worker gets one at a time."""
     return task.batch.size(calls[0]) if task.batch and calls and not remote() else 1
 
 
 def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
-    """Compute together the calls that no earlier run has made; return number of the call -> result, {} without several.
+    """Compute the calls without cached results together; return number of the call -> result, {} for fewer than two.
 
     A call that fails takes none with it: each is then made by itself, and its error is its own.
     """
@@ -192,7 +192,7 @@ def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
 
 
 def _chunk_step(task: Task[..., R]) -> Any:
-    """A task of Prefect's that runs a chunk."""
+    """Return a Prefect task that runs a chunk."""
 
     def run_chunk(chunk: Chunk[Any, R]) -> State[Any] | None:
         return Completed(name="Cached") if chunk.run(task) else None
@@ -204,7 +204,7 @@ def _chunk_step(task: Task[..., R]) -> Any:
 
 
 def _submit(step: Any, chunk: Chunk[Any, Any]) -> None:
-    """Start a run; if it ends before its calls, as one does whose server went away, so have they."""
+    """Start a run; if it ends before its calls, such as after a loss of the server, they fail."""
 
     def ended(run: PrefectFuture[Any]) -> None:
         if all(one.done() for one in chunk.results):
@@ -228,7 +228,7 @@ def _outcome(result: Future[CachedResult[R]]) -> Outcome[R]:
 
 
 def _pace(began: float, done: int, reused: int, total: int) -> str:
-    """How fast it goes and how long it still takes."""
+    """Format the speed and the remaining time."""
     fresh = done - reused
     if fresh == 0:
         return ""

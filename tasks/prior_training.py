@@ -23,7 +23,7 @@ PARTS = ("trained", "held_out", "tested")
 Training = MotionTraining | PoseTraining
 
 _MEASURED_SHARE = 0.2
-"""Exposures to measure on, per second, over those to learn from: neighbouring ones hardly differ."""
+"""Exposures to measure on, per second, relative to those to train on: neighbouring ones hardly differ."""
 
 
 class LessonsHandle(FileHandle):
@@ -232,7 +232,7 @@ def _measure_pose(path: Path, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _metrics(measures: dict[str, Any]) -> dict[str, list[float | None]]:
-    """Measures by part as MLflow's metrics."""
+    """Return measurements by part as MLflow's metrics."""
     metrics: dict[str, list[float | None]] = {}
     for part, found in measures.items():
         metrics |= {f"{part}/{name}": [value] for name, value in found["all"].items()}

@@ -95,11 +95,11 @@ class Task(Generic[P, R]):
         self._step: Any = prefect.task(persist_result=cached, result_serializer="json", **caching)(run)
 
     def __reduce__(self) -> str:
-        """A worker process imports the task by its name, and calls `fn`."""
+        """Send the task by its name: a worker process imports it and calls `fn`."""
         return self.fn.__qualname__
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        """Run the task, or return the kept result of an earlier run with the same inputs, options and code."""
+        """Run the task, or return the cached result of an earlier run with the same inputs, options and code."""
         with progress.step(self._label) as shown:
             state = self._step(*args, **kwargs, return_state=True)
             result = state.result()

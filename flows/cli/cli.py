@@ -368,10 +368,10 @@ def _interrupt(_signum: int, _frame: object) -> NoReturn:
 
 
 def _end_at_last(code: int) -> None:
-    """End the process by and by, whatever it waits for.
+    """End the process after a while, whatever it waits for.
 
-    A signal that comes while a library takes a lock leaves it taken; tidying up, as Prefect does through the same
-    connection, then waits for it for ever.
+    A signal during a library's locking leaves the lock taken; Prefect's clean-up through the same connection would then
+    wait forever.
     """
 
     def end() -> None:

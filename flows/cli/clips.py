@@ -207,7 +207,7 @@ def video_text(result: Mapping[str, Any]) -> str:
 
 
 def _people_text(result: Mapping[str, Any]) -> str:
-    """A line per person."""
+    """Return a line per person."""
     lines = [""]
     for one in result["people"]:
         told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"

@@ -74,7 +74,7 @@ class _EarlierName(argparse.Action):
 
 
 def _add_short_flags(group: argparse._ArgumentGroup) -> None:
-    """What most people say about both ends: `--init`, `--matting`, and the files of their networks."""
+    """Declare short flags for both ends: `--init`, `--matting`, and the files of their networks."""
     short: tuple[tuple[str, str, str], ...] = (
         ("init", "FILE|auto|mediapipe|matte|metro", "another system's result, or how to find a first body"),
         ("init-weights", "FILE", "as --init.weights"),
@@ -125,12 +125,12 @@ def run_config(given: argparse.Namespace) -> RunConfig:
 
 
 def _checked(content: dict[str, Any], source: str) -> dict[str, Any]:
-    """What was given, by the options' present names; raises InputError where it is impossible."""
+    """Return the content with current option names; raises InputError where it is impossible."""
     return to_record(RunConfig, content, source).model_dump(exclude_unset=True)
 
 
 def _room_of_weights(chosen: Mapping[str, Any]) -> str:
-    """Whose file --weights is.
+    """Return which part of the configuration --weights belongs to.
 
     Raises:
         InputError: nobody's, or of both ends.
@@ -185,7 +185,7 @@ def _nest(flags: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _parse(key: str, text: str) -> Any:
-    """Numbers and names are pydantic's to read; a list of records, such as fit.stages, comes as JSON."""
+    """Parse a flag's text: pydantic reads numbers and names; a list of records, such as fit.stages, is JSON."""
     if not text.startswith(("[", "{")):
         return text
     try:

@@ -13,7 +13,7 @@ from hfb.flows.runtime.session import Chain, libraries, open_session, tell, thro
 from hfb.flows.runtime.summary import number_text
 
 DIFFERS = 3
-"""Exit code: the run was repeated and came out otherwise."""
+"""Exit code: the repeated run has a different result."""
 
 _RUN = "a run's id, the beginning of it, or the folder of its result"
 _SHOWN_OPTIONS = 30
@@ -76,7 +76,7 @@ def rerun(given: argparse.Namespace) -> int:
 
 
 def _named(options: Sequence[str]) -> dict[str, str]:
-    """NAME=VALUE as a mapping; names also as flags write them."""
+    """Parse NAME=VALUE into a mapping; names may also be written as flags."""
     for option in options:
         if not option.partition("=")[1]:
             raise InputError("--option takes NAME=VALUE, as in --option init.person=VALUE")
@@ -135,7 +135,7 @@ def compare_text(comparison: Mapping[str, Any]) -> str:
 
 
 def _values(row: Mapping[str, Any]) -> list[Any]:
-    """What every run says."""
+    """Return the values of all runs."""
     return [row["a"], row["b"], *row.get("more", [])]
 
 

@@ -77,7 +77,7 @@ def parse_films(words: str | None) -> tuple[Film, ...]:
 
 
 def _known(words: str, names: Sequence[str], what: str) -> tuple[str, ...]:
-    """The names of a list that is divided by commas, each once.
+    """Parse comma-separated names, each once.
 
     Raises:
         InputError: one of them is unknown, or there is none.

@@ -74,7 +74,7 @@ def ask_server() -> None:
 
 
 def _end(cause: BaseException) -> BaseException | None:
-    """As a command ends that was told to, if that is what it was."""
+    """Return the exception that ends a command after a signal, if a signal is the cause."""
     if isinstance(cause, TerminationSignal):
         return SystemExit(128 + cause.signal)
     return type(cause)(*cause.args) if isinstance(cause, KeyboardInterrupt | SystemExit) else None
@@ -89,7 +89,7 @@ def _server() -> str:
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """An exception and what led to it, each once."""
+    """Yield an exception and its causes, each once."""
     seen: set[int] = set()
     current: BaseException | None = error
     while current is not None and id(current) not in seen:

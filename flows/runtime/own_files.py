@@ -45,7 +45,7 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 
 def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """The record of a folder, beside which nobody else's file is in the way."""
+    """Return the record of a folder; raises where a foreign file is in the way."""
     check_ordinary(out, OWN_FILES)
     for name in names:
         check_ordinary(out, name)
@@ -61,7 +61,7 @@ def _check_room(out: Path, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _read(out: Path) -> dict[str, tuple[str, ...]]:
-    """Name -> sha256 of what hfb wrote under it; several where a command was killed while it replaced the file."""
+    """Return name -> sha256 of hfb's files; several where a command was killed while it replaced one."""
     try:
         content = json.loads(read_file(out, OWN_FILES, limit=_LIMIT_BYTES))
         return {str(name): tuple(map(str, several)) for name, several in content["sha256"].items()}

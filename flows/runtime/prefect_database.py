@@ -175,7 +175,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 
 def _revisions(path: Path) -> set[str]:
-    """Which of Prefect's revisions the tables are of; empty where there are none."""
+    """Return the Prefect revisions of the tables; empty where there are none."""
     if not path.is_file():
         return set()
     try:
@@ -186,7 +186,7 @@ def _revisions(path: Path) -> set[str]:
 
 
 def _known_revisions() -> tuple[set[str], str]:
-    """Every revision that the installed Prefect can migrate from, and the one that it works with.
+    """Return every revision that the installed Prefect can migrate from, and its own.
 
     Read from its files: importing its server takes seconds.
     """
@@ -200,7 +200,7 @@ def _known_revisions() -> tuple[set[str], str]:
 
 
 def _taken_alone(lock: ReadWriteLock) -> bool:
-    """Whether nobody else holds it; this process does then."""
+    """Return whether nobody else holds the lock; this process then does."""
     try:
         lock.acquire_write(blocking=False)
     except Timeout:

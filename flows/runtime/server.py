@@ -156,7 +156,7 @@ class PrefectServer:
         self._process = _start_server(self._api, database.url, self._settings, self._log)
 
     def _trouble(self) -> str | None:
-        """Why the temporary server does not work; None as soon as it does."""
+        """Return why the temporary server does not work; None as soon as it does."""
         assert self._process is not None
         began = time.monotonic()
         while reason := does_not_answer(self._api):
@@ -168,7 +168,7 @@ class PrefectServer:
         return _cannot_read_runs(self._api)
 
     def _is_about_database(self) -> bool:
-        """Whether the server's log blames its database, and neither a full disk nor another process."""
+        """Return whether the server's log blames its database, and neither a full disk nor another process."""
         said = self._said()
         full_or_busy = _FULL.search(said) or "database is locked" in said
         return re.search(r"sqlite3\.|sqlalchemy|alembic", said) is not None and not full_or_busy
@@ -227,7 +227,7 @@ def does_not_answer(api: str, patience_s: float = _HEALTH_TIMEOUT_S) -> str | No
 
 
 def _cannot_read_runs(api: str) -> str | None:
-    """Why a server cannot read its tables; it answers /health without looking at them."""
+    """Return why a server cannot read its tables, which its /health does not check."""
     for kind in ("flow_runs", "task_runs"):
         request = Request(f"{api}/{kind}/filter", data=b'{"limit": 1}', headers={"Content-Type": "application/json"})
         try:
@@ -242,7 +242,7 @@ def _cannot_read_runs(api: str) -> str | None:
 
 
 def _end_with_this_process(server_pid: int) -> None:
-    """End the temporary server even after kill -9, when nothing of this process runs any more.
+    """End the temporary server with this process, even if that is killed.
 
     The watcher reads a pipe that only this process holds open; the read ends when the process does.
     """

@@ -17,7 +17,7 @@ from hfb.flows.runtime import summary
 from hfb.tasks.telemetry.secrets import hidden_in, without_secrets
 
 Chain = Callable[[Callable[[], None]], dict[str, Any]]
-"""Does the work; calls what it is given before it needs the server."""
+"""A command's computation; it calls its argument before it needs the server."""
 
 
 def through_prefect(given: argparse.Namespace, out: Path, load: Callable[[], Chain]) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult])
 
 
 def _fixed(configuration: type[Any]) -> type[Any]:
-    """A job configuration of containers whose image and mounts are the pool's, and whose command is ours."""
+    """Return a job configuration of containers with the pool's image and mounts, and hfb's command."""
 
     class Fixed(configuration):
         """Job variables of runs and deployments have no effect."""

@@ -81,7 +81,7 @@ def workspace(out: Path) -> Iterator[Path]:
 
 @contextmanager
 def _held(out: Path) -> Iterator[bool]:
-    """Whether the folder's lock was free; it is then held."""
+    """Yield whether the folder's lock was free; it is held inside the block."""
     with open_folder(out, INTERMEDIATE, make=True):
         lock = open_lock(out, INTERMEDIATE, _LOCK)
     try:
@@ -91,14 +91,14 @@ def _held(out: Path) -> Iterator[bool]:
 
 
 def _check_names(out: Path) -> None:
-    """Raises NotOrdinary where a link or a special file has the name of something that hfb leaves in a result."""
+    """Raise NotOrdinary if a link or a special file has the name of one of a result's files."""
     for entry in os.scandir(out):
         if _is_a_name_of_hfb(entry.name) or entry.name in _FOLDERS or _FOLDER.fullmatch(entry.name):
             check_ordinary(out, entry.name)
 
 
 def _remove_leftovers(out: Path, folder: Path) -> None:
-    """Remove what a killed writer left: files of hfb under temporary names of hfb's."""
+    """Remove temporary files that a killed writer of hfb left."""
     for place in (out, folder):
         for entry in list(os.scandir(place)):
             name = leftover_of(entry.name)
@@ -205,7 +205,7 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
 
 def _move_beside(out: Path, made: Mapping[str, Path], earlier: _Published) -> None:
-    """Record first and move then: a file of hfb's that no record names would stay beside other results."""
+    """Record files first and move them then: a file that no record names would stay beside other results."""
     result = read_result_content(out)
     if "files" in result:  # else they are known by their names
         result["files"] = sorted({*result["files"], *made})
@@ -251,7 +251,7 @@ class _Published:
 
 
 def _published(out: Path) -> _Published:
-    """The record of the result in a folder.
+    """Return the record of the result in a folder.
 
     Where an older version did not name its files, what has a name that only some results have is taken for its.
     """
@@ -270,7 +270,7 @@ def _published(out: Path) -> _Published:
 
 
 def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier: _Published) -> None:
-    """Raises OutputConflict where a file would take the place of something that is not hfb's to replace."""
+    """Raise OutputConflict if a file of the user's would be replaced."""
     for name in (*files, RESULT):
         if (kind := special_kind(out / name)) is not None:
             raise OutputConflict(
@@ -290,7 +290,7 @@ def _check_room(out: Path, files: Mapping[str, Path], inputs: set[str], earlier:
 
 
 def _mark(out: Path, result: Mapping[str, Any], earlier: _Published) -> None:
-    """Put the note in result.json's place; it names the old files and the new, so that the next run replaces both."""
+    """Replace result.json by the note, which names old and new files, so that the next run replaces both."""
     note: dict[str, Any] = {
         UNFINISHED: "files are being replaced; where no hfb is running, run the same command again",
         "out": result["out"],
@@ -305,7 +305,7 @@ def _mark(out: Path, result: Mapping[str, Any], earlier: _Published) -> None:
 
 
 def _remove_stale(out: Path, earlier: _Published, files: Mapping[str, Path], inputs: set[str]) -> None:
-    """Remove what the earlier result had beyond the new one, unless it was changed since hfb wrote it."""
+    """Remove the earlier result's further files, unless they were changed since hfb wrote them."""
     for name in earlier.files - files.keys():
         path = out / name
         if not _is_a_name_of_hfb(name) or not is_regular(path) or _is_one_of(inputs, path):
@@ -315,7 +315,7 @@ def _remove_stale(out: Path, earlier: _Published, files: Mapping[str, Path], inp
 
 
 def _clear(staging: Path, names: set[str]) -> None:
-    """Remove the staging folder with what a killed run may have left in it."""
+    """Remove the staging folder with the files of a killed run."""
     for entry in list(os.scandir(staging)):
         name = leftover_of(entry.name) or entry.name
         if (name in names or _is_a_name_of_hfb(name)) and entry.is_file(follow_symlinks=False):
@@ -329,7 +329,7 @@ def _only_sometimes(name: str) -> bool:
 
 
 def _is_a_name_of_hfb(name: str) -> bool:
-    """The folder may be from somebody else, whose result.json names anything."""
+    """Return whether hfb writes files of this name: the folder may come from somebody else, with any result.json."""
     return name in (*_OF_MOTIONS, RESULT) or _only_sometimes(name)
 
 

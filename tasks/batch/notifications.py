@@ -26,7 +26,7 @@ from hfb.errors import InputError
 from hfb.tasks.telemetry import progress
 
 VARIABLE = "HFB_NOTIFY"
-"""Addresses for whoever would not have them in a command, divided by blanks."""
+"""Environment variable of addresses that are not given on the command line, separated by blanks."""
 
 FORMS = (
     "https://... (a JSON object is posted, to Slack's incoming webhooks a text), slack:https://... (another server "
@@ -112,7 +112,7 @@ def notify_end(folder: str, reason: str) -> None:
 
 
 def _tell(text: str, facts: Mapping[str, Any]) -> None:
-    """Each address in a thread of its own, for so long: a receiver that takes its time holds no clip up."""
+    """Send to each address in its own thread, with a time limit: a slow receiver delays no clip."""
     waiting = []
     for number, address in enumerate(_addresses.get(), 1):
         context, failed = contextvars.copy_context(), [f"no answer within {_PATIENCE_S:.0f} s"]
@@ -127,7 +127,7 @@ def _tell(text: str, facts: Mapping[str, Any]) -> None:
 
 
 def _send(address: str, text: str, facts: Mapping[str, Any], failed: list[str]) -> None:
-    """Leaves ``failed`` empty where the message was taken; errors are told by kind: their texts name addresses."""
+    """Send to one address; sets ``failed`` to the kind of an error only, since error texts contain addresses."""
     scheme, rest = address.partition(":")[::2]
     try:
         if scheme == "block":
@@ -190,7 +190,7 @@ def _by_apprise(address: str, text: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The libraries' own lines hold addresses."""
+    """Silence the libraries' logging inside the block: it contains addresses."""
     loggers = [logging.getLogger(name) for name in ("apprise", "httpx", "httpcore", "urllib3", "requests")]
     levels = [one.level for one in loggers]
     for one in loggers:
@@ -213,5 +213,5 @@ def _text(folder: str, troubles: Sequence[ClipTrouble], counts: Mapping[str, Any
 
 
 def _for_slack(text: str) -> str:
-    """Names of clips must not call a channel, or lead anywhere."""
+    """Escape text for Slack: names of clips must not mention a channel, or become links."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

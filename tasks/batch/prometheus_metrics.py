@@ -133,7 +133,7 @@ def serve_metrics() -> Iterator[None]:
 
 
 def _started(host: str, first: int, registry: CollectorRegistry) -> tuple[WSGIServer, threading.Thread] | None:
-    """The server, on the first free port; None, and a word, where there is none: no run ends for want of figures."""
+    """Start the server on the first free port; None, with a line for the user, where there is none."""
     from prometheus_client import start_http_server
 
     if not 0 < first < _PORTS_END - _NEIGHBOURS:
@@ -174,7 +174,7 @@ def _resident_bytes(process: multiprocessing.process.BaseProcess) -> int:
 
 
 def _gpus() -> list[tuple[str, float, float]]:
-    """(number, share of the time in which it works, bytes taken) of every GPU; none where the driver is not there."""
+    """Return (number, utilisation, bytes in use) of every GPU; empty without a driver."""
     program = shutil.which("nvidia-smi")
     if program is None:
         return []

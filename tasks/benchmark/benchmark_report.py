@@ -92,7 +92,7 @@ def draw_benchmark_page(
 
 
 def _plots(results: ResultsHandle, beside: BesideHandle | None) -> list[Path]:
-    """Every plot; the one with the paper's numbers in the place of the one without."""
+    """Return all plots; the one with the paper's numbers replaces the one without."""
     plots = [one.path for one in results.plots]
     if beside is None or beside.plot is None:
         return plots
@@ -100,7 +100,7 @@ def _plots(results: ResultsHandle, beside: BesideHandle | None) -> list[Path]:
 
 
 def _made_from(params: Mapping[str, Any], methods: Mapping[str, Any]) -> dict[str, str]:
-    """Set, starts, mattes, methods, versions and machine, in words."""
+    """Describe set, starts, mattes, methods, versions and machine."""
     told = {name: value for name, value in flatten(params).items() if value not in ("None", "")}
     told |= {f"method {name}": json.dumps(options, sort_keys=True) for name, options in methods.items()}
     return {**told, "code": code_version(), **environment()}

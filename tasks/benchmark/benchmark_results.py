@@ -153,13 +153,13 @@ def record_benchmark(
 
 
 def _rank(row: Mapping[str, Any]) -> tuple[float, int]:
-    """Fitted over initial error; for a method without poses, how badly it covers the silhouette."""
+    """Return fitted over initial error, or for a method without poses the negative IoU, and the case's number."""
     if row.get("mpjpe_mm") is not None and row.get("initial_mpjpe_mm"):
         return row["mpjpe_mm"] / row["initial_mpjpe_mm"], row["case"]
     return -(row.get("iou") or 0.0), row["case"]
 
 
 def _metrics(prefix: str, cells: Sequence[Mapping[str, Any]]) -> dict[str, list[float | None]]:
-    """The numbers of some cells by name, a step per cell."""
+    """Return the numbers of some cells by name, a step per cell."""
     names = {name for cell in cells for name, value in cell.items() if isinstance(value, int | float)}
     return {f"{prefix}/{name}": [cell.get(name) for cell in cells] for name in sorted(names)}

@@ -116,7 +116,7 @@ def source_of(case: Case) -> str:
 
 
 def _sharp(case: Case) -> np.ndarray | None:
-    """The true sub-frames; a case of real video need not have them."""
+    """Return the true sub-frames; None for real video without them."""
     from hfb.datasets.synthetic.sharp import load_sharp
 
     if not all(path.exists() for path in case.sharp_paths()):

@@ -27,7 +27,7 @@ class StaleFile(Exception):
 
 Stamp = tuple[int, int, int, int, int]
 _read: dict[Path, tuple[Stamp, str]] = {}
-"""sha256 of the files that this process has read, and the stamp that each had then."""
+"""sha256 and stamp of the files that this process has read."""
 
 
 class Call(Record):
@@ -159,7 +159,7 @@ _NO_CONTENT: dict[type[Record], tuple[str, ...]] = {
     FileHandle: ("path", "seconds"),
     FitHandle: ("seconds", "stage_seconds"),
 }
-"""Fields that say where something lies or how long it took, and so do not count in a digest."""
+"""Fields that say where a file lies or how long a step took; they do not count in a digest."""
 
 
 def sha256_of(path: Path) -> str:
@@ -181,7 +181,7 @@ def sha256_of(path: Path) -> str:
 
 
 def _stamp(path: Path) -> Stamp:
-    """Any write or replacement changes it: the time of the last change is the kernel's, nobody can set it."""
+    """Return what any write or replacement changes: only the kernel can set the time of the last change."""
     facts = path.stat()
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
 

@@ -82,7 +82,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _only_handles(content: dict[str, Any]) -> dict[str, Any]:
-    """Raises ValueError for anything that Prefect would make into an object of somebody else's class."""
+    """Return the content; raise ValueError for anything that Prefect would deserialise into a foreign class."""
     kind = content.get("__class__")
     if "__exc_type__" in content or (kind is not None and not str(kind).startswith(_OURS)):
         raise ValueError("not a handle")

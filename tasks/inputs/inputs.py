@@ -15,7 +15,7 @@ from hfb.tasks.inputs.given_networks import init_files, matting_file
 from hfb.tasks.inputs.out_place import check_pictures_out
 
 _OF_VIDEOS = ("video", "scan", "start", "stop", "start_s", "stop_s", "background", "person")
-"""Entries of clip.toml that say nothing about single pictures, whose plate is given."""
+"""Entries of clip.toml without effect on single images, whose plate is given."""
 
 _ONE_OF = {"frames": "frame", "first_bodies": "first_body", "networks": "network", "init_files": "init_file"}
 
@@ -160,7 +160,7 @@ def find_exposure_s(picture: Path, exposure: ClipExposure, config: ExposureConfi
 
 
 def _clip_of_pictures(path: Path, picture: Path) -> Clip:
-    """clip.toml with the numbers of its calibration file in the file's place.
+    """Read clip.toml and replace its calibration file by the file's numbers.
 
     Raises:
         InputError: clip.toml or the calibration is wrong, or the lens distorts: single pictures are taken as they are.

@@ -132,7 +132,7 @@ def video_hashes(inputs: VideoInputs) -> dict[str, str]:
 
 
 def _plate(told: str | None, files: tuple[Path, ...]) -> tuple[Literal["file", "median", "still"], FileHandle | None]:
-    """Where the background comes from."""
+    """Return the origin of the background, and its file."""
     for how in _FOUND:
         if told == how:
             return how, None

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from hfb.typing import Array
 
 _PICTURES = ("frame_", "background", "video", "calibration")
-"""Roles of the files that pictures come from; networks, priors and truths are not needed to look at a result."""
+"""Roles of files that images come from; networks, priors and truths are not needed to draw a result."""
 
 _FAR = 60
 
@@ -209,7 +209,7 @@ def locate_inputs(files: Mapping[str, GivenFile], folder: Path | None) -> dict[s
 
 
 def _state(file: GivenFile) -> str | None:
-    """What is wrong with a file at its old place."""
+    """Return what is wrong with a file at its old place; None where nothing is."""
     try:
         if file.path.stat().st_size == file.bytes and sha256_of(file.path) == file.sha256:
             return None
@@ -221,7 +221,7 @@ def _state(file: GivenFile) -> str | None:
 
 
 def _below(folder: Path, files: list[GivenFile]) -> dict[str, Path]:
-    """The files that lie somewhere in a folder; only files of a wanted size are read."""
+    """Return the files that lie somewhere in a folder; only files of a wanted size are read."""
     wanted: dict[int, set[str]] = defaultdict(set)
     for file in files:
         wanted[file.bytes].add(file.sha256)

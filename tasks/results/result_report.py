@@ -204,7 +204,7 @@ def page_text(
 
 
 def _alternatives_of(motion: SampledMotion, path: Path) -> Alternatives:
-    """The alternatives of a motion. Raises InputError where they are another motion's."""
+    """Load the alternatives of a motion. Raises InputError where they are another motion's."""
     from hfb.fitting.alternatives import load_alternatives
 
     found = load_alternatives(path)[0]
@@ -219,7 +219,7 @@ def _title(facts: Mapping[str, Any], name: str) -> str:
 
 
 def _repeat(facts: Mapping[str, Any]) -> str | None:
-    """The command that repeats the run."""
+    """Return the command that repeats the run."""
     run_id = facts.get("mlflow_run_id")
     return f"hfb rerun {shlex.quote(run_id)}" if isinstance(run_id, str) else None
 

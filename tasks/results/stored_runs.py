@@ -129,7 +129,7 @@ def _every_run(condition: str) -> Iterator[Any]:
 
 
 def _id_in(folder: Path) -> str:
-    """The run of a result's folder."""
+    """Return the run's id of a result's folder."""
     told = result_facts(folder)
     found = told.get("mlflow_run_id")
     if isinstance(found, str):
@@ -141,7 +141,7 @@ def _id_in(folder: Path) -> str:
 
 
 def _recorded_in(folder: Path) -> list[Path]:
-    """The people of a clip whose runs were recorded; of some no motion may have been found."""
+    """Return the folders of people whose runs were recorded; others may have no motion."""
     found = []
     for one in natural_order(folder.glob("person-*")):
         if special_kind(one) is not None:

@@ -28,7 +28,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass
 class _Watched:
-    """A step of a flow run; ``context`` holds Prefect's settings as they were where it began."""
+    """A step of a flow run; ``context`` holds Prefect's settings from its beginning."""
 
     shown: Shown
     flow_run: UUID
@@ -114,14 +114,14 @@ class Artifacts:
 
 
 def _flow_run_id() -> UUID | None:
-    """The flow run in which this is called."""
+    """Return the flow run of the caller, or None."""
     contexts = sys.modules.get("prefect.context")
     run = contexts.FlowRunContext.get() if contexts is not None else None
     return run.flow_run.id if run is not None and run.flow_run is not None else None
 
 
 def _tell(one: _Watched) -> None:
-    """Make the step's artifact, or bring it up to date."""
+    """Create or update the step's artifact."""
     from prefect.client.orchestration import get_client
     from prefect.client.schemas.actions import ArtifactCreate, ArtifactUpdate
 

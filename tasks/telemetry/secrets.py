@@ -20,7 +20,7 @@ _NAMES = (
     r"secret[_-]?(?:access[_-]?)?key|account[_-]?key|private[_-]?key|auth[_-]?string|credentials?|authorization)|"
     r"pgpassword|AWSAccessKeyId|GoogleAccessId|accesstoken|sessiontoken|securitytoken|sharedaccesskey|sharedaccesssignature"
 )
-"""What a value that nobody may see is called: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
+"""Names of secret values: `sig` of Azure, `X-Amz-Signature`, `MLFLOW_TRACKING_TOKEN` ..."""
 
 _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(\b[a-zA-Z][\w+.-]*://[^\s/:@'\"]*):[^\s'\"]*@"), rf"\1:{HIDDEN}@"),
@@ -107,7 +107,7 @@ def shown_address(address: str) -> str:
 
 
 def _held() -> Iterator[str]:
-    """Secrets of the environment, also as an address and as a header would hold them; the longest first."""
+    """Yield secrets of the environment, also as encoded in addresses and headers; the longest first."""
     found: set[str] = set()
     for name, value in os.environ.items():
         least = _SHORTEST if name in _SECRETS else _SHORTEST_GUESSED

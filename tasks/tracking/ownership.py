@@ -40,7 +40,7 @@ def is_abandoned(mark: str) -> bool:
 
 
 def _beginning(process: int) -> str | None:
-    """When a process began, in whatever words the system has for it; None where there is no such process."""
+    """Return when a process began, in the system's own format; None where there is no such process."""
     if _BOOT.exists():
         try:
             fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()

@@ -14,7 +14,7 @@ from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.inputs.inputs import input_files
 
 RECIPE = "recipe.json"
-"""The artifact's name."""
+"""Name of the artifact."""
 
 COMMAND_TAG = "hfb.command"
 _LIMIT_BYTES = 64 << 20
@@ -153,13 +153,13 @@ def places_of_paths(recipe: Recipe) -> dict[str, str]:
 
 
 def _now(recipe: Recipe, places: Mapping[str, Path]) -> dict[str, str]:
-    """Where a file was -> where it is; a handle's own sha256 -> where that is."""
+    """Return old path -> current path, and a handle's sha256 -> the current path's."""
     paths = {path: str(places[sha256]) for path, sha256 in places_of_paths(recipe).items() if sha256 in places}
     return paths | {sha256: str(place) for sha256, place in places.items()}
 
 
 def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
-    """Every path in plain content that names one of some files from the current folder -> the file's whole path."""
+    """Return every relative path in plain content that names one of the files -> its absolute path."""
     if isinstance(content, dict | list):
         inner = content.values() if isinstance(content, dict) else content
         return {name: path for one in inner for name, path in _absolute(one, paths).items()}
@@ -168,7 +168,7 @@ def _absolute(content: Any, paths: Collection[str]) -> dict[str, str]:
 
 
 def _replace_paths(content: Any, moved: Mapping[str, str]) -> Any:
-    """Plain content with every path that a file was moved from replaced, in handles and options alike."""
+    """Replace every moved path in plain content, in handles and options alike."""
     if isinstance(content, dict):
         there = {name: _replace_paths(value, moved) for name, value in content.items() if name != "sha256"}
         if "sha256" not in content:

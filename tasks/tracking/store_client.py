@@ -170,7 +170,7 @@ def _check_tables(uri: str) -> None:
 
 
 def _wait_until_settled(read: Callable[[], str | None], wanted: str | None) -> str | None:
-    """What is read, once it no longer changes: another process may be making the tables."""
+    """Read until the value no longer changes: another process may be creating the tables."""
     found, since = read(), time.monotonic()
     while found not in (None, wanted) and time.monotonic() - since < _MIGRATES_S:
         time.sleep(0.5)

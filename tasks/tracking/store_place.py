@@ -161,7 +161,7 @@ def make_folder(uri: str) -> None:
 
 
 def _scheme(uri: str) -> str:
-    """The kind of a store, without its driver; empty for a folder."""
+    """Return the kind of a store, without its driver; empty for a folder."""
     found = re.match(r"([a-zA-Z][\w.+-]*):", uri)
     return found[1].lower().partition("+")[0] if found else ""
 
@@ -175,7 +175,7 @@ def _plugins() -> set[str]:
 
 
 def _advice(place: str) -> str:
-    """A file to record into, named so that it works as it is written."""
+    """Return advice to record into a SQLite file near the place."""
     path = unquote(urlsplit(place).path) if place.startswith("file:") else place
     whole = Path(path or "mlruns").expanduser().absolute()
     file = whole if whole.suffix in _ENDINGS and not whole.is_dir() else whole.with_name(f"{whole.name or 'mlruns'}.db")

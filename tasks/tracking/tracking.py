@@ -1,4 +1,4 @@
-"""MLflow: one run per problem, found again by what went in.
+"""MLflow: one run per problem, identified by its inputs.
 
 Only this module and `hfb.tasks.tracking.store_client` import mlflow.
 
@@ -320,7 +320,7 @@ def add_record_context(key: str, tags: Mapping[str, str]) -> tuple[str, dict[str
 
 
 def _of_repetition(key: str, tags: Mapping[str, str]) -> tuple[str, Mapping[str, str]]:
-    """A repetition has a run of its own, and never finds the one that it repeats."""
+    """Return key and tags of a repetition, which has its own run and never finds the one that it repeats."""
     repeated = repetition.current()
     if repeated is None:
         return key, tags

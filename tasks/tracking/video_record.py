@@ -115,7 +115,7 @@ class ClipRecord:
         self._unwatch = tracking.watch_machine(self._run)
 
     def _log(self, points: Mapping[str, Mapping[int, float]]) -> None:
-        """Points that the run does not have: an earlier start of the same command may have logged them."""
+        """Log points that the run lacks: an earlier start of the same command may have logged some."""
         run = self._run
         if run is None or run.complete:
             return

@@ -223,12 +223,12 @@ def load_timing(handle: FootageHandle) -> Timing:
 
 @functools.lru_cache(maxsize=1)
 def _content(path: Path, sha256: str) -> dict[str, Any]:
-    """Of footage.json; a folder of ten thousand pictures makes it megabytes, which every sixteen frames ask for."""
+    """Read footage.json, cached: for a folder of ten thousand images it has megabytes and is read for every chunk."""
     return dict(json.loads(path.read_bytes()))
 
 
 def _clip_frames(footage: FootageHandle) -> ClipFrames:
-    """Which of the video's frames the clip's are."""
+    """Return the numbers of the clip's frames in the video."""
     from hfb.tracking.tracks import ClipFrames
 
     known = load_footage(footage)
@@ -236,7 +236,7 @@ def _clip_frames(footage: FootageHandle) -> ClipFrames:
 
 
 def _plain(record: Any) -> dict[str, Any]:
-    """A frozen record of paths, numbers and rows of numbers as JSON."""
+    """Return a frozen record of paths, numbers and rows of numbers as JSON."""
     return {field.name: _as_json(getattr(record, field.name)) for field in fields(record)}
 
 

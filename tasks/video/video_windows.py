@@ -106,7 +106,7 @@ def fill_bodies(
 
 
 def _gpu_batch_size(call: WindowCall) -> int:
-    """How many windows are one problem for a GPU."""
+    """Return how many windows are one problem on a GPU."""
     from hfb.fitting.clip.windows import window_batch_size
 
     return window_batch_size(call.config)

@@ -216,14 +216,14 @@ def _compute_away(store: str | None, code: str, function: Callable[[Call], R], c
 
 
 def _as_called_there(file: FileHandle, folder: Path, given: dict[tuple[str, str], Path]) -> FileHandle:
-    """By its place in the folder, or, of a file that was given, by the name that it has where it comes from."""
+    """Return a file by its place in the folder, or, for an input, by its original name."""
     made = file.path.is_relative_to(folder)
     path = file.path.relative_to(folder) if made else given[file.sha256, file.path.name]
     return file.model_copy(update={"path": path})
 
 
 class _Cache:
-    """A worker's own copies, by content; thrown away when they are many and nobody uses them."""
+    """A worker's own copies of files, by content; cleared when they are large and unused."""
 
     def __init__(self) -> None:
         self._lock, self._users = threading.Lock(), 0

@@ -112,7 +112,7 @@ def _fork_server() -> multiprocessing.context.ForkServerContext:
 
 
 class _Records:
-    """What workers log, said by this process: its handlers know the log file and the display."""
+    """Receives the workers' log records: this process's handlers know the log file and the display."""
 
     def __init__(self, context: multiprocessing.context.ForkServerContext) -> None:
         self._reader, writer = context.Pipe(duplex=False)
@@ -157,7 +157,7 @@ class _RecordQueue:
 
 
 class _Utilisation:
-    """How long steps over many inputs took, and how busy the workers were in them."""
+    """Duration of steps over many inputs, and the workers' computing time in them."""
 
     def __init__(self) -> None:
         self.seconds, self.busy_s = 0.0, 0.0
@@ -293,7 +293,7 @@ def _begin(records: Any, environment: dict[str, str]) -> None:
 
 
 def _end_with_parent() -> None:
-    """No orphans, at once: a parent that was killed cannot tell its workers, and nobody hears of what they make."""
+    """End with the parent process: a killed parent cannot stop its workers."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     multiprocessing.connection.wait([parent.sentinel])

@@ -17,7 +17,7 @@ _Share = Annotated[float, Field(ge=0, le=1)] | None
 
 
 class _Stored(BaseModel):
-    """Other entries are allowed: every version adds some."""
+    """A record with further entries allowed: every version adds some."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 

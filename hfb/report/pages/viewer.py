@@ -97,7 +97,7 @@ def _packed(viewed: ViewedMotion) -> dict[str, Any]:
 
 
 def _packed_skin(skin: Skin) -> dict[str, Any]:
-    """Normals in 8 bits, texture coordinates in 16, weights in 8: less than a pixel shows."""
+    """Pack normals in 8 bits, texture coordinates in 16, weights in 8: the errors are below a pixel."""
     count = len(skin.vertices)
     joints, weights = np.zeros((2, count, 4 * _SETS))
     for number, (some, shares) in enumerate(zip(skin.joints[:_SETS], skin.weights[:_SETS], strict=True)):

@@ -101,7 +101,7 @@ class Decimator:
         return {self.uv_faces[i][self.faces[i].index(v)] for i in self.at[v]}
 
     def _collapsible(self, u: int, v: int) -> dict[int, int] | None:
-        """{texture coordinate at u: the one at v that takes its place}, or None where u must not move onto v."""
+        """Return {texture coordinate at u: its replacement at v}, or None where u must not move onto v."""
         shared = self.at[u] & self.at[v]
         if self.on_middle[u] and (not self.on_middle[v] or len(shared) != 1):
             return None

@@ -39,7 +39,7 @@ def joint_regressor(skin: np.ndarray, skeleton: np.ndarray, mirror: np.ndarray) 
 
 
 def _around(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """The nearest few vertices in each of the eight octants around a place."""
+    """Return the nearest few vertices in each of the eight octants around a point."""
     away = points - place
     octant = (away > 0) @ np.array([1, 2, 4])
     distance = np.linalg.norm(away, axis=1)

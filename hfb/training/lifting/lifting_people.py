@@ -35,7 +35,7 @@ _STEPS_MM = {
 
 _INHERITED = 0.6
 _TOWARDS_START = 0.15
-"""A parent's share in a joint's error; the largest share of the first guess' error that a fit keeps."""
+"""A parent's share in a joint's error; the largest share of the first estimate's error that a fit keeps."""
 
 _MOVED_AT_MOST_M, _FORGETS_M = 0.25, 0.145
 _STILL, _GROWS_PER_M = 0.65, 5.2
@@ -50,12 +50,12 @@ alike). Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a 
 _ROLL_FITS, _SIZES_FITS = 0.25, 0.08
 """Turns [rad] and sizes (logarithms) of fits."""
 _OTHER_CAMERAS, _PERSPECTIVE = 0.35, 0.4
-"""Share of the people as other cameras see them, from afar (0) to near by (a unit is .4 of the distance)."""
+"""Share of the people seen by other cameras, from afar (0) to close by (a unit is 0.4 of the distance)."""
 _PITCH_YAW_ROLL = (0.0, 0.2, 0.15)
 _ASLANT, _PITCH_YAW_ROLL_ASLANT = 0.25, (0.25, 0.2, 0.3)
-"""Turns of whole people [rad]; a share as cameras see them that look down or are held aslant."""
+"""Rotations of whole people [rad]; a share as seen by cameras that look down or are tilted."""
 _LEANING, _LEAN = 0.3, 0.25
-"""Share of first guesses that are tilted as a whole into depth, as real estimators do, and how far [rad]."""
+"""Share of first estimates tilted as a whole into depth, as of real estimators, and the angle [rad]."""
 
 
 @dataclass(frozen=True)
@@ -218,12 +218,12 @@ def augmented(bank: Bank, count: int) -> Bank:
 
 
 def _from_afar(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """Joints (N, 2, 24, 3) from the pelvis without their perspective, but for what hangs on their way to the axis."""
+    """Remove the perspective of joints (N, 2, 24, 3) from the pelvis, except for the part due to the view's axis."""
     return torch.cat([joints[..., :2] * (1 + perspective[..., None, None] * joints[..., 2:]), joints[..., 2:]], -1)
 
 
 def _by_a_camera(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """The way back."""
+    """Apply perspective: the inverse of `_from_afar`."""
     nearer = (1 + perspective[..., None, None] * joints[..., 2:]).clamp_min(0.2)
     return torch.cat([joints[..., :2] / nearer, joints[..., 2:]], -1)
 

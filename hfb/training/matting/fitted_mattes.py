@@ -69,7 +69,7 @@ class MattingGym(Gym):
 
 
 def _cut(layers: np.ndarray, matte: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A square around the person, not scaled where it fits."""
+    """Cut a square around the person, unscaled where it fits."""
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     side = max(bottom - top, right - left, SIZE_PX)
     corner = [round((a + b - side) / 2 + rng.normal(0, 4)) for a, b in ((top, bottom), (left, right))]

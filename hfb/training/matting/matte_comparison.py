@@ -114,7 +114,7 @@ def _method(name: str, weights: Path | None) -> Method:
 
 
 def _asked(method: Method, pair: Pair) -> np.ndarray:
-    """The method's matte; empty where it refuses."""
+    """Return the method's matte; empty where it fails."""
     try:
         return method(pair.scene.frame, pair.scene.plate)
     except InputError:

@@ -26,7 +26,7 @@ _TURN_RAD = 0.17
 """Spread of a joint's rotation at mid-exposure about each axis."""
 
 _LEAST_TURNING, _LEAST_GOING = 0.1, 0.5
-"""Shares of the true rotations' and of the true translation's change that the least lively fits find."""
+"""Smallest shares of the true change of rotations and of the translation that fits find."""
 
 _TURNING_NOISE, _GOING_NOISE_M = 0.15, (0.34, 0.63)
 """Noise of every entry of a rotation's coefficients, and of a translation's linear and quadratic ones.
@@ -35,7 +35,7 @@ In units of how fast the body's joints turn: the root mean square over the joint
 """
 
 _STILL = 0.01
-"""A body turns at least so fast, in these units."""
+"""Smallest rotation speed of a body, in these units."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def with_errors_of_a_fit(columns: Float[Tensor, "T 3 25 4"], generator: torch.Ge
 
 
 def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, Bool[Tensor, "T 25"]]:
-    """Some columns scaled, exchanged with another motion's, or replaced by noise."""
+    """Scale some columns, exchange them with another motion's, or replace them by noise."""
     count = len(columns)
     which = torch.rand(count, COLUMN_COUNT, generator=generator) < 0.15 * torch.rand(count, 1, generator=generator)
     which &= torch.rand(count, 1, generator=generator) < _UNREALISTIC_SHARE
@@ -144,7 +144,7 @@ def _unrealistic(columns: Tensor, generator: torch.Generator) -> tuple[Tensor, B
 
 
 def _turned(rotations: Tensor, by: Tensor) -> Tensor:
-    """Quaternion polynomials turned by rotation vectors [rad] in the parent's frame."""
+    """Rotate quaternion polynomials by rotation vectors [rad] in the parent's frame."""
     return multiply_quaternions(axis_angle_to_quaternion(by)[:, None].expand_as(rotations), rotations)
 
 
