@@ -137,7 +137,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         folder: of intermediate files.
 
     Raises:
-        InputError: the footage, the plate or the track cannot be used, or nobody is seen in any frame.
+        InputError: the footage, the plate or the track cannot be used, or no frame shows a person.
     """
     footage = look_at_clip(
         inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder

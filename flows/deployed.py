@@ -1,7 +1,7 @@
-"""The chains as a server starts them: the deployments of infra/prefect.yaml; their parameters are the form on its page.
+"""Flows that a Prefect server starts: the deployments of infra/prefect.yaml; their parameters are the form on its page.
 
-Each does what the command of that name does, with the files and folders of the machine that the worker runs on. What
-went wrong is the flow run's message; nothing is asked, and nothing is kept in a terminal's words.
+Each does the same as the command of its name, with files and folders of the worker's machine. An error becomes the
+flow run's message.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ Natural = Annotated[int, Field(ge=0)]
 
 
 class Options(RunConfig):
-    """The options of the method, as `hfb fit --help` tells them; of `fit` only what is unlike the preset."""
+    """The options of the method as in `hfb fit --help`; of `fit` only those that differ from the preset."""
 
     fit: dict[str, Any] = Field(  # type: ignore[assignment]  # a form would fill in one preset's values for the other
         {}, description='what is unlike the preset, such as {"subframes": 12}; {"rasterizer": "cuda"} draws on a GPU'
     )
 
     def config(self) -> RunConfig:
-        """The configuration that these options and their preset make together; raises InputError."""
+        """Return the configuration of the preset with these options; raises InputError."""
         fit = to_record(RunConfig, {"fit": self.fit}, "options").model_dump(exclude_unset=True)
         return to_record(RunConfig, merged(preset(self.preset).model_dump(), self.model_dump() | fit), "options")
 
@@ -66,10 +66,10 @@ def fit(
     *,
     options: Options = _BEST,
 ) -> dict[str, Any]:
-    """Blurred pictures of a static camera to a moving body, as `hfb fit`.
+    """Blurred images of a static camera to a moving body, as `hfb fit`.
 
     Args:
-        frames: blurred pictures, in their order; several are one problem.
+        frames: blurred images, in their order; several are one problem.
         background: the same view without the person.
         out: the folder for the results; made where there is none.
         clip: a clip.toml with camera and exposure of the recording.
@@ -79,7 +79,7 @@ def fit(
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
@@ -104,7 +104,7 @@ def video(
     Args:
         source: a video, a folder of its frames, or a folder with a clip.toml.
         out: the folder for the results; made where there is none.
-        background: a picture of the view without the person, or the word median or still.
+        background: an image of the view without the person, or the word median or still.
         clip: camera, exposure, time range and person; else the clip.toml in the folder.
         everyone: each person who is seen, one after the other.
         workers: how many processes compute, or a cluster, such as dask:tcp://host:8786; changes no digit.
@@ -115,7 +115,7 @@ def video(
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or a server went away; what is finished is kept.
     """
     config = options.config()
@@ -249,7 +249,7 @@ def train(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         what the prior knows, and where it is.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     with _on_a_worker(out.parent, out=out, motions=plan.motions):
         return train_prior.train_prior.fn(plan, out)

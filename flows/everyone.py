@@ -51,7 +51,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
         the content of result.json; of everyone: what became of each person, and the sums.
 
     Raises:
-        InputError: something given cannot be used; of everyone: nobody is seen, or nobody's motion was found.
+        InputError: an input cannot be used; of everyone: no person is visible, or no motion was found.
         InfrastructureError: see `hfb.flows.video.run_video`.
     """
     if inputs.clip.person.which != "everyone":
@@ -97,7 +97,7 @@ def everyone_in(inputs: VideoInputs, out: Path, config: RunConfig) -> tuple[Pers
         config: all options.
 
     Raises:
-        InputError: nobody is seen, or the clip cannot be used.
+        InputError: no person is visible, or the clip cannot be used.
     """
 
     # A closure, as in `hfb.flows.video.run_video`.

@@ -53,7 +53,7 @@ def export_result(
 
     Raises:
         InputError: there is no such result, it is damaged, a library is missing, the body is not the one fitted, films
-            are asked for and the pictures are gone, or somebody else's files lie where meshes belong.
+            are asked for and the images are gone, or somebody else's files lie where meshes belong.
     """
     check_formats(formats)
     with resolve_result(source, (TEXTURE, RESULT)) as place:

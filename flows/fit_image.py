@@ -67,7 +67,7 @@ def fit_image(
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     return _run_chain(
         take_inputs(frames, background, config, clip, truth=truth, first_bodies=first_bodies, out=out), out, config

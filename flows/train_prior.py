@@ -60,7 +60,7 @@ def train_prior(plan: TrainingPlan, out: Path) -> dict[str, Any]:
         the content of the .json, and where things are.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
     """
     if out.suffix != ".safetensors" or out.is_dir():
         raise InputError(f"{out}: a prior is one file; give --out a name that ends in .safetensors")

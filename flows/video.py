@@ -62,7 +62,7 @@ def run_video(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine 
         the content of result.json.
 
     Raises:
-        InputError: something given cannot be used; ``out`` is then as it was.
+        InputError: an input cannot be used; ``out`` is then as it was.
         InfrastructureError: the disk is full, or Prefect's server went away; what is finished is kept.
     """
     config = with_height(config, inputs.clip)

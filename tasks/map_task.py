@@ -174,7 +174,7 @@ def _batch_size(task: Task[..., R], calls: Sequence[Call]) -> int:
 def _run_batched(task: Task[..., R], calls: Sequence[Call]) -> dict[int, R]:
     """Compute the calls without cached results together; return number of the call -> result, {} for fewer than two.
 
-    A call that fails takes none with it: each is then made by itself, and its error is its own.
+    If the batch fails, each call is computed alone, so that an error belongs to one call.
     """
     if _batch_size(task, calls) < 2:
         return {}

@@ -1,13 +1,13 @@
-"""The project's own ``@task``: Prefect's, with a meaningful cache key, a place to run, and checked files.
+"""The project's ``@task``: Prefect's, with a cache key by content, a choice of process, and verified files.
 
-A task is a function of handles and options. `Task` keeps its result under task name + digests of the inputs + options
-+ version of the code. Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it,
-``TASK_SOURCE`` does not see an edit in a called library. A task therefore takes handles and the option records that
-matter to it, never the whole configuration; the folder it writes to does not count.
+A task is a function of handles and options. `Task` caches its result under the task's name and digests of inputs,
+options and code. Prefect's own policies do not suffice: ``INPUTS`` hashes a path and not the file behind it, and
+``TASK_SOURCE`` ignores edits in a called library. A task therefore takes handles and the option records that it uses,
+never the whole configuration; the folder it writes to does not count.
 
 Input files are verified before and after the function runs: a clip that is replaced while it is read leaves no result
-under the old one's key. Results are JSON, since a handle is a few lines. A cache hit alone does not notice that the
-file behind a handle is gone or damaged, so every result's files are verified, and a stale result is recreated.
+under the old one's key. Results are JSON, since a handle is a few lines. A cache hit does not prove that the file
+behind a handle is intact, so every result's files are verified, and a stale result is recreated.
 
 A task that runs ``"here"`` may print and log progress. Elsewhere the function itself is sent, by its name.
 """
@@ -39,8 +39,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 Where = Literal["here", "worker", "cluster", "gpu"]
-"""Which process runs a task: this one, a worker of this machine, a cluster's worker where there is one, or one of a
-cluster's workers that has a GPU of its own for the time. Where there are no workers, this process runs it."""
+"""Process that runs a task: this one, a worker of this machine, a cluster's worker, or one with a GPU of its own.
+
+Without a cluster a worker of this machine runs it, without workers this process.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The `hfb` command line: results go to standard output, everything else to standard error.
 
-Exit codes: 0 done; 1 something unexpected (the log tells more), or a clip of a batch has no result; 2 something the
-user gave cannot be used; 3 a run was repeated and came out otherwise; 130 interrupted; 141 nobody reads the output.
-Nothing heavy is imported before it is known what is to be done.
+Exit codes: 0 success; 1 unexpected error (see the log), or a clip of a batch has no result; 2 unusable input; 3 a
+repeated run has a different result; 130 interrupted; 141 standard output was closed. Heavy modules are imported only
+once the command is known.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def _add_short_flags(group: argparse._ArgumentGroup) -> None:
 
 
 class _Short(argparse.Action):
-    """Sets the key that a short flag stands for."""
+    """Sets the key of a short flag."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
@@ -133,7 +133,7 @@ def _room_of_weights(chosen: Mapping[str, Any]) -> str:
     """Return which part of the configuration --weights belongs to.
 
     Raises:
-        InputError: nobody's, or of both ends.
+        InputError: no method uses it, or both do.
     """
     methods = {room: chosen.get(room, {}).get("method") for room in _NEED_WEIGHTS}
     rooms = [room for room, method in methods.items() if method in _NEED_WEIGHTS[room]]

@@ -71,7 +71,7 @@ async def supervise(
         flow_run: the run.
         entrypoint: its flow.
         environment: further variables of its process.
-        task_status: is told the process id.
+        task_status: receives the process id.
     """
     async with FlowRunExecutorContext() as context:
         with TemporaryDirectory(prefix="hfb-run-", ignore_cleanup_errors=True) as folder:

@@ -1,8 +1,8 @@
-"""Where the parameters of a deployment may point: whoever starts a run by a form is no user of the worker's machine.
+"""Places that the parameters of a deployment may name: users of its form are no users of the worker's machine.
 
 Files lie below HFB_DATA [/data] of the worker. HFB_ALLOWED, a list separated by commas, adds what an administrator
 allows besides: folders or files, and addresses such as dask:tcp://host:8786 or s3://bucket/prefix. Networks and chains
-are programs, and members put files below HFB_DATA: these two come from HFB_ALLOWED alone.
+are programs, and members may put files below HFB_DATA: both must lie in HFB_ALLOWED.
 """
 
 from __future__ import annotations

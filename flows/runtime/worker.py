@@ -67,7 +67,7 @@ class HfbWorker(BaseWorker[FixedConfiguration, BaseVariables, BaseWorkerResult])
         Args:
             flow_run: the run.
             configuration: with the heartbeat's interval.
-            task_status: is told the process id.
+            task_status: receives the process id.
         """
         entrypoint = await entrypoint_of(flow_run, self.client)
         environment = {**os.environ, **configuration.env}

@@ -1,7 +1,7 @@
 """A run's folder: one process at a time, results that appear together or not at all, nothing left after an error.
 
 OUT/motion.npz strip.png texture.png matte_0.png ... result.json    the latest finished result
-OUT/intermediate/                                                   what tasks leave for each other
+OUT/intermediate/                                                   files that tasks exchange
 """
 
 from __future__ import annotations
@@ -329,7 +329,7 @@ def _only_sometimes(name: str) -> bool:
 
 
 def _is_a_name_of_hfb(name: str) -> bool:
-    """Return whether hfb writes files of this name: the folder may come from somebody else, with any result.json."""
+    """Return whether hfb writes files of this name: the folder may be of foreign origin, with any result.json."""
     return name in (*_OF_MOTIONS, RESULT) or _only_sometimes(name)
 
 

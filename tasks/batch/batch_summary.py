@@ -154,7 +154,7 @@ class BatchSummary:
         """Return the thumbnail of a result's strip, made where it is missing or outdated.
 
         Raises:
-            InputError: the strip is no picture.
+            InputError: the strip is no image.
         """
         from hfb.report.pages.batch_page import strip_thumbnail
 
@@ -224,7 +224,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 
 def _is_thumbnail(path: Path) -> bool:
-    """Return whether a file is a small JPEG: the folder may come from somebody else."""
+    """Return whether a file is a small JPEG: the folder may be of foreign origin."""
     from hfb.io.media.images.image_io import picture_size
 
     try:

@@ -125,7 +125,7 @@ class SeeCall(Call):
         start: where the static bodies come from.
         matting: options of the mattes.
         init: options of the static bodies.
-        networks: the pose networks at hand.
+        networks: the installed pose networks.
         body: the user's body model; None for the embedded one.
         folder: of all cases.
     """

@@ -104,7 +104,7 @@ class PeopleHandle(Record):
 
 
 class MatteHandle(Record):
-    """The person's share of each pixel of a frame; a reason instead of a file where nobody is visible.
+    """The person's share of each pixel of a frame; a reason instead of a file where no person is visible.
 
     Attributes:
         area_px: the matte's sum.

@@ -27,19 +27,19 @@ def prepare(
     camera: CameraConfig,
     exposure: ExposureConfig,
 ) -> ClipHandle:
-    """Check frames and plate against each other, and settle camera and clock.
+    """Check frames and plate against each other, and determine camera and times.
 
-    What an option says wins over clip.toml, which wins over a guess.
+    An option overrides clip.toml, which overrides a default.
 
     Args:
         frames: blurred images of one camera.
         background: the same view without the person.
-        clip: what clip.toml says.
+        clip: content of clip.toml.
         camera: options of the camera.
         exposure: options of the exposure.
 
     Raises:
-        InputError: a file is no picture, or its size is not the plate's.
+        InputError: a file is no image, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
     from hfb.matting.plate_check import find_plate_mismatch
@@ -118,11 +118,11 @@ class _Images:
 def calibration(
     camera: CameraConfig, clip: Clip, height: int, width: int
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """K of the full picture [px]: an option wins over clip.toml, which wins over a guess.
+    """Return K of the full image [px]: an option overrides clip.toml, which overrides a default.
 
     Args:
         camera: options of the camera.
-        clip: what clip.toml says.
+        clip: content of clip.toml.
         height: of the image [px].
         width: of the image [px].
     """

@@ -43,7 +43,7 @@ def input_file(path: Path) -> FileHandle:
         path: the file.
 
     Raises:
-        InputError: it is not there, cannot be read, or has a name that servers and records cannot hold.
+        InputError: it is missing, cannot be read, or has a name that servers and records cannot hold.
     """
     if "\0" in str(path):
         raise InputError(f"{str(path)!r} is no name of a file")
@@ -82,8 +82,7 @@ def take_inputs(
         out: where results go; it is checked.
 
     Raises:
-        InputError: a file is missing, cannot be read, clip.toml is wrong, or results in ``out`` would be taken for
-            frames.
+        InputError: a file is missing or unreadable, clip.toml is wrong, or results in ``out`` would be read as frames.
     """
     if out is not None:
         check_pictures_out(frames, out)
@@ -163,7 +162,7 @@ def _clip_of_pictures(path: Path, picture: Path) -> Clip:
     """Read clip.toml and replace its calibration file by the file's numbers.
 
     Raises:
-        InputError: clip.toml or the calibration is wrong, or the lens distorts: single pictures are taken as they are.
+        InputError: clip.toml or the calibration is wrong, or the lens distorts: single images are taken as they are.
     """
     clip = read_clip(path)
     if clip.camera.calibration is None:

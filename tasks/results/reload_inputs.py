@@ -60,7 +60,7 @@ def reload_images(run_words: str, inputs_folder: Path | None = None) -> Iterator
         inputs_folder: where to look for images that were moved; they are recognised by their content.
 
     Raises:
-        InputError: the run was not recorded, or its pictures are gone or were changed.
+        InputError: the run was not recorded, or its images are gone or were changed.
     """
     run = find_run(run_words)
     with tempfile.TemporaryDirectory() as made:

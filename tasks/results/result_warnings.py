@@ -33,11 +33,11 @@ def look_for_warnings(
     """Compare a few frames with their plate and with the fitted body.
 
     Args:
-        clip: these frames alone; at most `_MOST_LOOKS` of them are looked at.
+        clip: these frames alone; at most `_MOST_LOOKS` of them are examined.
         numbers: of these frames.
         mattes: of these frames.
         motion: of the whole clip.
-        matte_iou: (frame, value) where it is known; of the frames that are looked at where it is empty.
+        matte_iou: (frame, value) where it is known; empty: it is computed for the examined frames.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
     """

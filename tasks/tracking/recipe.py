@@ -67,7 +67,7 @@ def recipe(
         command: which made the run.
         config: all its options.
         inputs: a record of handles, such as `hfb.tasks.inputs.inputs.Inputs`.
-        results: the files that say what came out; those that differ from run to run, such as timings, left out.
+        results: files of the result, without those that differ from run to run, such as timings.
         code: `hfb.tasks.core.environment.code_version()`.
         options: plain values that are neither configuration nor input.
     """

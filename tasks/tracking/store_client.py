@@ -103,7 +103,7 @@ def usable_store(uri: str) -> Iterator[None]:
 
     Raises:
         TemporaryError: the store does not answer, or its tables are of another version of MLflow.
-        InputError: what reads such a store is not installed, or the address is wrong.
+        InputError: a library for such a store is missing, or the address is wrong.
     """
     import mlflow  # noqa: F401  (takes seconds, which do not count as waiting)
 

@@ -2,10 +2,9 @@
 
 Only this module and `hfb.tasks.tracking.store_client` import mlflow.
 
-Where: ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's own data folder, with its artifacts
-beside it. Everything goes through a client with an explicit run id: MLflow's fluent run belongs to one thread,
-and a task in another would start a stray one. Metric times are derived from the step, so that logging the same
-values again changes nothing.
+The store is ``MLFLOW_TRACKING_URI`` when set, else a SQLite file in the user's data folder, with its artifacts beside
+it. All calls use a client with an explicit run id: MLflow's fluent run belongs to one thread, and a task in another
+thread would start a second run. Metric times are derived from the step, so that repeated logging changes nothing.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ _MONITOR_ENDS_S = 5.0
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is being recorded."""
+    """An open run."""
 
     uri: str
     experiment_id: str
@@ -66,7 +65,7 @@ def record_run(
     Args:
         name: of the run.
         key: a hash of everything in ``params``, which MLflow does not let change: the same key is the same run.
-        params: what went in.
+        params: inputs and options.
         tags: besides versions and machine.
         parent: the run under which this one is shown.
 
@@ -96,7 +95,7 @@ def begin_run(name: str, key: str, params: Mapping[str, Any], tags: Mapping[str,
     Args:
         name: of the run.
         key: as of `record_run`.
-        params: what went in.
+        params: inputs and options.
         tags: besides versions and machine.
 
     Raises:

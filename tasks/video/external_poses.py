@@ -75,7 +75,7 @@ class ResultHandle(FileHandle):
             first: number of the first image's frame; None where the user gave none.
 
         Raises:
-            InputError: it cannot be told.
+            InputError: the frames cannot be determined.
         """
         if first is not None:
             return tuple(range(first, first + count))
@@ -160,18 +160,18 @@ def read_result(
     """Write everything about one person into a file of numbers only.
 
     Args:
-        files: the result, then what lies beside it.
+        files: the result, then the files that belong to it.
         height: of the images [px].
         width: of the images [px].
-        person: the system's name; where it is None the one whom the looks show, or who is seen longest.
+        person: the system's name; None for the one in ``looks``, or the one with most frames.
         looks: images that show whom it is about.
         body: the user's body model; None for the embedded one.
         pictures: names of the clip's files, in order; none of a video, or where --init.frame says the numbers.
-        frames: of a video, 0 where pictures are given.
+        frames: of a video, 0 where images are given.
         folder: where the file goes.
 
     Raises:
-        InputError: it cannot be read, is about other pictures, or has no such person.
+        InputError: it cannot be read, is about other images, or has no such person.
     """
     from hfb.interop.readers.image_names import ClipPictures
     from hfb.interop.readers.pose_track import PoseTrack, save_track
@@ -212,7 +212,7 @@ def body_of_result(
     body: FileHandle | None,
     folder: Path,
 ) -> BodyFound:
-    """Lay the body of one frame onto its matte; none where the system saw nobody.
+    """Align the body of one frame with its matte; None where the system has none.
 
     Args:
         clip: all frames.

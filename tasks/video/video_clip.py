@@ -41,7 +41,7 @@ def look_at_clip(
         folder: where the description goes.
 
     Raises:
-        InputError: not one frame can be decoded, or what is told about the clip does not fit it.
+        InputError: no frame can be decoded, or clip.toml or an option does not fit the clip.
     """
     from hfb.io.media.footage import open_footage
     from hfb.io.media.lens.clip_lens import clip_lens
@@ -96,7 +96,7 @@ def find_background(
         folder: where it goes.
 
     Raises:
-        InputError: there is no stretch in which nobody moves, or the plate still holds the person, or is of another
+        InputError: there is no stretch without motion, or the plate still holds the person, or is of another
             camera or size.
     """
     from hfb.io.media.images.image_io import write_png
@@ -117,7 +117,7 @@ def find_background(
 def find_person(
     footage: FootageHandle, plate: PlateHandle, choice: PersonChoice, track: FileHandle | None
 ) -> TrackHandle:
-    """Find where the chosen person is in every frame.
+    """Find the position of the chosen person in every frame.
 
     Args:
         footage: the clip.
@@ -126,7 +126,7 @@ def find_person(
         track: the user's own file of tracks.
 
     Raises:
-        InputError: the chosen one is not there.
+        InputError: the chosen person is not in the clip.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.gap_looks import look_into_gaps
@@ -150,7 +150,7 @@ def find_person(
 
 @task("everyone's tracks", where="worker")
 def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle | None) -> PeopleHandle:
-    """Find who is there, each with the choice that takes that one.
+    """Find all people of the clip, each with the option that selects them.
 
     Args:
         footage: the clip.
@@ -158,7 +158,7 @@ def find_everyone(footage: FootageHandle, plate: PlateHandle, track: FileHandle 
         track: the user's own file of tracks.
 
     Raises:
-        InputError: nobody is.
+        InputError: there is no person.
     """
     from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.tracking.tracks import choose_everyone, find_tracks, read_track, read_track_names
@@ -199,7 +199,7 @@ def reading(handle: FootageHandle, start: int = 0, stop: int | None = None) -> I
         stop: end of the frames that will be read; None for the clip's end.
 
     Raises:
-        StaleFile: the video, or a picture of these frames, is no longer what it was, or was replaced meanwhile.
+        StaleFile: the video, or an image of these frames, is no longer what it was, or was replaced meanwhile.
     """
     footage = load_footage(handle)
     given = _content(handle.path, handle.sha256)["given"]

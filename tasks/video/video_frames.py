@@ -46,7 +46,7 @@ class KeyBodyCall(SeenFrameCall):
 
     Attributes:
         config: options of the first body.
-        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+        networks: the installed pose networks, or METRO's; others give a new estimate.
     """
 
     config: InitConfig
@@ -88,7 +88,7 @@ def extract_frames(call: ExtractCall) -> FramesHandle:
 
 @task("mattes", where="cluster")
 def find_matte(call: MatteCall) -> MatteHandle:
-    """Estimate the matte of one frame; a frame without anybody is a gap, not a failure.
+    """Estimate the matte of one frame; a frame without a person is a gap, not a failure.
 
     Args:
         call: the frame.

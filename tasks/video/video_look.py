@@ -26,7 +26,7 @@ class ScoreCall(Call):
         numbers: of the frames in the clip.
         mattes: of these frames.
         motion: of the whole clip.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
     """
@@ -116,7 +116,7 @@ def draw_clip(
         numbers: of the frames in the clip.
         mattes: of these frames.
         motion: of the whole clip.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         config: options of the fit.
         note: a line below the strip.
@@ -147,7 +147,7 @@ def draw_texture(light: Literal["srgb", "linear"], person: FileHandle, folder: P
 
     Args:
         light: the texture's.
-        person: who it is.
+        person: shape and texture of the person.
         folder: where it goes.
     """
     from hfb.fitting.identity import load_identity

@@ -25,7 +25,7 @@ class WindowCall(Call):
         firsts: first bodies of the window's frames.
         body: the user's body model; None for the embedded one.
         priors: of pose and motion.
-        person: who it is, where that is known.
+        person: shape and texture of the person, where they are known.
         config: options of the fit.
         seed: of everything that is random.
         folder: where the fit goes.
@@ -79,7 +79,7 @@ def fill_bodies(
     Args:
         numbers: of the frames with a body.
         firsts: their bodies.
-        present: for every frame of the clip whether somebody is seen.
+        present: for every frame of the clip whether a person is visible.
         longest_fill: how many frames without a body are filled from their neighbours.
         folder: where the new bodies go.
     """
@@ -192,15 +192,15 @@ def join_clip(
     longest_fill: int,
     folder: Path,
 ) -> JoinedHandle:
-    """Join all windows into one continuous motion; short stretches without anybody are bridged.
+    """Join all windows into one continuous motion; short stretches without a person are bridged.
 
     Args:
         footage: the clip.
         windows: fitted with the person.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         subframes: per frame.
-        longest_fill: how many frames without anybody are bridged.
+        longest_fill: how many frames without a person are bridged.
         folder: where the motion goes.
     """
     import numpy as np

@@ -57,7 +57,7 @@ class Cluster:
         """Find the cluster.
 
         Raises:
-            InputError: the library is missing, nobody answers, or nobody works there.
+            InputError: the library is missing, the cluster does not answer, or it has no workers.
         """
         self._store = engine.store
         if self._store:

@@ -76,7 +76,7 @@ def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Arr
         slow: how many times slower than real time; None for `film_slow_factor`.
 
     Raises:
-        InputError: so many that no film could show them.
+        InputError: there are too many for a film, which means a damaged clock.
     """
     slow = film_slow_factor(motion) if slow is None else slow
     first, last = float(motion.times_s[0]), float(motion.times_s[-1])

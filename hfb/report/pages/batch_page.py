@@ -132,7 +132,7 @@ def strip_thumbnail(strip: Path) -> bytes:
         strip: the result's strip.png.
 
     Raises:
-        InputError: it is damaged, or no picture.
+        InputError: it is damaged, or no image.
     """
     pixels = read_picture_srgb(strip)
     width_px, height_px = _THUMBNAIL_PX

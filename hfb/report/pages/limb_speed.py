@@ -38,11 +38,11 @@ class LimbSpeed:
     Attributes:
         peak_m_s: its highest speed, in camera coordinates.
         interval_m_s: contains 80 % of true speeds; None where the fit gives no joint radius.
-        peak_s: when.
-        frame: in which frame.
+        peak_s: time of the highest speed.
+        frame: number of the frame at that time.
         mean_m_s: mean speed over all exposures.
         smear_px: longest path in the image during one exposure.
-        smear_frame: the frame of that exposure.
+        smear_frame: number of that exposure's frame.
         peak_px_s: highest speed in the image.
     """
 

@@ -46,7 +46,7 @@ def read_curves(path: Path) -> dict[str, Any]:
         path: the file.
 
     Raises:
-        InputError: it is missing, damaged, or holds something else than curves.
+        InputError: it is missing, damaged, or holds no curves.
     """
     content = read_json(path)
     try:

@@ -69,7 +69,7 @@ def read_facts(path: Path) -> dict[str, Any]:
         path: the file.
 
     Raises:
-        InputError: it is missing, damaged, or an entry that hfb uses is something else than hfb writes.
+        InputError: it is missing, damaged, or an entry that hfb uses has another type.
     """
     content = read_json(path)
     if not isinstance(content, dict):

@@ -43,7 +43,7 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
 
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as `summarize` takes them.
-        summary: what `summarize` made of the same rows.
+        summary: result of `summarize` for the same rows.
         folder: where the PNG files go.
 
     Returns:

@@ -29,7 +29,7 @@ class Mixture:
 
 
 def mirrored_poses(poses: Float[Array, "n 69"]) -> Float[Array, "n 69"]:
-    """The same poses in a mirror, left and right exchanged.
+    """Mirror poses: left and right are exchanged.
 
     Args:
         poses: axis-angle below the root [rad].
@@ -50,7 +50,7 @@ def train_mixture(
     Args:
         poses: axis-angle of joints 1 to 23 [rad].
         spec: components and iterations.
-        seed: of everything random.
+        seed: of the random numbers.
         on_iteration: called with the iterations done and their total.
 
     Raises:
@@ -76,7 +76,7 @@ def train_mixture(
 
 
 def log_densities(poses: Float[Array, "n 69"], mixture: Mixture) -> Float[Array, "n k"]:
-    """log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; their logsumexp is the pose's log likelihood.
+    """Return log(w_k N(pose; mu_k, Sigma_k)) of every pose and Gaussian; logsumexp gives a pose's log likelihood.
 
     Args:
         poses: axis-angle below the root [rad].

@@ -35,8 +35,8 @@ def measure_motion_prior(
         discriminator: trained.
         corrector: trained.
         columns: motion in the body's own frame, see `motion_columns`.
-        exposure_s: of every motion.
-        seed: of everything random.
+        exposure_s: exposure of every motion.
+        seed: of the random numbers.
 
     Returns:
         ``count``; ``all`` and ``by_exposure`` (a list, in the order of `EXPOSURES_S`) with

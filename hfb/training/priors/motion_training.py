@@ -38,12 +38,12 @@ class TrainedMotionPrior:
 def train_motion_prior(
     columns: Float[Tensor, "n 3 25 4"], spec: MotionTraining, seed: int, on_epoch: OnEpoch | None = None
 ) -> TrainedMotionPrior:
-    """Train on true motions' C; every batch is mirrored and made wrong anew. The same seed gives the same weights.
+    """Train on true motions' C; every batch is mirrored and corrupted anew. The same seed gives the same weights.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
         spec: sizes, epochs and rates.
-        seed: of everything random.
+        seed: of the random numbers.
         on_epoch: called with the epochs done and their total.
 
     Raises:
@@ -92,11 +92,11 @@ def _step(optimizer: torch.optim.Optimizer, losses: dict[str, Float[Tensor, ""]]
 
 
 def set_scales(discriminator: Discriminator, corrector: Corrector, columns: Float[Tensor, "n 3 25 4"]) -> None:
-    """Means and spreads of what the networks see; first differences have mean zero, as reversal demands.
+    """Set means and scales of the networks' input; first differences have mean zero, as reversal demands.
 
     Args:
-        discriminator: to set.
-        corrector: to set.
+        discriminator: changed in place.
+        corrector: changed in place.
         columns: motion in the body's own frame, see `motion_columns`.
     """
     some = columns[:: max(len(columns) // 8000, 1)]
@@ -112,14 +112,14 @@ def set_scales(discriminator: Discriminator, corrector: Corrector, columns: Floa
 
 
 def motion_losses(discriminator: Discriminator, corrector: Corrector, batch: Corrupted) -> dict[str, Float[Tensor, ""]]:
-    """The four losses of a batch.
+    """Return the four losses of a batch.
 
-    The indicator reaches G as a given: D answers for its cross entropy alone, so that its odds stay honest ones.
+    The indicator is detached in G's input: D is trained by its cross entropy alone, so that its odds stay calibrated.
 
     Args:
         discriminator: in training.
         corrector: in training.
-        batch: motions.
+        batch: corrupted motions.
     """
     rest = mean_rest_joints().to(batch.columns)
     backwards, unrealistic, whole = discriminator(batch.columns, rest)
