@@ -61,6 +61,13 @@ class Chunk(Generic[C, R]):
     """
 
     def __init__(self, label: str, first: int, calls: Sequence[C]) -> None:
+        """Take consecutive calls.
+
+        Args:
+            label: beginning of the run's name.
+            first: number of the first call.
+            calls: in order.
+        """
         self.calls, self.results = calls, [Future[CachedResult[R]]() for _ in calls]
         last = first + len(calls) - 1
         self._name = f"{label} {first}" if last == first else f"{label} {first} to {last}"

@@ -89,6 +89,15 @@ class Task(Generic[P, R]):
         cached: bool,
         batch: BatchFunction | None,
     ) -> None:
+        """Wrap a function; see `task`.
+
+        Args:
+            fn: the bare function.
+            label: displayed while it runs.
+            where: which process runs it.
+            cached: whether results are cached.
+            batch: how several calls are computed together.
+        """
         functools.update_wrapper(self, fn)
         self.fn, self.name, self.batch = fn, fn.__name__, batch
         self._label, self._where = label, where

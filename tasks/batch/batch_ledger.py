@@ -53,6 +53,11 @@ class Ledger:
     """
 
     def __init__(self, path: Path) -> None:
+        """Read the file; ``damage`` tells what is wrong with it.
+
+        Args:
+            path: the file, which need not exist.
+        """
         self._path = path
         self._entries: dict[str, Entry] = {}
         self.damage = ""

@@ -38,6 +38,11 @@ class Metrics:
     """A `Listener` that counts the progress of tasks."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
+        """Register the metrics.
+
+        Args:
+            registry: of Prometheus' client.
+        """
         from prometheus_client import Counter, Gauge, Histogram
 
         self._done = Counter("hfb_done", "frames, windows or cases that a step has done", ["step"], registry=registry)

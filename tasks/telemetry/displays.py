@@ -62,6 +62,12 @@ class Plain:
     """For logs and pipes: a line when a step ends, and its progress after 2, 3, 5, 7, 10 ... seconds."""
 
     def __init__(self, write: Callable[[str], None], first_s: float = 2.0) -> None:
+        """Begin without steps.
+
+        Args:
+            write: prints a line.
+            first_s: seconds before a step's first line.
+        """
         self._write = write
         self._first_s = first_s
         self._steps: list[Shown] = []
@@ -130,6 +136,11 @@ class Live:
     """For a terminal: a spinner and a bar that give way to finished lines and to log lines."""
 
     def __init__(self, console: Console) -> None:
+        """Begin without steps.
+
+        Args:
+            console: of the terminal.
+        """
         self.console = console
         # no markup: labels and notes may hold the names of files, and those may hold brackets
         self._bar = Progress(

@@ -42,6 +42,12 @@ class Artifacts:
     """One progress artifact for every long step that reports its progress."""
 
     def __init__(self, first_s: float = _FIRST_S, every_s: float = _EVERY_S) -> None:
+        """Begin without steps.
+
+        Args:
+            first_s: duration after which a step gets an artifact.
+            every_s: interval of its updates.
+        """
         self._first_s, self._every_s = first_s, every_s
         self._watched: list[_Watched] = []
         self._lock = threading.Lock()

@@ -52,6 +52,12 @@ class Patience:
     """The total time that failing calls may take; a successful call renews it."""
 
     def __init__(self, total_s: float = TOTAL_S, call_s: float = CALL_S) -> None:
+        """Begin with all the time.
+
+        Args:
+            total_s: for all failing calls together.
+            call_s: for one call.
+        """
         self._total_s, self._call_s = total_s, call_s
         self._left_s = total_s
         self._lock = threading.Lock()

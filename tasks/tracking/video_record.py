@@ -28,6 +28,13 @@ class ClipRecord:
     """The record of one clip."""
 
     def __init__(self, name: str, inputs: VideoInputs, config: RunConfig) -> None:
+        """Open the run; where the store fails, everything is kept for later.
+
+        Args:
+            name: of the run.
+            inputs: of the run.
+            config: all options.
+        """
         self._name, self._inputs, self._config = name, inputs, config
         self._params = {
             **config.model_dump(mode="json"),

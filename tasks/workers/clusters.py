@@ -54,7 +54,10 @@ class Cluster:
     """
 
     def __init__(self, engine: Engine) -> None:
-        """Find the cluster.
+        """Connect to the cluster.
+
+        Args:
+            engine: kind, address and store.
 
         Raises:
             InputError: the library is missing, the cluster does not answer, or it has no workers.

@@ -33,6 +33,9 @@ class SharedStore:
     def __init__(self, url: str) -> None:
         """Open the store.
 
+        Args:
+            url: of the store, without a password.
+
         Raises:
             InputError: the URL names no place that can be used, or holds a password.
         """

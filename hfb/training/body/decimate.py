@@ -17,6 +17,14 @@ class Decimator:
     """A triangle mesh under edge collapse; vertices of ``on_middle`` stay on their plane, texture seams stay seams."""
 
     def __init__(self, points: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray):
+        """Take a mesh.
+
+        Args:
+            points: (V, 3) vertices [m].
+            faces: (F, 3) vertex indices.
+            uv_faces: (F, 3) texture coordinate indices.
+            on_middle: (V,) bool, vertices of the plane x = 0.
+        """
         self.points = points
         self.on_middle = on_middle
         self.faces = {i: list(face) for i, face in enumerate(faces.tolist())}

@@ -224,6 +224,11 @@ class Batches(IterableDataset[list[Batch]]):
     """An endless stream of lists of one or two batches per iteration: single images, and images beside fits."""
 
     def __init__(self, options: argparse.Namespace) -> None:
+        """Take the options of `hfb train joints`.
+
+        Args:
+            options: the parsed options.
+        """
         self.options = options
 
     def __iter__(self) -> Iterator[list[Batch]]:

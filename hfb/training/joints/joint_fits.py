@@ -51,7 +51,15 @@ class Gym(Studio):
     """A studio whose images are fitted."""
 
     def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int, frame_px: int) -> None:
-        """Read the named clips and make the scenes."""
+        """Read the named clips and make the scenes.
+
+        Args:
+            mocap: folder of clips, BVH files.
+            backgrounds: folder of photographs.
+            clips: names of clips.
+            seed: of the scenes.
+            frame_px: side of the images [px].
+        """
         super().__init__(mocap, backgrounds, clips, seed, frame_px)
         self.prior = load_pose_prior(None)
         self.hasty = hasty

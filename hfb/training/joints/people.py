@@ -30,7 +30,14 @@ class People:
     """Motions and the body; everything drawn from them is a function of the generator."""
 
     def __init__(self, mocap: Path, clips: list[str], seed: int, frame_px: int) -> None:
-        """Read the named clips."""
+        """Read the named clips.
+
+        Args:
+            mocap: folder of clips, BVH files.
+            clips: names of clips.
+            seed: of the generated motions.
+            frame_px: side of the images [px].
+        """
         self.frame_px = frame_px
         source = open_motions(mocap, seed)
         named = [index for index, name in enumerate(source.names()) if Path(name).stem in clips]

@@ -60,6 +60,16 @@ class Scenes(IterableDataset[torch.Tensor]):
     def __init__(
         self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int, fits: list[Path]
     ) -> None:
+        """Take the sources of scenes; files are read by each loader process.
+
+        Args:
+            banks: files of matting-bank.
+            photos: folders of backgrounds.
+            size_px: side of the scenes [px].
+            seed: of the random numbers.
+            look: the network to train: 1, 2 or 3.
+            fits: files of matting-fits, for the third network.
+        """
         self.banks, self.fits, self.photos = banks, fits, photos
         self.size_px, self.seed, self.look = size_px, seed, look
 
