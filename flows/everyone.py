@@ -48,7 +48,7 @@ def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine |
         engine: where computations run.
 
     Returns:
-        the content of result.json; of everyone: what became of each person, and the sums.
+        the content of result.json; of everyone: the result of each person, and the sums.
 
     Raises:
         InputError: an input cannot be used; of everyone: no person is visible, or no motion was found.

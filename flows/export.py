@@ -1,4 +1,4 @@
-"""A result in the formats of other programs: its motion files; meshes and films on request."""
+"""Export a result in the formats of other programs: motion files, meshes and films."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """One task over many inputs: in parallel, in order, and with a cached result for every input.
 
-A run of a task costs Prefect's server 35 ms and 25 KB, whatever it does, so a run takes a chunk of calls. Each call
-keeps its result under the key that it would have alone: chunks change neither what is redone after a kill nor what
-depends on what.
+A run of a task costs Prefect's server 35 ms and 25 KB, whatever it does, so a run takes a chunk of calls. Each call's
+result is cached under its own key: chunks affect neither what is repeated after a kill nor what depends on what.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class Outcome(Generic[R]):
     Attributes:
         result: None where it failed.
         error: why it failed.
-        reused: whether an earlier run had made the result.
+        reused: whether the result comes from an earlier run.
     """
 
     result: R | None
@@ -83,7 +82,7 @@ class Chunk(Generic[C, R]):
             task: of one record.
 
         Raises:
-            Exception: the first of those that calls ended with; the other results are made all the same.
+            Exception: the first error of a call; the other results are computed nevertheless.
         """
         ahead = _run_batched(task, self.calls)
         failed: Exception | None = None

@@ -128,7 +128,7 @@ class Task(Generic[P, R]):
         """Run the function where it belongs, without Prefect.
 
         Raises:
-            StaleFile: an input file is not what its handle says, before or after.
+            StaleFile: an input file does not match its handle, before or after.
         """
         with verify_unchanged(args, tuple(kwargs.values())):  # a result is kept under the digests of its inputs
             where = self._where(*args, **kwargs) if callable(self._where) else self._where
@@ -199,7 +199,7 @@ def task(
         label: displayed while it runs.
         where: which process runs it, or a function of the task's arguments that decides.
         cached: False for a task that exists for its effect elsewhere, such as a record in MLflow.
-        batch: how several calls are computed together; each result is the one that its call makes by itself.
+        batch: how several calls are computed together; each result equals that of the call alone.
     """
     return lambda fn: Task(fn, label, where=where, cached=cached, batch=batch)
 

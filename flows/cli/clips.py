@@ -1,4 +1,4 @@
-"""The commands about clips: `hfb video`, `hfb batch`. Light to import."""
+"""The commands `hfb video` and `hfb batch`. Light to import."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def among_own_files(out: Path, names: Sequence[str]) -> Iterator[Path]:
         names: of the files.
 
     Raises:
-        TemporaryError: under one of the names lies something that hfb did not write, or that was changed since.
+        TemporaryError: a file of one of the names was not written by hfb, or was changed since.
     """
     _check_room(out, names)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 """Prefect workers that start only hfb's flows; variables of a run or a pool have no effect.
 
-Prefect's process worker lets whoever starts a run choose its command, environment and folder (job variables), and
-loads the code that a deployment names. `prefect worker start --pool hfb` finds these classes by the pool's type.
+With Prefect's process worker, whoever starts a run chooses its command, environment and folder (job variables), and the
+worker loads the code that a deployment names. `prefect worker start --pool hfb` finds these classes by the pool's type.
 """
 
 from __future__ import annotations

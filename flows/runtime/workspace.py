@@ -140,7 +140,7 @@ def publish(out: Path, files: Mapping[str, Path], result: dict[str, Any]) -> Non
         result: the content of result.json; it gets ``files``, the names of the others, and their ``sha256``.
 
     Raises:
-        OutputConflict: a file would take the place of an input of this run, or of one that hfb did not put there.
+        OutputConflict: a file would replace an input of this run, or one that hfb did not write.
     """
     staging = out / INTERMEDIATE / _STAGING
     inputs = set(result.get("inputs", {}).values())
@@ -185,7 +185,7 @@ def beside_result(out: Path, names: Sequence[str]) -> Iterator[Path]:
 
     Raises:
         Busy: another process works there.
-        OutputConflict, TemporaryError: a file would take the place of one that hfb did not put there.
+        OutputConflict, TemporaryError: a file would replace one that hfb did not write.
     """
     if not _published(out).known:
         with among_own_files(out, names) as folder:
@@ -253,7 +253,7 @@ class _Published:
 def _published(out: Path) -> _Published:
     """Return the record of the result in a folder.
 
-    Where an older version did not name its files, what has a name that only some results have is taken for its.
+    Older versions did not name all files: then files of names that only some results have count as the result's.
     """
     try:
         content = read_result_content(out)

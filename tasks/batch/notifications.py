@@ -61,7 +61,7 @@ def addresses_of(given: Sequence[str]) -> tuple[str, ...]:
         given: on the command line.
 
     Raises:
-        InputError: one of them has no form that is known.
+        InputError: one of them has an unknown form.
     """
     found = tuple(dict.fromkeys((*given, *os.environ.get(VARIABLE, "").split())))
     for number, address in enumerate(found, 1):

@@ -112,7 +112,7 @@ def serve_metrics() -> Iterator[None]:
     """Serve metrics inside the block where HFB_METRICS gives an address.
 
     Raises:
-        InputError: it says something else.
+        InputError: HFB_METRICS is no address.
     """
     place = os.environ.get(VARIABLE, "")
     if not place:

@@ -29,7 +29,7 @@ class SourcesHandle(FileHandle):
     """Motions or videos that a set can be made from.
 
     Attributes:
-        usable: numbers of the motions, or of the stretches of video, that cases are made from.
+        usable: numbers of the motions, or of the sections of video, that cases are made from.
         refused: name -> reason, for those that cannot be used.
     """
 
@@ -75,11 +75,11 @@ def find_sources(spec: Spec, listing: str, folder: Path) -> SourcesHandle:
 
     Args:
         spec: the set.
-        listing: what lies in the folders that the set is made from (`listing_of`); with other files this is done again.
+        listing: files in the folders that the set is made from (`listing_of`); a change repeats the search.
         folder: where the list goes.
 
     Raises:
-        InputError: nothing can be used; the sentence gives the first reasons.
+        InputError: no source can be used; the sentence gives the first reasons.
     """
     if isinstance(spec, RealSpec):
         from hfb.datasets.real.case_windows import real_windows
@@ -105,7 +105,7 @@ class MakeCall(Call):
     Attributes:
         spec: the set.
         number: of the case.
-        sources: what it can be made from.
+        sources: usable motions or videos.
         networks: the pose networks that make the truth of real video; a change makes the case again.
         folder: of all cases; the case goes to ``case_0001`` and so on in it.
     """
@@ -118,11 +118,11 @@ class MakeCall(Call):
 
 
 class SeeCall(Call):
-    """A case to look at.
+    """A case to process.
 
     Attributes:
         case: its files.
-        start: where the static bodies come from.
+        start: origin of the static bodies.
         matting: options of the mattes.
         init: options of the static bodies.
         networks: the installed pose networks.

@@ -35,10 +35,10 @@ class JudgeCall(Call):
     """A method and a case.
 
     Attributes:
-        ready: the case as every method sees it.
+        ready: the input of every method.
         method: the method.
         body: the user's body model; None for the embedded one.
-        folder: of all methods; the answer goes to ``NAME/case_0001`` and so on in it.
+        folder: of all methods; the result goes to ``NAME/case_0001`` and so on in it.
     """
 
     ready: ReadyHandle

@@ -57,7 +57,7 @@ class FileHandle(Record):
         """Verify the file, without reading it again if it was not touched since this process read it.
 
         Returns:
-            what would be another if it were touched.
+            a stamp that changes when the file is touched.
         """
         try:
             stamp = _stamp(self.path)
@@ -194,7 +194,7 @@ def verify_unchanged(*values: object) -> Iterator[None]:
         *values: handles or sequences of handles.
 
     Raises:
-        StaleFile: a file is gone or no longer what it was, before the work or after it.
+        StaleFile: a file is missing or was changed, before the block or after it.
     """
     files = list(files_in(values))
     stamps = [file.check() for file in files]

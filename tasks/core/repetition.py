@@ -15,7 +15,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Repetition:
-    """A run that is made again.
+    """A repetition of a recorded run.
 
     Attributes:
         of: the recorded run.

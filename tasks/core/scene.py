@@ -80,18 +80,18 @@ _kept = DecodedImages(_LIMIT_BYTES, _ALWAYS)
 
 
 def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Picture, Tensor]:
-    """Decode a user's image with all that its file says; `load_image` need not decode it again.
+    """Decode a user's image with its metadata; `load_image` then takes it from the cache.
 
     Args:
         file: the image.
         transfer: how it stores light.
-        light: in which blur is an average.
+        light: in which blur is averaged.
 
     Returns:
-        the image as stored, and in that light, which must not be changed.
+        the image as stored, and in that light; the latter must not be changed.
 
     Raises:
-        StaleFile: the file is not what its handle says, before or after.
+        StaleFile: the file does not match its handle, before or after.
         InputError: it cannot be decoded.
     """
     with verify_unchanged(file):

@@ -23,7 +23,7 @@ def first_body(
     networks: tuple[FileHandle, ...],
     folder: Path,
 ) -> FirstBodyHandle:
-    """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
+    """Estimate the body of one frame; of several frames, also the certainty of its front, which must be consistent.
 
     Args:
         clip: all frames.

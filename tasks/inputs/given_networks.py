@@ -23,7 +23,7 @@ def matting_file(config: RunConfig) -> Path | None:
         config: all options.
 
     Raises:
-        InputError: it needs one and none is given, one is given that it does not need, or what is given is no network.
+        InputError: the method needs one and none is given, a needless one is given, or the file is no network.
     """
     own = config.matting.method in _OWN_MATTING
     if own != (config.matting.weights is not None):
@@ -45,7 +45,7 @@ def init_files(config: RunConfig) -> tuple[Path, ...]:
         config: all options.
 
     Raises:
-        InputError: the method needs a file and none is given, or one is given that it does not need.
+        InputError: the method needs a file and none is given, or a needless one is given.
     """
     init = config.init
     if (init.method == "metro") != (init.weights is not None):
@@ -112,7 +112,7 @@ def check_networks(config: InitConfig, networks: tuple[FileHandle, ...]) -> None
         networks: those of the calling machine.
 
     Raises:
-        InputError: they are missing here, or others.
+        InputError: they are missing here, or differ.
     """
     if config.method not in ("auto", "mediapipe"):
         return

@@ -78,7 +78,7 @@ def check_clip_out(source: Path, files: Sequence[Path], out: Path) -> None:
         out: where results go.
 
     Raises:
-        InputError: the next run would take results for frames, or for the video.
+        InputError: the next run would read results as frames, or as the video.
     """
     check_no_clip(out)
     home = files[0].parent

@@ -66,7 +66,7 @@ def take_video_inputs(
 
     Raises:
         InputError: a file is missing or cannot be read, clip.toml is wrong, it is not clear which video is meant, or
-            results in ``out`` would be taken for frames.
+            results in ``out`` would be read as frames.
     """
     check_formats(config.export.formats)
     files, clip_path = resolve_source(source, clip)

@@ -117,7 +117,7 @@ def load_fitted_body(motion: SampledMotion, space: str, path: Path | None) -> Bo
         path: a SMPL file; None for the embedded body.
 
     Raises:
-        InputError: it is a SMPL file that is not given, or another one is.
+        InputError: the motion's SMPL file is not given, or a different one is.
     """
     import numpy as np
     import torch

@@ -78,7 +78,7 @@ def draw_page_film(shot: ShotHandle, folder: Path) -> FileHandle:
     """Draw the small slow-motion film of the page.
 
     Args:
-        shot: what it is drawn from.
+        shot: motion, body, plate and frames.
         folder: where it goes.
     """
     return FileHandle.of(write_page_film(shot.load(), shot.motion.sha256, folder))
@@ -89,7 +89,7 @@ def write_report(parts: ReportParts, facts: dict[str, Any], folder: Path) -> Fil
     """Write the page.
 
     Args:
-        parts: the files that it is made of.
+        parts: its files.
         facts: the content of result.json, the run's id among it.
         folder: where the page goes.
     """
@@ -121,7 +121,7 @@ def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
     """Draw the page's film with progress; the film's metadata name its motion.
 
     Args:
-        shot: what it is rendered from.
+        shot: motion, body, plate and frames.
         motion_sha256: of the motion file.
         folder: where it goes.
     """
@@ -175,7 +175,7 @@ def page_text(
         name: of the result, where the facts have none.
 
     Raises:
-        InputError: a file is not what it should be.
+        InputError: a file is damaged or of another kind.
     """
     from hfb.io.media.images.image_io import stored_png
     from hfb.motion.motion_file import load_motion

@@ -33,7 +33,7 @@ def with_options(recipe: Recipe, given: Mapping[str, str], run: str) -> Recipe:
         run: its title, for messages.
 
     Raises:
-        InputError: one is missing, or one is given that the record holds.
+        InputError: one is missing, or one is given that the record does not hide.
     """
     hidden = hidden_options(recipe)
     if held := [name for name in given if name not in hidden]:
@@ -55,7 +55,7 @@ def for_pictures(recipe: Recipe, run: str) -> Recipe:
         run: its title, for messages.
 
     Raises:
-        InputError: it does.
+        InputError: the images depend on a hidden option.
     """
     hidden = hidden_options(recipe)
     if needed := [name for name in hidden if name.split(".")[0] in _OF_PICTURES]:

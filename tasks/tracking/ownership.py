@@ -1,6 +1,6 @@
 """Ownership of runs: a killed process leaves its run RUNNING, which the next start detects.
 
-A run is marked with its owner: host, process number and when that process began, since numbers are given out again.
+A run is marked with its owner: host, process number and start of that process, since numbers are reused.
 """
 
 from __future__ import annotations

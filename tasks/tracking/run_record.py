@@ -39,7 +39,7 @@ class RecordedFile(Record):
 
 
 class RunRecord(Record):
-    """A run as it is recorded.
+    """Content of a run.
 
     Attributes:
         key: decides which run it is; see `hfb.tasks.tracking.tracking.record_run`.

@@ -80,7 +80,7 @@ def check_store(uri: str) -> None:
         uri: of the store.
 
     Raises:
-        InputError: the address is none that MLflow takes.
+        InputError: MLflow does not support the address.
         TemporaryError: the store does not answer, or cannot be written.
     """
     scheme = _scheme(uri)

@@ -135,8 +135,8 @@ class GivenBodyCall(SeenFrameCall):
 
     Attributes:
         footage: the clip.
-        result: the other system's.
-        first: number in the result of the clip's first frame; the result's are the video's own where it is None.
+        result: of the other system.
+        first: number in the result of the clip's first frame; None where the result counts the video's frames.
     """
 
     footage: FootageHandle
@@ -164,7 +164,7 @@ def read_result(
         height: of the images [px].
         width: of the images [px].
         person: the system's name; None for the one in ``looks``, or the one with most frames.
-        looks: images that show whom it is about.
+        looks: mattes that decide which person is meant.
         body: the user's body model; None for the embedded one.
         pictures: names of the clip's files, in order; none of a video, or where --init.frame says the numbers.
         frames: of a video, 0 where images are given.
@@ -219,7 +219,7 @@ def body_of_result(
         index: of the frame in the clip.
         number: of the frame in the result.
         mattes: of all frames.
-        result: the other system's.
+        result: of the other system.
         body: the user's body model; None for the embedded one.
         folder: where the body goes.
     """

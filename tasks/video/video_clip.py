@@ -91,12 +91,12 @@ def find_background(
 
     Args:
         footage: the clip.
-        how: where it comes from.
-        given: the user's own image of it.
+        how: origin of the plate.
+        given: the user's plate.
         folder: where it goes.
 
     Raises:
-        InputError: there is no stretch without motion, or the plate still holds the person, or is of another
+        InputError: there is no section without motion, or the plate contains the person, or is of another
             camera or size.
     """
     from hfb.io.media.images.image_io import write_png

@@ -27,7 +27,7 @@ class WindowCall(Call):
         priors: of pose and motion.
         person: shape and texture of the person, where they are known.
         config: options of the fit.
-        seed: of everything that is random.
+        seed: of the random numbers.
         folder: where the fit goes.
     """
 

@@ -37,7 +37,7 @@ class SharedStore:
             url: of the store, without a password.
 
         Raises:
-            InputError: the URL names no place that can be used, or holds a password.
+            InputError: the URL cannot be used, or holds a password.
         """
         self._fs, self._root = _open(url)
         self._known: set[str] = set()

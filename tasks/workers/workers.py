@@ -37,7 +37,7 @@ _ATTEMPTS = 3
 _log = logging.getLogger(__name__)
 _LAST_WORDS_S = 0.5
 _PARENT_ONLY = ("hfb.flows", "hfb.tasks.tracking", "hfb.kernels.warp")
-"""Modules that no worker needs, or that start threads when they are imported."""
+"""Modules that workers do not need, or that start threads when they are imported."""
 
 
 class _Pool:
@@ -101,7 +101,7 @@ class _Pool:
 
 
 def _fork_server() -> multiprocessing.context.ForkServerContext:
-    """Start workers as forks of a process that has imported what computes and has no threads.
+    """Start workers as forks of a process that has imported the method and has no threads.
 
     A fork of this process would inherit locks that its threads hold; a fresh process takes seconds to import torch.
     """

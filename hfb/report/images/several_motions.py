@@ -35,7 +35,7 @@ def draw_motions(
         differences: of every motion but the first from the first, each with at least one shared instant.
 
     Raises:
-        ValueError: two share no frame.
+        ValueError: two motions share no frame.
     """
     if not all(len(difference.instants_s) for difference in differences):
         raise ValueError("there is nothing to draw: the motions share no frame")

@@ -114,6 +114,6 @@ def _packed_skin(skin: Skin) -> dict[str, Any]:
 
 
 def _base64(values: Shaped[Array, "..."]) -> str:
-    """Little-endian, row after row."""
+    """Encode numbers in Base64: little-endian, row by row."""
     little = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("<"), copy=False)
     return base64.b64encode(little.tobytes()).decode()

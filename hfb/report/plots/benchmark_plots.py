@@ -42,7 +42,7 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
     """Write every plot that the rows have numbers for.
 
     Args:
-        rows: a mapping (or a row of a pandas table) per case and method, as `summarize` takes them.
+        rows: a mapping (or a row of a pandas table) per case and method, as in `summarize`.
         summary: result of `summarize` for the same rows.
         folder: where the PNG files go.
 

@@ -43,12 +43,12 @@ def measure_motion_prior(
 
         - ``whole_body``: share of motions whose direction as a whole is known; ``whole_body_cross_entropy``;
         - ``joint``, and per limb: share of joints that move visibly whose direction is known, when the direction of
-          every limb was drawn by itself;
-        - ``joint_cross_entropy``: of those (log 2 = 0.693 is knowing nothing);
+          every limb was drawn independently;
+        - ``joint_cross_entropy``: of those (log 2 = 0.693 for a coin);
         - ``whole_body_estimated``, ``joint_estimated``, ``joint_estimated_cross_entropy``: the same of motions with the
           errors of a fit;
-        - ``indicator``: share of entries told apart into realistic and unrealistic, reversed ones included, among
-          motions made wrong as in training, each kind weighing the same;
+        - ``indicator``: share of entries classified correctly as realistic or unrealistic (reversed ones included),
+          among motions corrupted as in training, each kind with the same weight;
         - ``coefficients_wrong``, ``coefficients_corrected``: mean L1 distance of C from the truth before and after G;
         - ``adversarial_true``, ``adversarial_reversed``: L_A of true motions, and of those with limbs reversed.
         None where there is nothing to measure.
