@@ -1,4 +1,4 @@
-"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join, score, draw."""
+"""The steps of a clip, each a few tasks over all its frames: see, find first bodies, fit windows, join."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hfb.tasks.inputs.given_networks import tell_networks
 from hfb.tasks.inputs.video_inputs import VideoInputs
 from hfb.tasks.map_task import Outcome, map_task
 from hfb.tasks.results.exports import ShotHandle
-from hfb.tasks.results.result_warnings import look_for_warnings, looks_over, plate_warnings, tell
+from hfb.tasks.results.result_warnings import plate_warnings, tell
 from hfb.tasks.task import Task
 from hfb.tasks.telemetry import progress
 from hfb.tasks.video.external_poses import GivenBodyCall, find_given_body, looks_at, pictures_of, read_result
@@ -43,7 +43,6 @@ from hfb.tasks.video.video_frames import (
     find_key_body,
     find_matte,
 )
-from hfb.tasks.video.video_look import ScoreCall, draw_clip, judge_clip, score_frames
 from hfb.tasks.video.video_windows import (
     WindowCall,
     estimate_identity,
@@ -54,8 +53,7 @@ from hfb.tasks.video.video_windows import (
 )
 from hfb.tracking.clip_bodies import key_frames
 
-_CHUNK = 16  # frames per task where a task per frame would cost more than its work
-_SHOWN = 6
+CHUNK = 16  # frames per task where a task per frame would cost more than its work
 C = TypeVar("C", bound=Call)
 R = TypeVar("R")
 
@@ -153,10 +151,10 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
     chunks = [
-        ExtractCall(footage=footage, start=at, stop=min(at + _CHUNK, footage.count), folder=folder)
-        for at in range(0, footage.count, _CHUNK)
+        ExtractCall(footage=footage, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
+        for at in range(0, footage.count, CHUNK)
     ]
-    frames = tuple(file for chunk in _require_all(extract_frames, chunks, "frames") for file in chunk.files)
+    frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames") for file in chunk.files)
     calls = [
         MatteCall(
             still=footage.still(frame, plate),
@@ -170,7 +168,7 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
         for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
         if box is not None
     ]
-    found = dict(zip((call.number for call in calls), _require_all(find_matte, calls, "mattes"), strict=True))
+    found = dict(zip((call.number for call in calls), require_all(find_matte, calls, "mattes"), strict=True))
     mattes = {number: one.file for number, one in found.items() if one.file is not None}
     if not mattes:
         reason = next((one.reason for one in found.values()), "nobody differs from the background")
@@ -214,7 +212,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in keys
     ]
-    searched = _require_all(find_key_body, calls, "first bodies")
+    searched = require_all(find_key_body, calls, "first bodies")
     found = {number: one.first for number, one in zip(keys, searched, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"no body is found in any frame ({searched[0].reason})")
@@ -232,7 +230,7 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
         )
         for n in others
     ]
-    placed = _require_all(find_body_between, between, "first bodies between")
+    placed = require_all(find_body_between, between, "first bodies between")
     for number, one in zip(others, placed, strict=True):
         if one.first is not None:
             known[number] = one.first
@@ -269,7 +267,7 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
         )
         for n in sorted(scene.mattes)
     ]
-    given = _require_all(find_given_body, calls, "first bodies of the result")
+    given = require_all(find_given_body, calls, "first bodies of the result")
     found = {call.number: one.first for call, one in zip(calls, given, strict=True) if one.first is not None}
     if not found:
         raise InputError(f"the result has a body for none of the frames ({given[0].reason}); say with --init.frame")
@@ -300,7 +298,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
     windows = plan_windows(np.array(bodies.usable, bool), config.video.window)
     settling = person_windows(windows, np.array(scene.areas), config.video.person_windows)
     first_calls = [_window_call(scene, bodies, windows[index], None) for index in settling]
-    first_fits = _require_all(fit_clip_window, first_calls, "who it is")
+    first_fits = require_all(fit_clip_window, first_calls, "who it is")
     person = estimate_identity(tuple(first_fits), scene.inputs.body, scene.folder)
     settled = _assign_frames(windows)
     resumed: set[int] = set()
@@ -313,7 +311,7 @@ def fit_windows(scene: Scene, bodies: ClipBodiesHandle, on_fitted: Callable[[tup
         on_fitted(settled[index], outcome.result.loss)
 
     calls = [_window_call(scene, bodies, window, person) for window in windows]
-    return Fitted(tuple(_require_all(fit_clip_window, calls, "windows", fitted)), person, frozenset(resumed))
+    return Fitted(tuple(require_all(fit_clip_window, calls, "windows", fitted)), person, frozenset(resumed))
 
 
 def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
@@ -331,89 +329,6 @@ def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
         body=scene.inputs.body,
         subframes=config.fit.subframes,
         longest_fill=config.video.longest_fill,
-        folder=scene.folder,
-    )
-
-
-def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[int, float]]:
-    """Score how well the motion explains every frame, and its errors where the truth is known.
-
-    Args:
-        scene: the clip.
-        fitted: its windows.
-        joined: its motion.
-    """
-    numbers = sorted({frame for window in fitted.windows for frame in window.frames})
-    calls = []
-    for at in range(0, len(numbers), _CHUNK):
-        some = tuple(numbers[at : at + _CHUNK])
-        clip, mattes = scene.of(some)
-        calls.append(
-            ScoreCall(
-                clip=clip,
-                numbers=some,
-                mattes=mattes,
-                motion=joined.motion,
-                person=fitted.person,
-                body=scene.inputs.body,
-                config=scene.config.fit,
-            )
-        )
-    told = _require_all(score_frames, calls, "scores")
-    if scene.inputs.truth is not None:
-        told.append(judge_clip(joined.motion, scene.inputs.truth))
-    scores: dict[str, dict[int, float]] = {}
-    for one in told:
-        for name, values in one.scores.items():
-            scores.setdefault(name, {}).update(zip(one.frames, values, strict=True))
-    return scores
-
-
-def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[int, float]) -> list[ResultWarning]:
-    """Return the warnings of the result, the plate's first.
-
-    Args:
-        scene: the clip.
-        fitted: its windows.
-        joined: its motion.
-        matte_iou: by frame, where it is known.
-    """
-    shown = looks_over(sorted({frame for window in fitted.windows for frame in window.frames}))
-    clip, mattes = scene.of(shown)
-    found = look_for_warnings(
-        clip=clip,
-        numbers=shown,
-        mattes=mattes,
-        motion=joined.motion,
-        matte_iou=tuple(sorted(matte_iou.items())),
-        body=scene.inputs.body,
-        config=scene.config.fit,
-    ).warnings
-    tell(found)
-    return [*scene.warnings, *found]
-
-
-def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:
-    """Draw a few frames, spread over the clip, as a strip.
-
-    Args:
-        scene: the clip.
-        fitted: its windows.
-        joined: its motion.
-    """
-    numbers = sorted({frame for window in fitted.windows for frame in window.frames})
-    shown = tuple(sorted({numbers[round(float(at))] for at in np.linspace(0, len(numbers) - 1, _SHOWN)}))
-    clip, mattes = scene.of(shown)
-    note = f"frames {', '.join(map(str, shown))} of {scene.footage.count}"
-    return draw_clip(
-        clip=clip,
-        numbers=shown,
-        mattes=mattes,
-        motion=joined.motion,
-        person=fitted.person,
-        body=scene.inputs.body,
-        config=scene.config.fit,
-        note=note,
         folder=scene.folder,
     )
 
@@ -453,13 +368,20 @@ def _around(number: int, known: Mapping[int, FirstBodyHandle]) -> tuple[tuple[in
     return tuple((frame, known[frame]) for frame in (before, after) if frame is not None)
 
 
-def _require_all(
+def require_all(
     task: Task[[C], R],
     calls: Sequence[C],
     label: str,
     on_outcome: Callable[[int, Outcome[R]], None] | None = None,
 ) -> list[R]:
-    """Return all results in order; the first failure stops the rest."""
+    """Return all results in order; the first failure stops the rest.
+
+    Args:
+        task: of one record.
+        calls: the records.
+        label: displayed while they run.
+        on_outcome: called with the number and outcome of each call, in order.
+    """
     server = ServerWatch()
 
     def watched(index: int, outcome: Outcome[R]) -> None:

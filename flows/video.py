@@ -14,17 +14,8 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
-from hfb.flows.clip_steps import (
-    Fitted,
-    Scene,
-    draw,
-    find_first_bodies,
-    fit_windows,
-    join,
-    score,
-    see,
-    warn,
-)
+from hfb.flows.clip_scores import draw, score, warn
+from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures
 from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
