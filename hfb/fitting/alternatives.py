@@ -207,8 +207,8 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         features = dict(zip(found["feature_names"].tolist(), found["features"].astype(np.float64), strict=True))
         front = None
         if _FRONT[0] in found:
-            motions = [found[name].astype(np.float64) for name in _FRONT]
-            front = FrontMotion(*motions[:3], probability=float(motions[3]))
+            poses, trans, joints = (found[name].astype(np.float64) for name in _FRONT[:3])
+            front = FrontMotion(poses, trans, joints, float(found[_FRONT[3]]))
     except FileNotFoundError:
         raise InputError(f"there is no file of alternatives at {path}; `hfb fit` leaves one") from None
     except (KeyError, ValueError, TypeError, OSError) as error:

@@ -23,7 +23,7 @@ def first_body(
     networks: tuple[FileHandle, ...],
     folder: Path,
 ) -> FirstBodyHandle:
-    """Estimate the body of one frame; of several, also how sure its front is, on which all are to agree.
+    """Estimate the body of one frame; of several frames, also the certainty of its front, which must be consistent.
 
     Args:
         clip: all frames.
@@ -31,7 +31,7 @@ def first_body(
         mattes: of all frames.
         body: the user's body model; None for the embedded one.
         config: options of the first body.
-        networks: the pose networks at hand, or METRO's; with other ones the estimate is made again.
+        networks: the installed pose networks, or METRO's; others give a new estimate.
         folder: where the body goes.
 
     Raises:
@@ -48,5 +48,9 @@ def first_body(
 
 
 def given_body(file: FileHandle) -> FirstBodyHandle:
-    """A first body that the caller brought."""
+    """Return the handle of a first body that the caller provides.
+
+    Args:
+        file: the first body.
+    """
     return FirstBodyHandle(**file.model_dump(), source=load_first_body(file.path).source)

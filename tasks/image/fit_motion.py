@@ -40,7 +40,7 @@ def fit_motion(
         body: the user's body model; None for the embedded one.
         priors: of pose and motion.
         config: options of the fit.
-        seed: of everything that is random.
+        seed: of the random numbers.
         folder: where the files go.
     """
     observation, model = load_observation(clip, mattes), load_chosen_body(body)

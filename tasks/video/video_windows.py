@@ -25,10 +25,10 @@ class WindowCall(Call):
         firsts: first bodies of the window's frames.
         body: the user's body model; None for the embedded one.
         priors: of pose and motion.
-        person: who it is, where that is known.
+        person: shape and texture of the person, where they are known.
         turned: the first bodies were mirrored because both fronts were weighed.
         config: options of the fit.
-        seed: of everything that is random.
+        seed: of the random numbers.
         folder: where the fit goes.
     """
 
@@ -108,7 +108,7 @@ def fill_bodies(
     Args:
         numbers: of the frames with a body.
         firsts: their bodies.
-        present: for every frame of the clip whether somebody is seen.
+        present: for every frame of the clip whether a person is visible.
         longest_fill: how many frames without a body are filled from their neighbours.
         folder: where the new bodies go.
     """
@@ -135,7 +135,7 @@ def fill_bodies(
 
 
 def _gpu_batch_size(call: WindowCall) -> int:
-    """How many windows are one problem for a GPU."""
+    """Return how many windows are one problem on a GPU."""
     from hfb.fitting.clip.windows import window_batch_size
 
     return window_batch_size(call.config)
@@ -193,7 +193,11 @@ def _needs(call: WindowCall) -> Where:
 
 @task("windows", where=_needs, batch=BatchFunction(_gpu_batch_size, _fit_windows))
 def fit_clip_window(call: WindowCall) -> WindowHandle:
-    """Fit one window, with the clip's person where it is known."""
+    """Fit one window, with the clip's person where it is known.
+
+    Args:
+        call: the window.
+    """
     return _fit_windows([call])[0]
 
 
@@ -227,15 +231,15 @@ def join_clip(
     longest_fill: int,
     folder: Path,
 ) -> JoinedHandle:
-    """Join all windows into one continuous motion; short stretches without anybody are bridged.
+    """Join all windows into one continuous motion; short stretches without a person are bridged.
 
     Args:
         footage: the clip.
         windows: fitted with the person.
-        person: who it is.
+        person: shape and texture of the person.
         body: the user's body model; None for the embedded one.
         subframes: per frame.
-        longest_fill: how many frames without anybody are bridged.
+        longest_fill: how many frames without a person are bridged.
         folder: where the motion goes.
     """
     import numpy as np
