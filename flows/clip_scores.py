@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hfb.evaluation.warnings import ResultWarning, check_front
-from hfb.fitting.fronts import front_probability
+from hfb.fitting.front_choice import front_probability
 from hfb.flows.clip_steps import CHUNK, Fitted, Scene, require_all
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.video_handles import JoinedHandle

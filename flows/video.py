@@ -14,7 +14,7 @@ from prefect.task_runners import ThreadPoolTaskRunner
 
 from hfb.config import RunConfig
 from hfb.fitting.confidence import radius_condition
-from hfb.fitting.fronts import front_probability
+from hfb.fitting.front_choice import front_probability
 from hfb.flows.clip_scores import draw, score, warn
 from hfb.flows.clip_steps import Fitted, Scene, find_first_bodies, fit_windows, join, see
 from hfb.flows.runtime.failures import ask_server, explain_failures

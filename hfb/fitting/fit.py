@@ -15,7 +15,7 @@ from hfb.fitting.alternatives import Alternatives
 from hfb.fitting.confidence import shipped_radius_mm
 from hfb.fitting.direction_trust import trusted
 from hfb.fitting.directions import search_directions
-from hfb.fitting.fronts import FrontChoice, front_log_odds
+from hfb.fitting.front_choice import FrontChoice, front_log_odds
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.fitting.joint_features import joint_features
 from hfb.fitting.refine import InitialEvidence, predict_initial_evidence

@@ -1,7 +1,7 @@
 """Which way a person faces: bodies mirrored in depth, how sure a front is, and frames that agree on one.
 
 A silhouette shows no front, and pose networks mistake it on blurred images. Where the joint network doubts a front, the
-mirror image is laid onto the matte too, and both are fitted (`hfb.fitting.fronts`).
+mirror image is laid onto the matte too, and both are fitted (`hfb.fitting.front_choice`).
 """
 
 from collections.abc import Mapping, Sequence

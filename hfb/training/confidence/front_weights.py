@@ -23,7 +23,7 @@ from hfb.errors import InputError
 from hfb.evaluation.judge import judge
 from hfb.evaluation.prediction import Prediction
 from hfb.fitting.fit import fit
-from hfb.fitting.fronts import LARGEST_DIFFERENCE, FrontChoice
+from hfb.fitting.front_choice import LARGEST_DIFFERENCE, FrontChoice
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.fronts import find_other_front
 from hfb.io.atomic import write_bytes_atomic

@@ -12,7 +12,7 @@ from hfb.datasets.example import write_example
 from hfb.datasets.truth import Truth, load_truth
 from hfb.fitting.alternatives import load_alternatives, save_alternatives
 from hfb.fitting.fit import FitResult, fit
-from hfb.fitting.fronts import front_log_odds, shipped_front_weights
+from hfb.fitting.front_choice import front_log_odds, shipped_front_weights
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.fronts import find_other_front, mirrored_in_depth
 from hfb.initialization.initializer import make_initializer
