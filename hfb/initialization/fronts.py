@@ -25,7 +25,7 @@ _TORSO = (1, 2, 16, 17)
 """Hips and shoulders: where the front is. Arms and legs move, and a search confuses them, whatever the front."""
 _DOUBT_M = 0.2
 """What one unit of `front_doubts` weighs, in metres that hips and shoulders move: front and back are 0.3 m apart."""
-_SURE = 0.6
+SURE_DOUBT = 0.6
 """`front_doubts`, per frame, from which on the front of a start was never wrong."""
 _LAY_ON = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(128, 30, 0.015))
 _STAY = Stay(pose=0.01, root=0.05, place=0.5)
@@ -49,19 +49,22 @@ def front_doubts(observation: Observation, first_bodies: Sequence[FirstBody], bo
     return mirrored - found
 
 
-def find_other_front(observation: Observation, first_bodies: Sequence[FirstBody], body: Body) -> OtherFront | None:
+def find_other_front(
+    observation: Observation, first_bodies: Sequence[FirstBody], body: Body, sure: float = SURE_DOUBT
+) -> OtherFront | None:
     """Return the bodies that face the other way, laid onto the mattes; None where the front is sure.
 
     Args:
         observation: of all frames.
         first_bodies: one per frame, agreed on one front.
         body: the body model.
+        sure: mean of `front_doubts` from which on the front is not in doubt.
 
     Raises:
         InputError: a matte is empty.
     """
     doubt = float(front_doubts(observation, first_bodies, body).mean())
-    if doubt >= _SURE:
+    if doubt >= sure:
         return None
     turned = (lay_on_mirrored(first, observation, frame, body) for frame, first in enumerate(first_bodies))
     return OtherFront(tuple(turned), doubt)

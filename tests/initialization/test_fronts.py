@@ -44,6 +44,5 @@ def test_the_other_front_faces_away_and_covers_the_matte(scene: Scene) -> None:
     assert overlap(other.bodies[0], level, BODY, drawing) > overlap(mirrored_in_depth(found), level, BODY, drawing)
 
 
-def test_a_sure_front_has_no_other(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hfb.initialization.fronts._SURE", 0.05)
-    assert find_other_front(scene.observation, scene.middle, BODY) is None
+def test_a_sure_front_has_no_other(scene: Scene) -> None:
+    assert find_other_front(scene.observation, scene.middle, BODY, sure=0.05) is None

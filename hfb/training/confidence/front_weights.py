@@ -5,6 +5,7 @@ hfb train fronts --network DIR ... --matte DIR ... --new-network DIR ... --new-m
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -137,7 +138,7 @@ def counted(pairs: Sequence[Pair], loss: float, doubt: float, prior: float) -> d
 
 
 def pairs_of(folders: Sequence[Path], every: int) -> Iterator[Pair]:
-    """Fit both fronts of the cases whose front is doubtful.
+    """Fit both fronts of every case: the sure ones tell how sure a doubt of the other sign is.
 
     Args:
         folders: of hfb benchmark.
@@ -152,9 +153,8 @@ def pairs_of(folders: Sequence[Path], every: int) -> Iterator[Pair]:
             case, looked = load_case(place), benchmark / "intermediate" / place.name
             truth, seen = load_truth_of(case.truth), _observation(case, looked)
             starts = [load_first_body(looked / f"first_body_{index}.npz") for index in range(case.frames)]
-            other = find_other_front(seen, starts, body)
-            if other is None:
-                continue
+            other = find_other_front(seen, starts, body, sure=math.inf)
+            assert other is not None
             result = fit(seen, starts, body, config.fit, config.seed, prior, other_front=other)
             front = result.front
             assert front is not None
