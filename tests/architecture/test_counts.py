@@ -18,7 +18,7 @@ FORMATTED_BY_HAND = 0
 TUPLES_OF_ANY = 0
 UNDESCRIBED = 216
 """Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
-METHODS_UNDESCRIBED = 61
+METHODS_UNDESCRIBED = 60
 """The same of public methods of public classes; the goal is 0."""
 LINES = {"product": 39_738, "training": 4_257}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
