@@ -229,6 +229,9 @@ class FitConfig(Record):
     )
     stages: tuple[Stage, ...] = (Stage(size_px=256, iterations=200),)
     directions: DirectionsConfig = DirectionsConfig()
+    both_fronts: bool = Field(
+        False, description="where it is doubtful which way the person faces, fit both and keep the likelier"
+    )
     matte_scales: int = Field(1, ge=1, le=8, description="scales at which mattes are compared, each half the last")
     image_scales: int = Field(1, ge=1, le=8, description="scales at which pictures are compared, each half the last")
     settle: int = Field(0, ge=0, description="iterations of the warm-up: the skeleton alone, towards predicted joints")
@@ -391,6 +394,7 @@ _BEST = FitConfig(
     matte_scales=5,  # a displaced limb shares no edge with its image: coarse pixels reach further
     image_scales=3,
     directions=DirectionsConfig(search=True),
+    both_fronts=True,
     settle=80,
     lifting=0.75,
     xy_weight=0.2,

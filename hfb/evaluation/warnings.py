@@ -53,6 +53,9 @@ class ResultWarning(Record):
     message: str
 
 
+_SURE_FRONT = 0.8
+
+
 @dataclass(frozen=True, eq=False)
 class Look:
     """One frame with its matte and the fitted body's silhouette.
@@ -137,6 +140,25 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
         f"the trunk turns by {worst:.0f} degrees from one frame to the next, faster than a person can, before "
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
+    )
+
+
+def check_front(probability: Mapping[int, float]) -> ResultWarning | None:
+    """Return a warning where two fits, one per way the person may face, explain the frames about as well.
+
+    Args:
+        probability: of the front that was kept, by frame; of frames whose front was never in doubt none.
+    """
+    low = {frame: value for frame, value in sorted(probability.items()) if value < _SURE_FRONT}
+    if not low:
+        return None
+    worst = min(low.values())
+    return _warning(
+        "front",
+        worst,
+        low,
+        f"which way the person faces is unsure ({worst:.0%} for the way shown) in {_frames(low)}: give a better start "
+        "(`hfb models fetch`, or another system's result with --init FILE), or a frame with less blur",
     )
 
 

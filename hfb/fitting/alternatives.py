@@ -20,7 +20,25 @@ MOVES_M = 0.015
 _UNSURE = 0.75
 _UNPACKED_LIMIT, _LARGEST = 128 << 20, 1e6
 _KINDS = {"reversed_limbs": "b", "chosen": "iu", "frame_index": "iu", "score_names": "U", "feature_names": "U"}
+_FRONT = ("front_poses", "front_trans", "front_joints", "front_probability")
 _ARRAYS = ("reversed_limbs", "poses", "trans", "joints", "probability", "chosen", "frame_index")
+
+
+@dataclass(frozen=True)
+class FrontMotion:
+    """The motion that was fitted with the person facing the other way.
+
+    Attributes:
+        poses: axis-angle [rad].
+        trans: SMPL's translation [m].
+        joints: camera coordinates [m].
+        probability: that this front is the right one.
+    """
+
+    poses: Float[Array, "R 72"]
+    trans: Float[Array, "R 3"]
+    joints: Float[Array, "R 24 3"]
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -36,6 +54,7 @@ class Alternatives:
         probability: probability of each motion, given that one of them is right; adds up to 1.
         chosen: the number of the result.
         frame_index: the frame each row belongs to.
+        other_front: where both fronts were fitted, the one that was not kept; all other motions have the kept one.
     """
 
     reversed_limbs: Bool[Array, "A T 5"]
@@ -46,6 +65,7 @@ class Alternatives:
     probability: Float[Array, "A"]
     chosen: int
     frame_index: Array
+    other_front: FrontMotion | None = None
 
     def joint_right(self) -> Float[Array, "T 24"]:
         """Return P(the joint moved in the result's direction), camera coordinates; NaN for one that hardly moved."""
@@ -164,6 +184,9 @@ def save_alternatives(
         "feature_names": np.array(tuple(joint_features)),
         "features": np.array([joint_features[name] for name in joint_features], np.float32),
     }
+    if (front := alternatives.other_front) is not None:
+        motions = (np.asarray(one, np.float32) for one in (front.poses, front.trans, front.joints))
+        arrays |= dict(zip(_FRONT, (*motions, np.array(front.probability)), strict=True))
     write_arrays(path, arrays)
 
 
@@ -182,12 +205,16 @@ def load_alternatives(path: Path) -> tuple[Alternatives, dict[str, Float[Array, 
         _check(found)
         scores = dict(zip(found["score_names"].tolist(), found["scores"].T, strict=True))
         features = dict(zip(found["feature_names"].tolist(), found["features"].astype(np.float64), strict=True))
+        front = None
+        if _FRONT[0] in found:
+            poses, trans, joints = (found[name].astype(np.float64) for name in _FRONT[:3])
+            front = FrontMotion(poses, trans, joints, float(found[_FRONT[3]]))
     except FileNotFoundError:
         raise InputError(f"there is no file of alternatives at {path}; `hfb fit` leaves one") from None
     except (KeyError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path} holds no alternatives of hfb ({error}); make one with `hfb fit`") from None
     read |= {name: read[name].astype(np.float64) for name in ("poses", "trans", "joints")}
-    return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores}), features
+    return Alternatives(**read | {"chosen": int(read["chosen"]), "scores": scores, "other_front": front}), features
 
 
 def _check(found: Mapping[str, Array]) -> None:
@@ -211,11 +238,15 @@ def _check(found: Mapping[str, Array]) -> None:
         "score_names": (scores,),
         "feature_names": (features,),
     }
+    motions = ["poses", "trans", "joints", "probability"]
+    if _FRONT[0] in found:
+        shapes |= dict(zip(_FRONT, ((rows, 72), (rows, 3), (rows, 24, 3), ()), strict=True))
+        motions += _FRONT
     for name, shape in shapes.items():
         array = found[name]
         if array.shape != shape or array.dtype.kind not in _KINDS.get(name, "f"):
             raise ValueError(f"its {name} is {str(array.dtype)[:20]} {array.shape}, not {shape}")
-    for name in ("poses", "trans", "joints", "probability"):
+    for name in motions:
         if not (np.abs(found[name]) <= _LARGEST).all():
             raise ValueError(f"its {name} has a number beyond {_LARGEST:g}, or one that is not finite")
     if not rows or not 0 <= found["chosen"] < several or not (found["probability"] >= 0).all():

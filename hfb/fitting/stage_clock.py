@@ -47,6 +47,20 @@ class StageClock:
             self.seconds[name] = time.perf_counter() - started
             _log.debug("fit stage %s: %.2f s", name, self.seconds[name])
 
+    def inner(self, prefix: str) -> "StageClock":
+        """Return a clock for stages inside the current one, whose iterations count here.
+
+        Args:
+            prefix: of what it reports.
+        """
+        done = self._done
+
+        def report(inner_done: int, _: int, note: str) -> None:
+            if self._on_progress:
+                self._on_progress(done + inner_done, self._n_iterations, prefix + note)
+
+        return StageClock(self._n_iterations, report)
+
     def advance(self, n_iterations: int, loss: float) -> None:
         """Report iterations that are done.
 

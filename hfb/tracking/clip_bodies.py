@@ -8,36 +8,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
-from hfb.body.assets import load_default_body
 from hfb.body.model import Body
-from hfb.body.skeleton import MIRROR
-from hfb.evidence.joint_evidence import predict_joint_evidence
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import (
-    axis_angle_to_matrix,
     axis_angle_to_quaternion,
     in_hemisphere_of,
-    matrix_to_axis_angle,
     normalize_quaternion,
     quaternion_to_axis_angle,
 )
 from hfb.initialization.silhouette_fit import SilhouetteStage, Stay, matte_level, overlap, refine, refine_swept
 from hfb.motion.static_pose import FirstBody
 from hfb.rendering.backends import make_rasterizer
-from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.typing import Array, Bool, Float, Tensor
+from hfb.typing import Array, Bool, Float
 
 _LAY_ON = (SilhouetteStage(64, 25, 0.02, shape=False),)
 _STAY = Stay(pose=0.02, root=0.1, place=0.5)
 _COMPARE_PX = 64
 _STILL_ENOUGH, _CLEARLY_MOVING = 0.5, 0.1  # soft IoU with the matte of a body at rest; what a path must gain over it
-_TORSO = (1, 2, 16, 17)
-"""Hips and shoulders: where the front is. Arms and legs move, and a search confuses them, whatever the front."""
-_DOUBT_M = 0.2
-"""Weight of one unit of `front_doubt`, in metres of movement of hips and shoulders: front and back differ by 0.3 m."""
 
 
 @dataclass(frozen=True)
@@ -71,73 +60,6 @@ def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
         steps = max(1, -(-(stop - 1 - first) // every))
         chosen += sorted({first + round(step * (stop - 1 - first) / steps) for step in range(steps + 1)})
     return tuple(chosen)
-
-
-def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float:
-    """Return how much more certain the joint network is of a body as found than of its mirror image in depth.
-
-    Args:
-        observation: the body's frame alone.
-        first: a body found in one frame.
-        body: model of the first bodies.
-
-    Returns:
-        the difference of the mean logarithms of the network's own error scales; positive where "as found" is likelier.
-    """
-    found, mirrored = (
-        float(predict_joint_evidence(observation, [one], body).scale.log().mean())
-        for one in (first, mirrored_in_depth(first))
-    )
-    return mirrored - found
-
-
-def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) -> dict[int, FirstBody]:
-    """Mirror those key frames' bodies in depth that would make the person turn around and back.
-
-    Of all combinations, dynamic programming takes the one with the least movement of hips and shoulders (about the
-    pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
-
-    Args:
-        found: bodies of the key frames, by frame number.
-        doubts: `front_doubt` of every body.
-    """
-    frames = sorted(found)
-    if not frames:
-        return {}
-    options = [(found[frame], mirrored_in_depth(found[frame])) for frame in frames]
-    joints = [[_torso(one) for one in pair] for pair in options]
-    extra = [_DOUBT_M * np.array([max(-doubts[frame], 0.0), max(doubts[frame], 0.0)]) for frame in frames]
-    costs, came_from = extra[0], []
-    for index in range(1, len(frames)):
-        steps = np.array(
-            [
-                [float((joints[index][now] - joints[index - 1][before]).norm(dim=-1).mean()) for before in (0, 1)]
-                for now in (0, 1)
-            ]
-        )
-        total = costs[None] + steps
-        came_from.append(total.argmin(1))
-        costs = total.min(1) + extra[index]
-    state = int(costs.argmin())
-    states = [state]
-    for origin in reversed(came_from):
-        state = int(origin[state])
-        states.append(state)
-    return {frame: pair[state] for frame, pair, state in zip(frames, options, reversed(states), strict=True)}
-
-
-def mirrored_in_depth(first: FirstBody) -> FirstBody:
-    """Mirror a body in the plane of the pelvis, left and right exchanged: from far away it looks the same.
-
-    Args:
-        first: a body found in one frame.
-    """
-    S = torch.diag(first.pose.new_tensor([-1.0, 1.0, 1.0]))
-    M = torch.diag(first.pose.new_tensor([1.0, 1.0, -1.0]))
-    local = axis_angle_to_matrix(first.pose)[list(MIRROR)]
-    turned = S @ local @ S
-    turned = torch.cat([(M @ local[0] @ S)[None], turned[1:]])
-    return replace(first, pose=matrix_to_axis_angle(turned))
 
 
 def between(frame: int, known: Mapping[int, FirstBody]) -> FirstBody:
@@ -228,11 +150,3 @@ def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longe
             bodies[frame] = between(frame, near)
             filled[frame] = True
     return ClipBodies(tuple(bodies), filled)
-
-
-def _torso(first: FirstBody) -> Float[Tensor, "4 3"]:
-    """Return hips and shoulders about the pelvis [m]."""
-    body = load_default_body()  # lengths hardly matter here, and every body model has these joints
-    shaped = body.shape(torch.zeros(body.shape_count))
-    joints = shaped.joints_of(axis_angle_to_matrix(first.pose.float())[None], torch.zeros(1, 3))[0]
-    return joints[list(_TORSO)] - joints[0]

@@ -15,6 +15,7 @@ from hfb.evaluation.baselines.rows import row_times_s
 from hfb.evaluation.prediction import Prediction
 from hfb.evaluation.protocol import pose_rows
 from hfb.fitting.fit import FitResult, fit
+from hfb.initialization.fronts import find_other_front
 from hfb.kernels.determinism import one_torch_thread
 from hfb.motion.sampled import SampledMotion
 from hfb.motion.static_pose import FirstBody
@@ -72,14 +73,17 @@ class HumanFromBlur:
         return Prediction(_joined(results, observation), pictures[..., 3] >= 0.5, pictures, seconds)
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
+        config = self._config.fit
+        other = find_other_front(observation, starts, self._body) if config.both_fronts else None
         return fit(
             observation,
             starts,
             self._body,
-            self._config.fit,
+            config,
             self._config.seed,
             self._prior,
             motion_prior=self._motion_prior,
+            other_front=other,
         )
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:

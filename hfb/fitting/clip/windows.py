@@ -19,7 +19,7 @@ from hfb.fitting.fit import FitResult, Problem, fit_all
 from hfb.fitting.identity import Identity, rescale_first_body
 from hfb.io.array_files import read_arrays
 from hfb.motion.motion_file import write_arrays
-from hfb.motion.static_pose import FirstBody
+from hfb.motion.static_pose import FirstBody, OtherFront
 from hfb.motion.trajectory import Trajectory
 from hfb.priors.motion_prior import MotionPrior
 from hfb.priors.pose import PosePrior
@@ -57,9 +57,11 @@ class WindowFit:
         frames: see `ClipWindow`.
         segment: see `ClipWindow`.
         texture: linear light; None where the person was known.
-        joint_radius_mm: radius of each joint, see `SampledMotion`; None where the fit estimates none.
-        loss: weighted sum of the kept iterate's terms.
+        joint_radius_mm: how far off each joint may be, see `SampledMotion`; None where the fit does not say.
+        loss: the kept iterate's weighted sum.
         history: one value per iteration of every term.
+        mirrored: the fit began from the first bodies' mirror images in depth.
+        front_log_odds: that the first bodies face the right way; 0 where both fronts were not fitted.
     """
 
     frames: tuple[int, ...]
@@ -71,6 +73,8 @@ class WindowFit:
     loss: float
     seconds: float
     history: dict[str, list[float]] = field(default_factory=dict)
+    mirrored: bool = False
+    front_log_odds: float = 0.0
 
 
 def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...]:
@@ -128,6 +132,7 @@ def window_config(config: RunConfig) -> FitConfig:
         update={
             "stages": video.stages,
             "settle": min(video.settle, base.settle),
+            "both_fronts": False,
             "directions": base.directions.model_copy(update={"search": False}),
         }
     )
@@ -150,12 +155,14 @@ class WindowScene:
         observation: observation of the window's frames alone.
         first_bodies: first bodies of the window's frames alone.
         identity: shape and texture to hold fixed; both are fitted where it is not given.
+        other_front: see `hfb.fitting.fit.Problem`.
     """
 
     window: ClipWindow
     observation: Observation
     first_bodies: Sequence[FirstBody]
     identity: Identity | None = None
+    other_front: OtherFront | None = None
 
 
 def fit_windows(
@@ -203,7 +210,7 @@ def _problem(scene: WindowScene, body: Body) -> Problem:
     first_bodies, identity = scene.first_bodies, scene.identity
     if identity is not None:
         first_bodies = [rescale_first_body(first, identity.betas, body) for first in first_bodies]
-    return Problem(scene.observation, first_bodies, identity)
+    return Problem(scene.observation, first_bodies, identity, scene.other_front)
 
 
 def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> WindowFit:
@@ -218,6 +225,8 @@ def _window_fit(scene: WindowScene, found: FitResult, config: FitConfig) -> Wind
         loss=found.loss,
         seconds=found.seconds,
         history=found.history,
+        mirrored=found.front is not None and found.front.mirrored,
+        front_log_odds=0.0 if found.front is None else found.front.log_odds,
     )
 
 
@@ -240,6 +249,8 @@ def save_window(path: Path, found: WindowFit) -> None:
         "origin": np.array(motion.origin),
         "loss": np.array(found.loss),
         "history": np.array(json.dumps(found.history)),
+        "mirrored": np.array(found.mirrored),
+        "front_log_odds": np.array(found.front_log_odds),
     }
     if found.texture is not None:
         arrays["texture"] = found.texture.detach().numpy()
@@ -277,6 +288,8 @@ def load_window(path: Path) -> WindowFit:
             loss=float(content["loss"]),
             seconds=0.0,
             history=json.loads(str(content["history"])),
+            mirrored=bool(content["mirrored"]),
+            front_log_odds=float(content["front_log_odds"]),
         )
     except FileNotFoundError:
         raise InputError(f"there is no window's result at {path}") from None
