@@ -14,7 +14,7 @@ ROOMS = ("hfb", "tasks", "flows")
 LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
 TUPLES_OF_ANY = 0
-LINES = {"product": 40_016, "training": 4_385}
+LINES = {"product": 40_016, "training": 4_383}
 """Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
 
 The product's goal is 30,183, nine tenths of what adb3d25 had.
@@ -130,7 +130,7 @@ def _told(docstring: str) -> set[str]:
 
 def test_the_code_does_not_grow() -> None:
     training = ROOT / "hfb" / "training"
-    lines = {"product": 40_014, "training": 4_385}
+    lines = {"product": 0, "training": 0}
     for path in sources(*ROOMS):
         lines["training" if path.is_relative_to(training) else "product"] += _code_lines(path)
     assert {part: count for part, count in lines.items() if count > LINES[part]} == {}
