@@ -4,6 +4,7 @@ And what tests of tasks, flows and commands share: a store of their own on the s
 `tests/README.md` tells where what is.
 """
 
+import gc
 import importlib.util
 import os
 import pkgutil
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+gc.disable()  # until all is imported, which makes a million objects and no garbage
 
 import platformdirs
 import pytest
@@ -58,6 +60,15 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(RUN_FOLDER), ignore_errors=True))
     for kind, needs in kinds.KINDS.items():
         config.addinivalue_line("markers", f"{kind}: {needs}")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    try:
+        return (yield)
+    finally:
+        gc.freeze()  # what is imported stays: no later search for garbage looks at it
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m looks at the markers
