@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-gc.disable()  # until all is imported, which makes a million objects and no garbage
 
 import platformdirs
 import pytest
@@ -64,10 +63,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
+    gc.disable()  # imports make a million objects and no garbage
     try:
         return (yield)
     finally:
-        gc.freeze()  # what is imported stays: no later search for garbage looks at it
+        gc.freeze()  # they stay: no later search for garbage looks at them
         gc.enable()
 
 
