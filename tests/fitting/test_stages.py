@@ -76,9 +76,13 @@ def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> N
 
     def result(weight: float, factor: float, *stages: Stage) -> FitResult:
         config = FitConfig(
-            stages=stages, subframes=3, texture_px=16, multi_frame=MultiFrame(image=factor),
-            weights=Weights(image=weight, boundary=0), directions=DirectionsConfig(search=True, limbs=False, refits=0),
-        )  # fmt: skip
+            stages=stages,
+            subframes=3,
+            texture_px=16,
+            multi_frame=MultiFrame(image=factor),
+            weights=Weights(image=weight, boundary=0),
+            directions=DirectionsConfig(search=True, limbs=False, refits=0),
+        )
         return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
 
     plain, more = (result(2, factor, coarse, whole) for factor in (1, 5))
@@ -200,9 +204,11 @@ def test_every_network_runs_in_a_timed_stage(monkeypatch: pytest.MonkeyPatch) ->
     body, coarse, stage = load_default_body(), Stage(size_px=32, iterations=1), Stage(size_px=48, iterations=2)
     scene, told, calls = moving_scene(body, size_px=48), [""], []
     networks = {
-        "joint": (joint_evidence, "shipped_joint_network"), "lifting": (lifting_network, "shipped_lifting_network"),
-        "fusion": (depth_fusion, "shipped_depth_fusion"), "matting": (network, "shipped_third"),
-    }  # fmt: skip
+        "joint": (joint_evidence, "shipped_joint_network"),
+        "lifting": (lifting_network, "shipped_lifting_network"),
+        "fusion": (depth_fusion, "shipped_depth_fusion"),
+        "matting": (network, "shipped_third"),
+    }
 
     def watch(name: str, load: Callable[[], Any]) -> Callable[[], Any]:
         def loaded() -> Any:
@@ -218,9 +224,14 @@ def test_every_network_runs_in_a_timed_stage(monkeypatch: pytest.MonkeyPatch) ->
         update={"stages": (stage, coarse, stage, stage), "subframes": 3, "texture_px": 16, "settle": 2}
     )
     result = fit(
-        scene.observation, scene.middle, body, config, 0, AnatomicalPrior(),
+        scene.observation,
+        scene.middle,
+        body,
+        config,
+        0,
+        AnatomicalPrior(),
         on_progress=lambda done, total, note: told.append(note),
-    )  # fmt: skip
+    )
     refined = {(when, name) for when in ("refine 3", "refine 4") for name in networks}
     assert set(calls) == {("evidence", "joint"), ("refine 2", "lifting"), *refined}
     later = [f"{kind}_{number}" for number in (2, 3, 4) for kind in ("refine", "stage")]
