@@ -74,6 +74,16 @@ class FileHandle(Record):
             raise StaleFile(f"{self.path} is no longer what it was")
 
 
+class FrameHandle(FileHandle):
+    """A blurred picture.
+
+    Attributes:
+        gain: per channel, its exposure over the background's (`hfb.matting.exposure_match`).
+    """
+
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
 class ClipHandle(Record):
     """Pictures of one static camera that fit together, and when and how they were taken.
 
@@ -81,7 +91,7 @@ class ClipHandle(Record):
         remarks: what a person should know about them, one sentence each.
     """
 
-    frames: tuple[FileHandle, ...]
+    frames: tuple[FrameHandle, ...]
     background: FileHandle
     height: int
     width: int

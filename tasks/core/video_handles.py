@@ -7,7 +7,7 @@ from typing import Literal
 
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
 
 _Row = tuple[float, float, float]
 
@@ -32,14 +32,14 @@ class FootageHandle(FileHandle):
     bits: Literal[8, 16]
     remarks: tuple[str, ...]
 
-    def clip(self, frames: tuple[FileHandle, ...], background: FileHandle) -> ClipHandle:
+    def clip(self, frames: tuple[FrameHandle, ...], background: FileHandle) -> ClipHandle:
         """Some frames as a clip of their own."""
         return ClipHandle(
             frames=frames, background=background, height=self.height, width=self.width, K=self.K,
             exposure_s=self.exposure_s, interval_s=self.interval_s, transfer=self.transfer, light=self.light,
         )  # fmt: skip
 
-    def still(self, frame: FileHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
+    def still(self, frame: FrameHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
         """One frame for steps that know no time, nor the camera unless they ask: they are not redone for another."""
         nowhere = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
         alone = self.clip((frame,), background)
@@ -49,7 +49,7 @@ class FootageHandle(FileHandle):
 class FramesHandle(Record):
     """Some of a clip's frames as pictures."""
 
-    files: tuple[FileHandle, ...]
+    files: tuple[FrameHandle, ...]
 
 
 class PlateHandle(FileHandle):
