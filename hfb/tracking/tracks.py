@@ -13,9 +13,7 @@ import numpy as np
 from hfb.errors import InputError
 from hfb.io.clip import PersonChoice
 from hfb.io.media.plate import changed_pixels
-from hfb.matting.exposure_match import NO_GAIN, frame_gain, in_plate_exposure
 from hfb.matting.matting_protocol import nobody_found
-from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.tracking.person_pieces import Alpha, Person, join_pieces, matting_look
 from hfb.tracking.track_rows import read_rows
 from hfb.typing import Array, Bool, Float
@@ -94,7 +92,6 @@ def find_tracks(
     open_tracks: list[dict[int, Person]] = []
     done = 0
     for done, frame in enumerate(frames, 1):
-        frame = _evened(frame, plate, scale)
         changed = changed_pixels(_small(frame, scale)[None], empty)[0]
         pieces = join_pieces(_pieces(changed, scale), frame, plate, alpha)
         _follow(open_tracks, _people(pieces), done - 1)
@@ -102,15 +99,6 @@ def find_tracks(
             on_progress(done)
     kept = [track for track in open_tracks if len(track) >= min(_SHORTEST, done)]
     return tuple(_as_track(f"person {number}", track, done) for number, track in enumerate(kept, 1))
-
-
-def _evened(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], scale: float) -> Float[Array, "H W 3"]:
-    """A frame in its plate's exposure: every step of light would be a change."""
-    gain = frame_gain(*(srgb_to_linear(_small(one, scale)) for one in (frame, plate)))
-    if gain == NO_GAIN:
-        return frame
-    even = in_plate_exposure(srgb_to_linear(frame), srgb_to_linear(plate), gain)
-    return np.asarray(linear_to_srgb(even), np.float32)
 
 
 def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
