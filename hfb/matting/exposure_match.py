@@ -72,8 +72,8 @@ def in_plate_exposure(
 ) -> Float[Array, "H W 3"]:
     """The frame divided by its gain.
 
-    What is clipped tells no light. Where the frame is, it may have been as bright as the plate, and is taken to be;
-    where the plate is, the frame is cut in the same way.
+    What is clipped tells no light. Where the frame is, it may have been as bright as the plate, and is taken to be, but
+    for what its other channels lack there; where the plate is, the frame is cut in the same way.
 
     Args:
         frame_linear: the frame.
@@ -85,11 +85,20 @@ def in_plate_exposure(
     even = frame_linear / np.asarray(gain, frame_linear.dtype)
     cut = frame_linear >= _CUT
     if cut.any():
-        told = (~cut & (plate_linear > _DARK)).astype(even.dtype)
-        share = (even / np.maximum(plate_linear, _DARK) * told).sum(-1) / np.maximum(told.sum(-1), 1)
-        share = np.where(told.any(-1), share, 1)[..., None].astype(even.dtype)
-        even = np.where(cut, np.maximum(even, plate_linear * share), even)
+        even = np.where(cut, np.maximum(even, plate_linear * _share_of_plate(even, plate_linear, ~cut)), even)
     return np.minimum(even, max(1.0, float(plate_linear.max())))
+
+
+def _share_of_plate(
+    even: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], known: Bool[Array, "H W 3"]
+) -> Float[Array, "H W 1"]:
+    """How much of the plate's light a pixel has in the channels that are known; 1 where none is.
+
+    A limb that passes swiftly before a white wall darkens it: where red is clipped, blue still shows the limb.
+    """
+    told = (known & (plate > _DARK)).astype(even.dtype)
+    share = (even / np.maximum(plate, _DARK) * told).sum(-1) / np.maximum(told.sum(-1), 1)
+    return np.asarray(np.where(told.any(-1), share, 1)[..., None], even.dtype)
 
 
 def describe_gains(gains: Sequence[Gain]) -> str | None:
@@ -115,9 +124,9 @@ def _log_ratios(
     frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]
 ) -> tuple[Float[Array, "n 3"], Float[Array, "n"]]:
     """Of the pixels of a small picture that are neither dark nor clipped in either, and how much each says."""
-    clipped = ((frame >= _CLIPPED) | (plate >= _CLIPPED)).any(-1)
+    clipped = np.any((frame >= _CLIPPED) | (plate >= _CLIPPED), axis=-1)
     small_frame, small_plate = (shrink(one, _LOOKED_AT_PX) for one in (frame, plate))
-    usable: Bool[Array, "h w"] = shrink(clipped.astype(np.float32), _LOOKED_AT_PX) < 1e-3
+    usable: Bool[Array, "h w"] = shrink(np.asarray(clipped, np.float32), _LOOKED_AT_PX) < 1e-3
     usable = usable & (np.minimum(small_frame, small_plate) > _DARK).all(-1)
     seen, there = (np.log(np.maximum(one, _DARK)) for one in (small_frame, small_plate))
     weight = _shows_plate(seen.mean(-1), there.mean(-1))

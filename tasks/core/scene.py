@@ -146,8 +146,8 @@ def match_plate(image: Tensor, plate: Tensor, gain: tuple[float, float, float], 
         return image
     if light == "linear":
         return torch.from_numpy(in_plate_exposure(image.numpy(), plate.numpy(), gain))
-    linear = (srgb_to_linear(one).numpy() for one in (image, plate))
-    return linear_to_srgb(torch.from_numpy(in_plate_exposure(*linear, gain)))
+    seen, there = (srgb_to_linear(one).numpy() for one in (image, plate))
+    return linear_to_srgb(torch.from_numpy(in_plate_exposure(seen, there, gain)))
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:

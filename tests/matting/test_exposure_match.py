@@ -113,6 +113,15 @@ def test_a_window_that_is_clipped_in_one_of_them_is_none_in_the_other() -> None:
     np.testing.assert_allclose(in_plate_exposure(dark, plate, (0.8,) * 3), plate, atol=1e-6)
 
 
+def test_a_faint_limb_before_a_clipped_wall_stays_in_all_channels() -> None:
+    """Red is clipped in frame and plate alike; blue shows a tenth less light, and so does red afterwards."""
+    plate = np.full((8, 8, 3), (0.95, 0.9, 0.6), np.float32)
+    fan = plate.copy()
+    fan[2:5] *= 0.9
+    even = in_plate_exposure(np.minimum(fan * 1.25, 1), plate, (1.25,) * 3)
+    np.testing.assert_allclose(even, fan, atol=1e-5)
+
+
 @pytest.mark.parametrize("true", [1.25, 0.8])
 def test_the_matte_is_the_same(shared_data: Path, true: float) -> None:
     scene = composite(room(shared_data, 1), 24, 4, 0.004)
