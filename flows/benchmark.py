@@ -1,4 +1,4 @@
-"""Methods against cases of known truth: make the set, run everything on it from the same starts, and tabulate."""
+"""Run methods on cases with known truth: make the set, run everything from the same starts, and tabulate."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
-from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
+from hfb.tasks.benchmark.benchmark_report import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
 from hfb.tasks.benchmark.cases import (
     CaseHandle,
@@ -46,7 +46,7 @@ R = TypeVar("R")
 
 
 class BenchmarkPlan(Record):
-    """Everything that decides a benchmark's figures; how many workers compute them does not."""
+    """Everything that decides a benchmark's figures; the number of workers does not."""
 
     spec: Spec
     count: int
@@ -60,35 +60,35 @@ class BenchmarkPlan(Record):
 def run_benchmark(
     plan: BenchmarkPlan, out: Path, engine: Engine | int, experiment: Experiment | None = None
 ) -> dict[str, Any]:
-    """See `_benchmark`; the engine changes nothing but the seconds.
+    """Run methods on a set of cases; see `_benchmark`. The engine does not change the result.
 
-    Cases are drawn on this machine; what is estimated from them, and every method, wherever the engine computes.
+    Cases are drawn on this machine; estimates and methods run on the engine.
 
     Args:
-        plan: what decides the figures.
+        plan: set, methods and starts.
         out: where the results go.
-        engine: what computes.
-        experiment: the paper's table that is set beside the results.
+        engine: where computations run.
+        experiment: the paper's table to compare with.
     """
     with workers(engine):
         return _benchmark.with_options(task_runner=_threads())(plan, out, experiment)
 
 
 def run_synthesis(spec: Spec, count: int, out: Path, engine: Engine | int) -> dict[str, Any]:
-    """See `_synthesis`.
+    """Write the cases of a set; see `_synthesis`.
 
     Args:
         spec: the set.
-        count: how many cases.
+        count: number of cases.
         out: where they go.
-        engine: what computes.
+        engine: where computations run.
     """
     with workers(engine):
         return _synthesis.with_options(task_runner=_threads())(spec, count, out)
 
 
 def _threads() -> Any:  # Prefect's own types do not take its own runner
-    """One thread per worker: a task waits while its worker computes."""
+    """Return a runner of one thread per worker: a task waits while its worker computes."""
     return ThreadPoolTaskRunner(max_workers=worker_count())
 
 
@@ -107,23 +107,28 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
             check_tree(out, case_name(number))
         sources, cases, skipped = _made(spec, count, folder, cases_folder=out, out=out)
         result = {
-            "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
-            "seed": spec.seed, "out": str(out.resolve()), "sources": len(sources.usable),
-        }  # fmt: skip
+            "set": set_name(spec),
+            "count": len(cases),
+            "skipped": len(skipped),
+            "skipped_reasons": skipped,
+            "seed": spec.seed,
+            "out": str(out.resolve()),
+            "sources": len(sources.usable),
+        }
         publish(out, {}, result)
     return result
 
 
 @flow(name="benchmark", persist_result=False, on_running=[mark_owner])
 def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = None) -> dict[str, Any]:
-    """Cases, mattes and starts, methods, tables, one page with everything; recorded in MLflow, published in ``out``.
+    """Make cases, estimate mattes and starts, run methods, tabulate; recorded in MLflow, published in ``out``.
 
-    A case that cannot be made or seen is left out for every method, and named in the summary.
+    A case that cannot be made or has no visible person is left out for every method, and named in the summary.
 
     Args:
-        plan: what decides the figures.
+        plan: set, methods and starts.
         out: where the results go.
-        experiment: the paper's table that is set beside the results.
+        experiment: the paper's table to compare with.
 
     Returns:
         the content of result.json: the summary, and where things are.
@@ -141,11 +146,16 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         _, cases, skipped = _made(spec, plan.count, folder, cases_folder=out / "cases", out=out)
         to_see = [
             SeeCall(
-                case=case, start=plan.start, matting=plan.matting, init=plan.init, networks=networks, body=body,
+                case=case,
+                start=plan.start,
+                matting=plan.matting,
+                init=plan.init,
+                networks=networks,
+                body=body,
                 folder=folder,
             )
             for case in cases
-        ]  # fmt: skip
+        ]
         seen = map_task(see_case, to_see, "mattes and starts")
         ready = _successes(seen, [f"case {case.number}" for case in cases], skipped)
         to_judge = [
@@ -159,27 +169,44 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         )
         names = tuple(method.name for method in plan.methods)
         results = tabulate(
-            judged=rows, set_name=set_name(spec), frames=spec.frames, methods=names, count=len(ready), seed=spec.seed,
-            skipped=skipped, notes=_notes(plan), folder=folder,
-        )  # fmt: skip
+            judged=rows,
+            set_name=set_name(spec),
+            frames=spec.frames,
+            methods=names,
+            count=len(ready),
+            seed=spec.seed,
+            skipped=skipped,
+            notes=_notes(plan),
+            folder=folder,
+        )
         looks = gallery(rows, names, folder)
         beside = write_beside(experiment, results, folder) if experiment is not None else None
         page = draw_benchmark_page(
-            judged=rows, results=results, gallery=looks, beside=beside, params=_params(plan), methods=_options(plan),
+            judged=rows,
+            results=results,
+            gallery=looks,
+            beside=beside,
+            params=_params(plan),
+            methods=_options(plan),
             folder=folder,
-        )  # fmt: skip
+        )
         files = {
-            **results.files(), "gallery.png": looks.path, REPORT: page.path,
+            **results.files(),
+            "gallery.png": looks.path,
+            REPORT: page.path,
             **({BESIDE: beside.path} if beside is not None else {}),
             **({BESIDE_PLOT: beside.plot.path} if beside is not None and beside.plot is not None else {}),
-        }  # fmt: skip
+        }
         places = {"out": str(out.resolve()), "page": str(out.resolve() / REPORT)}
         result = {**results.content(), **places, "mlflow_run_id": None, "mlflow_link": None}
         try:
             run = record_benchmark(
-                name=set_name(spec), params=_params(plan), methods=_options(plan), results=results,
+                name=set_name(spec),
+                params=_params(plan),
+                methods=_options(plan),
+                results=results,
                 files=tuple(files.values()),
-            )  # fmt: skip
+            )
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")
@@ -190,7 +217,7 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
 def _made(
     spec: Spec, count: int, folder: Path, *, cases_folder: Path, out: Path
 ) -> tuple[SourcesHandle, list[CaseHandle], dict[str, str]]:
-    """The cases that could be made, and why others could not."""
+    """Return the cases that could be made, and why others could not."""
     folders = [getattr(spec, name, None) for name in ("motions", "backgrounds", "textures", "videos")]
     check_sources_out(folders, out)
     for given in folders:
@@ -211,7 +238,7 @@ def _made(
 
 
 def _successes(outcomes: list[Outcome[R]], names: list[str], skipped: dict[str, str]) -> list[R]:
-    """The results, failures moved to ``skipped``; raises the first failure where nothing else is left."""
+    """Return the results, with failures moved to ``skipped``; raises the first failure where no result is left."""
     for name, outcome in zip(names, outcomes, strict=True):
         if outcome.error is not None:
             skipped[name] = str(outcome.error) or type(outcome.error).__name__
@@ -223,7 +250,7 @@ def _successes(outcomes: list[Outcome[R]], names: list[str], skipped: dict[str, 
 
 
 def _notes(plan: BenchmarkPlan) -> tuple[str, ...]:
-    """What a reader of the table has to know."""
+    """Return notes below the table."""
     start = "simulated after the paper's METRO" if plan.start == "simulated" else f"estimated ({plan.init.method})"
     notes = [f"starts: {start}", f"mattes: {plan.matting.method}"]
     if isinstance(plan.spec, RealSpec):

@@ -1,4 +1,4 @@
-"""Recorded runs beside each other: a page with all of them under one slider, a picture, and the numbers."""
+"""Compare recorded runs: a page with one time slider for all of them, an image, and the numbers."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import small_picture
-from hfb.report.run_page import PageTable, RunLook, run_page
-from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.images.several_motions import draw_motions, png_bytes, stack_pictures
+from hfb.report.pages.page import small_picture
+from hfb.report.pages.run_page import PageTable, RunLook, run_page
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
@@ -40,7 +40,7 @@ PAGE, PICTURE, FIGURES = "comparison.html", "comparison.png", "comparison.json"
 
 @dataclass(frozen=True)
 class _Shown:
-    """What there is to see of a run: what it found, drawn by itself, and as a body that can be turned."""
+    """Motion, image and viewer of a run."""
 
     run: StoredRun
     motion: SampledMotion | None
@@ -49,11 +49,11 @@ class _Shown:
 
 
 def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
-    """Compare two runs or more; leaves comparison.html, comparison.png and comparison.json.
+    """Compare two runs or more; writes comparison.html, comparison.png and comparison.json.
 
     Args:
         words: of each run its id, the beginning of it, or its result's folder.
-        out: a folder; one under runs/ when not given.
+        out: a folder; None for one under runs/.
 
     Returns:
         the content of comparison.json.
@@ -85,7 +85,11 @@ def compare_runs(words: Sequence[str], out: Path | None) -> dict[str, Any]:
 
 
 def sentence(difference: MotionDifference | None) -> str:
-    """How far two motions are from each other, in words."""
+    """Return a sentence on the distance of two motions.
+
+    Args:
+        difference: of the motions; None where one is missing.
+    """
     if difference is None:
         return "At least one of them has no motion: there is none to compare."
     if difference.bit_equal:
@@ -111,12 +115,12 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
         body = None
     turning = viewer(
         [ViewedMotion(run.title, motion)], body, stored_png(texture) if texture and body else None, run.title, _GROUP
-    )  # fmt: skip
+    )
     return _Shown(run, motion, _picture(run, folder), turning)
 
 
 def _picture(run: StoredRun, folder: Path) -> Any:
-    """The run's own picture of what it found."""
+    """Return the run's own image of its result."""
     for name in _PICTURES:
         path = fetch_file(run, name, folder)
         if path is not None:
@@ -128,13 +132,13 @@ def _picture(run: StoredRun, folder: Path) -> Any:
 
 
 def _differences(motions: Sequence[SampledMotion | None]) -> list[MotionDifference | None]:
-    """Of every motion but the first from the first."""
+    """Return the difference of every motion but the first from the first."""
     first, *others = motions
     return [motion_difference(first, other) if first and other else None for other in others]
 
 
 def _overlay(shown: Sequence[_Shown], differences: Sequence[MotionDifference | None]) -> Any:
-    """All skeletons that share a frame with the first; None where there are none."""
+    """Draw all skeletons that share a frame with the first; None where there are none."""
     pairs = [(one, far) for one, far in zip(shown[1:], differences, strict=True) if far and far.mean_mm is not None]
     if not pairs:
         return None
@@ -154,9 +158,11 @@ def _page(comparison: RunComparison, shown: Sequence[_Shown], overlay: Any, resu
 def _tables(comparison: RunComparison) -> list[PageTable]:
     runs = comparison.runs
     facts = (
-        ("run", *(run.run_id for run in runs)), ("made", *(f"{run.started} UTC" for run in runs)),
-        ("state", *(run.status for run in runs)), ("MLflow", *(run.link for run in runs)),
-    )  # fmt: skip
+        ("run", *(run.run_id for run in runs)),
+        ("made", *(f"{run.started} UTC" for run in runs)),
+        ("state", *(run.status for run in runs)),
+        ("MLflow", *(run.link for run in runs)),
+    )
     metrics = []
     for name, values in comparison.metrics:
         one, other = values[:2]
@@ -177,7 +183,7 @@ def _rows(every: Sequence[Words]) -> tuple[tuple[str, ...], ...]:
 def _result(
     comparison: RunComparison, differences: Sequence[MotionDifference | None], folder: Path, has_picture: bool
 ) -> dict[str, Any]:
-    """comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others; distances are from the first."""
+    """Return comparison.json: ``a`` and ``b`` are the first two runs, ``more`` the others."""
     place, runs = folder.resolve(), comparison.runs
     motions = [
         far and {"bit_equal": far.bit_equal, "mean_mm": far.mean_mm, "max_mm": far.max_mm} for far in differences
@@ -187,13 +193,22 @@ def _result(
         pairs = zip(runs[1:], sentences, strict=True)
         sentences = [f"{run.title} against {runs[0].title}: {words[0].lower()}{words[1:]}" for run, words in pairs]
     return {
-        "run_a": runs[0].run_id, "run_b": runs[1].run_id, "runs": [run.run_id for run in runs],
+        "run_a": runs[0].run_id,
+        "run_b": runs[1].run_id,
+        "runs": [run.run_id for run in runs],
         "names": [run.title for run in runs],
-        "config": _plain(comparison.config), "same_options": comparison.same_options,
-        "environment": _plain(comparison.environment), "metrics": _plain(comparison.metrics),
-        "motion": motions[0], "motions": motions, "sentence": sentences[0], "sentences": sentences,
-        "out": str(place), "page": str(place / PAGE), "picture": str(place / PICTURE) if has_picture else None,
-    }  # fmt: skip
+        "config": _plain(comparison.config),
+        "same_options": comparison.same_options,
+        "environment": _plain(comparison.environment),
+        "metrics": _plain(comparison.metrics),
+        "motion": motions[0],
+        "motions": motions,
+        "sentence": sentences[0],
+        "sentences": sentences,
+        "out": str(place),
+        "page": str(place / PAGE),
+        "picture": str(place / PICTURE) if has_picture else None,
+    }
 
 
 def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
@@ -204,7 +219,7 @@ def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:
 
 
 def _check_room(folder: Path) -> None:
-    """Raises InputError where files lie that an earlier comparison did not leave, or an input would be replaced."""
+    """Raise InputError if foreign files or an input would be replaced."""
     for name in (FIGURES, PAGE, PICTURE):
         check_ordinary(folder, name)
     try:

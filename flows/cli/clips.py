@@ -1,4 +1,4 @@
-"""The commands about clips: `hfb video`, `hfb batch`. Light to import."""
+"""The commands `hfb video` and `hfb batch`. Light to import."""
 
 from __future__ import annotations
 
@@ -17,23 +17,43 @@ from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
 
 VIDEO_KEYS = (
-    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
-    "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
+    "frames",
+    "sub_frames",
+    "gaps",
+    "filled",
+    "seconds",
+    "total_seconds",
+    "out",
+    "strip",
+    "report",
+    "mlflow_run_id",
+    "resumed_frames",
+    "matte_iou",
+    "psnr_db",
+    "mpjpe_mm",
+    "worst_jump_mm",
+    "worst_velocity_share",
+    "workers_busy",
     "people",
-)  # fmt: skip
+)
 _OF_A_SYNTHETIC_CLIP = ("--mp4", "--frames", "--seed", "--size", "--out", "--json", "--quiet", "--verbose")
 _PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
 
 
 def add_video_flags(parser: argparse.ArgumentParser) -> None:
-    """Which clip, and how it was taken."""
+    """Declare the options of `hfb video`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     add("source", type=Path, metavar="CLIP", help="a video, a folder of its frames, or a folder with a clip.toml")
     add(
-        "--background", metavar="PLATE|median|still",
+        "--background",
+        metavar="PLATE|median|still",
         help="a picture of the view without the person, the median over time, or the longest stretch in which nobody "
         "moves [what clip.toml says, a background.png or plate.png beside the clip, median]",
-    )  # fmt: skip
+    )
     add("--clip", type=Path, metavar="clip.toml", help="camera, exposure, time range, person [the folder's own]")
     add("--everyone", action="store_true", help="each person who is seen, one after the other, into DIR/person-1 ...")
     add("--truth", type=Path, metavar="FILE", help="a motion file of what really happened: adds errors against it")
@@ -41,7 +61,11 @@ def add_video_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_batch_flags(parser: argparse.ArgumentParser) -> None:
-    """Which folder, and how often."""
+    """Declare the options of `hfb batch`.
+
+    Args:
+        parser: of the command.
+    """
     add = parser.add_argument
     add("folder", type=Path, metavar="FOLDER", help="clips: NAME.mp4 with NAME.toml, folders NAME/ with a clip.toml")
     add("--attempts", type=positive, default=3, metavar="N", help="failures after which a clip is set aside [3]")
@@ -49,9 +73,12 @@ def add_batch_flags(parser: argparse.ArgumentParser) -> None:
     add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
     add("--again", action="store_true", help="take clips that were set aside once more")
     add(
-        "--notify", action="append", default=[], metavar="URL",
+        "--notify",
+        action="append",
+        default=[],
+        metavar="URL",
         help=f"tell of clips that fail: {FORMS}; several times for several; also from the variable {VARIABLE}",
-    )  # fmt: skip
+    )
     _add_shared_flags(parser)
 
 
@@ -63,7 +90,11 @@ def _add_shared_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def video(given: argparse.Namespace) -> None:
-    """`hfb video`."""
+    """Run `hfb video`.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.tasks.inputs.video_inputs import take_video_inputs
 
     config, engine = run_config(given), engine_of(given.workers, given.store)
@@ -84,7 +115,11 @@ def video(given: argparse.Namespace) -> None:
 
 
 def batch(given: argparse.Namespace) -> int:
-    """`hfb batch`: 1 where a clip has no result, as for other failures."""
+    """Run `hfb batch`; returns 1 where a clip has no result, as for other failures.
+
+    Args:
+        given: the parsed options.
+    """
     from hfb.tasks.inputs.clip_places import find_clips
 
     config = run_config(given)
@@ -100,10 +135,17 @@ def batch(given: argparse.Namespace) -> int:
         options = config.model_dump(mode="json")
         return when_ready(
             lambda: every_clip(
-                given.folder, out, options, workers=given.workers, attempts=given.attempts, wait_s=given.wait,
-                watch_s=given.watch, again=given.again, store=given.store,
+                given.folder,
+                out,
+                options,
+                workers=given.workers,
+                attempts=given.attempts,
+                wait_s=given.wait,
+                watch_s=given.watch,
+                again=given.again,
+                store=given.store,
             )
-        )  # fmt: skip
+        )
 
     with enable_notifications(addresses):
         result = through_prefect(given, out, load)
@@ -112,7 +154,10 @@ def batch(given: argparse.Namespace) -> int:
 
 
 def synth_clip(given: argparse.Namespace) -> None:
-    """`hfb synth clip`: a blurred clip of a built-in motion, its plate, clip.toml and truth, frame by frame.
+    """Run `hfb synth clip`: write a blurred clip of a built-in motion, its plate, clip.toml and truth.
+
+    Args:
+        given: the parsed options.
 
     Raises:
         InputError: an option is for the cases of a set.
@@ -132,13 +177,17 @@ def synth_clip(given: argparse.Namespace) -> None:
         with progress.step("frames"):
             made = make_clip(
                 out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance
-            )  # fmt: skip
+            )
     result = {"frames": given.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
     tell(given, result, f"{given.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
 
 
 def video_text(result: Mapping[str, Any]) -> str:
-    """The short table that ends a clip."""
+    """Return the table printed at the end of `hfb video`.
+
+    Args:
+        result: content of result.json.
+    """
     if result.get("people"):
         return _people_text(result)
     gaps = ", ".join(f"{first} to {last}" for first, last in result["gaps"]) or "none"
@@ -158,7 +207,7 @@ def video_text(result: Mapping[str, Any]) -> str:
 
 
 def _people_text(result: Mapping[str, Any]) -> str:
-    """A line per person."""
+    """Return a line per person."""
     lines = [""]
     for one in result["people"]:
         told = one["error"] or f"{one['sub_frames']} sub-frames, IoU with the matte {_shown(one['matte_iou'], '.3f')}"
@@ -167,7 +216,11 @@ def _people_text(result: Mapping[str, Any]) -> str:
 
 
 def batch_text(result: Mapping[str, Any]) -> str:
-    """What became of a folder."""
+    """Return the lines printed at the end of `hfb batch`.
+
+    Args:
+        result: number of clips in each state, and the page.
+    """
     counts = f"{result['done']} of {result['clips']} clips done, {result['set_aside']} set aside"
     return f"\n{counts}\npage     {result['page']}\nresult   {result['out']}"
 

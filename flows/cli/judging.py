@@ -1,4 +1,4 @@
-"""The commands that judge: `hfb synth`, `hfb benchmark`, `hfb reproduce`. Light to import."""
+"""The commands `hfb synth`, `hfb benchmark` and `hfb reproduce`. Light to import."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ _DEFAULT_COUNT = 20
 
 
 def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_COUNT) -> None:
-    """What a set is made from. A folder that is not given is replaced by what hfb makes itself."""
+    """Declare what a set is made from; hfb's own data replace folders that are not given.
+
+    Args:
+        parser: of the command.
+        count: default number of cases; None for the experiment's.
+    """
     add = parser.add_argument
     shown = "as in the experiment's file" if count is None else str(count)
     add("--count", type=positive, default=count, metavar="N", help=f"how many cases [{shown}]")
@@ -42,11 +47,17 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
 
 
 def add_worker_flags(parser: argparse.ArgumentParser) -> None:
-    """Who computes."""
+    """Declare where computations run.
+
+    Args:
+        parser: of the command.
+    """
     parser.add_argument(
-        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        "--workers",
+        default=str(cores()),
+        metavar="N|dask:ADDRESS|ray:ADDRESS",
         help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--store",
         metavar="URL",
@@ -55,20 +66,30 @@ def add_worker_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def add_method_flags(parser: argparse.ArgumentParser, methods: str | None = _DEFAULT_METHODS) -> None:
-    """What runs on the set."""
+    """Declare the methods and their starts.
+
+    Args:
+        parser: of the command.
+        methods: default list; None for the experiment's.
+    """
     known = "; ".join(f"{name}: {what}" for name, what in METHOD_NAMES.items()).replace("%", "%%")
     shown = "as in the experiment's file" if methods is None else methods
     parser.add_argument("--methods", default=methods, metavar="A,B,...", help=f"{known} [{shown}]")
     parser.add_argument("--chains", type=Path, metavar="FILE.toml", help="deblur-then-estimate chains, by name")
     parser.add_argument(
-        "--start", choices=("simulated", "estimated"),
+        "--start",
+        choices=("simulated", "estimated"),
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
         "[simulated; b-aist: estimated]",
-    )  # fmt: skip
+    )
 
 
 def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
-    """The set that the flags describe.
+    """Return the set that the options describe.
+
+    Args:
+        given: the parsed options.
+        frames: blurred frames per case.
 
     Raises:
         InputError: b-aist without videos, or a number that no set takes.
@@ -85,7 +106,11 @@ def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
 
 
 def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
-    """The methods of a comma-separated list, each once.
+    """Parse a comma-separated list of methods, each once.
+
+    Args:
+        text: the list.
+        chains: a file of deblur-then-estimate chains; None for none.
 
     Raises:
         InputError: an unknown name; the sentence lists the known ones.
@@ -97,18 +122,31 @@ def method_specs(text: str, chains: Path | None) -> tuple[MethodSpec, ...]:
 
 
 def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
-    """Everything that decides a benchmark's figures, from its flags."""
+    """Return everything that decides a benchmark's figures.
+
+    Args:
+        given: the parsed options.
+        frames: blurred frames per case.
+    """
     from hfb.flows.benchmark import BenchmarkPlan
 
     start = given.start or ("estimated" if given.set == "b-aist" else "simulated")
     return BenchmarkPlan(
-        spec=set_spec(given, frames), count=given.count, methods=method_specs(given.methods, given.chains),
-        start=start, init=InitConfig(), body=given.body,
-    )  # fmt: skip
+        spec=set_spec(given, frames),
+        count=given.count,
+        methods=method_specs(given.methods, given.chains),
+        start=start,
+        init=InitConfig(),
+        body=given.body,
+    )
 
 
 def benchmark_text(result: Mapping[str, Any]) -> str:
-    """The short table that ends a benchmark."""
+    """Return the table printed at the end of a benchmark.
+
+    Args:
+        result: content of result.json.
+    """
     lines = ["", f"{'method':<24}{'n':>5}{'start':>9}{'fitted':>9}{'ratio':>8}   {'95 %':<14}{'IoU':>6}{'better':>8}"]
     for name, cells in result["methods"].items():
         cell = cells["all"]
@@ -128,7 +166,11 @@ def benchmark_text(result: Mapping[str, Any]) -> str:
 
 
 def positive(text: str) -> int:
-    """A flag's whole number, 1 or more."""
+    """Parse an option that is a whole number of 1 or more.
+
+    Args:
+        text: as typed.
+    """
     return _at_least(text, 1)
 
 
@@ -147,5 +189,5 @@ def _at_least(text: str, least: int) -> int:
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

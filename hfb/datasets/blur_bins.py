@@ -1,4 +1,4 @@
-"""The blur-rate intervals of the paper's tables, and how the cases of a set are dealt to them. Light to import."""
+"""The blur-rate intervals of the paper's tables, and the distribution of cases over them. Light to import."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -12,7 +12,7 @@ BLUR_BINS: tuple[Interval, ...] = (
 """BT-AMASS, tables 1 and 2."""
 
 SINGLE_COUNTS: tuple[int, ...] = (123, 206, 154, 139, 106, 108, 81, 79, 76, 52)
-"""Pictures per interval in table 1."""
+"""Images per interval in table 1."""
 
 PAIR_COUNTS: tuple[int, ...] = (35, 39, 47, 42, 38, 32, 25, 19, 13, 15)
 """Videos per interval in table 2."""
@@ -25,24 +25,38 @@ CAPE_MULTI_BINS: tuple[Interval, ...] = ((0.05, 0.2), (0.2, 0.3), (0.3, 0.4), (0
 
 
 def bins_of(name: Literal["bt-amass", "bc-cape"], frames: int) -> tuple[Interval, ...]:
-    """The intervals by which a set is sorted."""
+    """Return the intervals by which a set is sorted.
+
+    Args:
+        name: name of the set.
+        frames: blurred frames per case.
+    """
     if name == "bt-amass":
         return BLUR_BINS
     return CAPE_SINGLE_BINS if frames == 1 else CAPE_MULTI_BINS
 
 
 def paper_counts(name: Literal["bt-amass", "bc-cape"], frames: int) -> tuple[int, ...]:
-    """The paper's cases per interval; it gives none for BC-CAPE: equally many there."""
+    """Return the paper's cases per interval; it gives none for BC-CAPE: equally many there.
+
+    Args:
+        name: name of the set.
+        frames: blurred frames per case.
+    """
     if name == "bt-amass":
         return SINGLE_COUNTS if frames == 1 else PAIR_COUNTS
     return (1,) * len(bins_of(name, frames))
 
 
 def bin_of_case(number: int, counts: Sequence[int]) -> int:
-    """The interval of case ``number`` (from 1) where cases are dealt in the proportion of the counts.
+    """Return the interval of case ``number`` (from 1) where cases are dealt in the proportion of the counts.
 
     Each goes to the interval that lacks most so far, so every beginning of a set is proportional to within about one
     case per interval, and does not depend on how many follow.
+
+    Args:
+        number: number of the case, from 1.
+        counts: proportion of the intervals.
     """
     total, dealt, chosen = sum(counts), [0] * len(counts), 0
     # After sum(counts) cases everything is dealt exactly, and the deal begins anew.
@@ -56,7 +70,14 @@ def bin_of_case(number: int, counts: Sequence[int]) -> int:
 def wanted_interval(
     name: Literal["bt-amass", "bc-cape"], frames: int, fill: Literal["paper", "even", "natural"], number: int
 ) -> Interval:
-    """The blur rates that case ``number`` may have; the whole range of the set for ``"natural"``."""
+    """Return the blur rates that case ``number`` may have; the whole range of the set for ``"natural"``.
+
+    Args:
+        name: name of the set.
+        frames: blurred frames per case.
+        fill: proportions of the intervals: the paper's, even, or whatever the motions give.
+        number: number of the case, from 1.
+    """
     bins = bins_of(name, frames)
     if fill == "natural":
         return bins[0][0], bins[-1][1]
@@ -65,7 +86,12 @@ def wanted_interval(
 
 
 def interval_of(blur_rate: float, bins: Sequence[Interval]) -> int | None:
-    """The interval that holds a blur rate, its lower end included; None outside of all."""
+    """Return the interval that contains a blur rate, its lower end included; None outside of all.
+
+    Args:
+        blur_rate: blur rate of the case.
+        bins: intervals, ascending.
+    """
     for index, (low, high) in enumerate(bins):
         if low <= blur_rate < high:
             return index

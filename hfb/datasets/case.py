@@ -1,4 +1,4 @@
-"""A case on disk: what a user would have, and beside it what really happened.
+"""A case on disk: a user's files, and the truth beside them.
 
     case_0001/frame_0.png background.png clip.toml        what the methods see
               start_0.npz                                 the static estimate that every method starts from
@@ -18,10 +18,10 @@ from hfb.errors import InputError
 
 @dataclass(frozen=True)
 class Case:
-    """Where the files of one case lie, and the few facts by which cases are sorted.
+    """The files of one case, and the few facts by which cases are sorted.
 
     Attributes:
-        number: from 1, its place in the set.
+        number: number in the set, from 1.
         blur_rate: mean over the frames of |union of R_S(i)| / |R_S(1)| - 1.
         facts: the whole content of case.json.
     """
@@ -33,7 +33,7 @@ class Case:
     facts: dict[str, Any]
 
     def frame_paths(self) -> list[Path]:
-        """The blurred pictures, in time."""
+        """Return the files of the blurred frames, in time."""
         return [self.folder / f"frame_{index}.png" for index in range(self.frames)]
 
     @property
@@ -52,25 +52,32 @@ class Case:
         return self.folder / "truth.npz"
 
     def start_paths(self) -> list[Path]:
-        """The static estimates, one per frame; they need not be there."""
+        """Return the files of the static estimates, one per frame; they need not exist."""
         return [self.folder / f"start_{index}.npz" for index in range(self.frames)]
 
     def true_matte_paths(self) -> list[Path]:
-        """The exact mattes."""
+        """Return the files of the exact mattes."""
         return [self.folder / f"matte_{index}.png" for index in range(self.frames)]
 
     def sharp_paths(self) -> list[Path]:
-        """Per frame, its true sub-frames side by side (straight alpha)."""
+        """Return per frame the file of its true sub-frames, side by side (straight alpha)."""
         return [self.folder / f"sharp_{index}.png" for index in range(self.frames)]
 
 
 def case_name(number: int) -> str:
-    """The folder's name of a case."""
+    """Return the folder's name of a case.
+
+    Args:
+        number: number of the case, from 1.
+    """
     return f"case_{number:04d}"
 
 
 def load_case(folder: Path) -> Case:
     """Open a case folder.
+
+    Args:
+        folder: the case's folder.
 
     Raises:
         InputError: no case lies there.

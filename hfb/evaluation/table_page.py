@@ -17,7 +17,7 @@ _OTHER_METRICS: tuple[Metric, ...] = ("pa_mpjpe", "mpjpe")
 
 @dataclass(frozen=True)
 class _Block:
-    """How one metric is written."""
+    """The format of one metric."""
 
     title: str
     entry: str
@@ -39,13 +39,13 @@ def table_markdown(
     metrics: Sequence[Metric] | None = None,
     oracles: Sequence[str] | None = None,
 ) -> str:
-    """A summary as a page: all cases, then per metric a column per interval of blur rates, then ratios with intervals.
+    """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
-        summary: what `summarize` returns (or summary.json holds).
+        summary: result of `summarize`, or content of summary.json.
         notes: on how it was made (starts, mattes, body ...); a line under the title.
         metrics: blocks in their order; the paper's of this set when not given.
-        oracles: methods that see the truth: in italics, and never best. `is_oracle` tells when not given.
+        oracles: methods that use the truth: in italics, and never best; by `is_oracle` when not given.
     """
     chosen = _PAPERS_METRICS.get(summary["set"], _OTHER_METRICS) if metrics is None else metrics
     methods = summary["methods"]
@@ -76,34 +76,64 @@ def table_markdown(
 
 
 def number(value: float | None, digits: int) -> str:
-    """A number, or the dash for an unknown one."""
+    """Format a number; an unknown one is a dash.
+
+    Args:
+        value: or None where it is unknown.
+        digits: number of decimals.
+    """
     return UNKNOWN if value is None else f"{value:.{digits}f}"
 
 
 def interval(bounds: Sequence[float] | None, digits: int, cases: int) -> str:
-    """`` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only."""
+    """Format `` [low, high; n 12]`` with a space before it, or nothing; a line breaks before the bracket only.
+
+    Args:
+        bounds: low and high, or None.
+        digits: number of decimals.
+        cases: n.
+    """
     if bounds is None:
         return ""
     return f" [{bounds[0]:.{digits}f},{_TIED}{bounds[1]:.{digits}f};{_TIED}n{_TIED}{cases}]"
 
 
 def ratio_text(cell: Cell, digits: int) -> str:
-    """A method's ratio to the start with its interval."""
+    """Format a method's ratio to the start with its interval.
+
+    Args:
+        cell: cell of the method, by `make_cell`.
+        digits: decimals of the interval.
+    """
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
 
 def blur_label(blur: Sequence[float]) -> str:
-    """An interval of blur rates."""
+    """Format an interval of blur rates.
+
+    Args:
+        blur: low and high.
+    """
     return f"< {blur[1]:g}" if blur[0] <= 0 else f"{blur[0]:g}–{blur[1]:g}"
 
 
 def is_oracle(method: str) -> bool:
-    """Whether a method's name says that it sees the truth: "oracle-..." and "...@true-..."."""
+    """Return whether a method's name says that it uses the truth: "oracle-..." and "...@true-...".
+
+    Args:
+        method: its name.
+    """
     return method.startswith("oracle") or "@true-" in method
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """A markdown table; the first `left` columns are set left, the others right."""
+    """Return a markdown table; the first `left` columns are aligned left, the others right.
+
+    Args:
+        header: a text per column.
+        rows: a text per column each.
+        left: number of columns aligned left.
+    """
     rule = [":---"] * left + ["---:"] * (len(header) - left)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in [header, rule, *rows])
 
@@ -146,7 +176,7 @@ def _overall_row(cell: Cell, best: str | None) -> list[str]:
 
 
 def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -> str:
-    """One metric: a row per method, a column per interval and one for all cases."""
+    """Return one metric: a row per method, a column per interval and one for all cases."""
     block = _BLOCKS[metric]
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
     first = _start_name(summary)
@@ -176,7 +206,7 @@ def _block(summary: Mapping[str, Any], metric: Metric, oracles: Sequence[str]) -
 
 
 def _ratios(summary: Mapping[str, Any]) -> str:
-    """A row per interval, a column per method that knows a body: narrower than the other way round."""
+    """Return a row per interval, a column per method with a body: narrower than the other way round."""
     judged = {n: c for n, c in summary["methods"].items() if c["all"]["ratio"] is not None and not is_start(c["all"])}
     cells = {name: [*both["bins"], both["all"]] for name, both in judged.items()}
     starts = [*summary["start"]["bins"], summary["start"]["all"]]
@@ -227,7 +257,7 @@ def _start_name(summary: Mapping[str, Any]) -> str:
 
 
 def _best(values: Sequence[float | None], digits: int, lower_is_better: bool) -> str | None:
-    """The best value as it is written, so that what reads equal is equally bold."""
+    """Return the best value as it is formatted, so that equal texts are equally bold."""
     choose: Callable[[list[float]], float] = min if lower_is_better else max
     known = [value for value in values if value is not None]
     return number(choose(known), digits) if known else None

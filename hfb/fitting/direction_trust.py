@@ -1,4 +1,4 @@
-"""How far the odds of directions can be trusted: what is said is drawn to even odds, by the start and by trouble.
+"""Calibration of the odds of directions by the kind of start and by signs of trouble.
 
 The odds of `hfb.fitting.direction_odds` were measured on fits that began near the truth. Either the motion prior knows
 a motion, and is right, or it does not, and leans to one side by chance. So evidence has to overcome a doubt first: with
@@ -26,7 +26,7 @@ from hfb.fitting.direction_odds import shipped_odds
 from hfb.typing import Array, Float
 
 SIGNS: tuple[str, ...] = ("misfit", "moved", "unusual")
-"""Of `hfb.fitting.joint_features`: the matte is not covered, the fit left its first body far behind, an odd pose."""
+"""Names in `hfb.fitting.joint_features`: an uncovered matte, a large distance from the first body, an unusual pose."""
 
 _LEAST, _SUREST = 1e-12, 1 - 1e-9
 
@@ -36,7 +36,10 @@ class Trust:
     """The coefficients of the doubt.
 
     Attributes:
-        constant: b_0. coefficients: b_i, by the name of the sign. typical, spread: of the signs where they were fitted.
+        constant: b_0.
+        coefficients: b_i, by the name of the sign.
+        typical: mean of each sign over the cases of the calibration.
+        spread: standard deviation of each sign over these cases.
     """
 
     constant: float
@@ -45,13 +48,24 @@ class Trust:
     spread: Mapping[str, float]
 
     def doubt(self, signs: Mapping[str, float]) -> float:
-        """What evidence has to overcome in a frame with these signs, in log odds."""
+        """Return the log odds that evidence has to exceed in a frame with these signs.
+
+        Args:
+            signs: by name, see `signs_of`.
+        """
         scaled = {name: (signs[name] - self.typical[name]) / self.spread[name] for name in self.coefficients}
         return max(0.0, self.constant + sum(weight * scaled[name] for name, weight in self.coefficients.items()))
 
 
 def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """What odds are raised to where the body is right with these probabilities; of one that hardly moves (NaN) 1."""
+    """Return the power to which odds are raised, given the probabilities that the body's direction is right.
+
+    It is 1 for a body that hardly moves (NaN).
+
+    Args:
+        right: probability that the body's direction is right.
+        doubt: log odds to exceed, see `Trust.doubt`.
+    """
     surer = np.clip(np.maximum(right, 1 - right), 0.5, _SUREST)
     log_odds = np.log(surer / (1 - surer))
     known = np.maximum(0, 1 - np.divide(doubt, log_odds, out=np.ones_like(log_odds), where=log_odds > 0))
@@ -59,15 +73,20 @@ def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Arra
 
 
 def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
-    """The signs of trouble in a frame, which is these rows of the features."""
+    """Return the signs of trouble in a frame: the mean of each feature over its rows and joints.
+
+    Args:
+        features: features of the result, by name.
+        rows: rows of the frame.
+    """
     return {name: float(features[name][rows, 1:].mean()) for name in SIGNS}
 
 
 def group_probability(probability: Float[Array, "A"], agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
-    """For each hypothesis, the probability of all by which the body moved in the same directions.
+    """Return for each hypothesis the probability of all with the same directions of the body.
 
     Args:
-        probability: of the hypotheses.
+        probability: probability of the hypotheses.
         agrees: `Alternatives.body_agrees`.
     """
     _, group = np.unique(np.nan_to_num(agrees, nan=1.0) > 0.5, axis=1, return_inverse=True)
@@ -80,7 +99,7 @@ def temper(
     """Draw the odds of the body's directions to even ones; inside a group hypotheses keep their odds.
 
     Args:
-        probability: of the hypotheses.
+        probability: probability of the hypotheses.
         grouped: `group_probability` of them.
         power: 0 makes the groups equally likely, 1 changes nothing.
     """
@@ -89,10 +108,12 @@ def temper(
 
 
 def trusted(alternatives: Alternatives, features: Features, sources: Sequence[str]) -> Alternatives:
-    """The alternatives with probabilities that hold; of several frames the least trusted one counts.
+    """Return the alternatives with calibrated probabilities; of several frames the least trusted one counts.
 
     Args:
-        features: of the result. sources: of the frames' first bodies.
+        alternatives: alternatives of one fit.
+        features: features of the result.
+        sources: sources of the frames' first bodies.
     """
     rows = (alternatives.frame_index == frame for frame in range(len(sources)))
     doubts = [
@@ -106,16 +127,20 @@ def trusted(alternatives: Alternatives, features: Features, sources: Sequence[st
 
 @lru_cache
 def shipped_trust(kind: StartKind) -> Trust:
-    """The coefficients that come with hfb for a kind of start."""
+    """Return the shipped coefficients of a kind of start.
+
+    Args:
+        kind: kind of the first body.
+    """
     content = shipped_odds()["trust"][kind]
     return Trust(**{name: content[name] for name in ("constant", "coefficients", "typical", "spread")})
 
 
 def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
-    """What the odds of a result's directions rest on: how often they held from its kinds of start, and a sentence.
+    """Return the basis of a result's odds of directions: how often they held from its kinds of start, and a sentence.
 
     Args:
-        sources: of the first bodies of all frames.
+        sources: sources of the first bodies of all frames.
     """
     kinds = sorted({start_kind(source) for source in sources})
     frames = "several_frames" if len(sources) > 1 else "one_frame"
@@ -130,7 +155,7 @@ def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
 
 
 def _told(counted: Mapping[str, Any], frames: str) -> str:
-    """How often what was said of the body happened, on new people where there are any."""
+    """Return how often the predicted direction of the body was right, on new people where there are any."""
     new = counted["new_people"][frames]
     if new is None and frames != "one_frame":
         return "not counted"

@@ -84,7 +84,7 @@ def run_stages(
 
 
 def image_stages(config: FitConfig) -> list[Stage]:
-    """Stages that have iterations.
+    """Return the stages that have iterations.
 
     Args:
         config: options of the fit.
@@ -93,7 +93,7 @@ def image_stages(config: FitConfig) -> list[Stage]:
 
 
 def is_full_size(stage: Stage, config: FitConfig) -> bool:
-    """Whether a stage has the last one's image size.
+    """Return whether a stage has the last one's image size.
 
     Args:
         stage: a stage of the schedule.
@@ -103,7 +103,7 @@ def is_full_size(stage: Stage, config: FitConfig) -> bool:
 
 
 def stage_objective(objective: Objective, variables: Variables, config: FitConfig, stage: Stage) -> Objective:
-    """The objective at a stage's image size, with its weights and the texels that are visible at its beginning.
+    """Return the objective at a stage's image size, with its weights and the texels that are visible at its beginning.
 
     Args:
         objective: at full size.
@@ -118,7 +118,7 @@ def stage_objective(objective: Objective, variables: Variables, config: FitConfi
 
 
 def _find_visible(variables: Variables, seen: Observation, body: Body, config: FitConfig) -> Bool[Tensor, "A A"]:
-    """Texels that the camera sees; they change too slowly to be found again in every iteration."""
+    """Return the visible texels; they change too slowly to be updated in every iteration."""
     vertices = variables.vertices(body, config.subframes).flatten(0, 1)
     return visible_texels(vertices, seen.camera, body.mesh, config.texture_px)
 
@@ -126,7 +126,7 @@ def _find_visible(variables: Variables, seen: Observation, body: Body, config: F
 def _iterations(
     objective: Objective, variables: Variables, optimizer: Adam, config: FitConfig, stage: Stage
 ) -> Iterator[tuple[float, dict[str, float]]]:
-    """Iterations of Adam; yields the loss and its terms before each step."""
+    """Run Adam; yield the loss and its terms before each step."""
     for iteration in range(stage.iterations):
         decay = cosine_decay(iteration, stage.iterations) if stage.cosine else 1.0
         terms = objective.terms(variables.motion(objective.body), variables.betas, variables.texture)

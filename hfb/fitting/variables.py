@@ -23,8 +23,8 @@ from hfb.typing import Float, Tensor
 class Variables:
     """Free variables of one fit: leaf tensors that an optimiser changes in place.
 
-    An image does not tell a tall person far away from a short one nearby. With a ``reference``, a change of shape
-    rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
+    An image does not distinguish a tall person far away from a short one nearby. With a ``reference``, a change of
+    shape rescales the translation so that the image size stays: the gradient of the shape is then about proportions.
 
     Attributes:
         trajectory: polynomials in metres, for a person with the reference's betas where there is a reference.
@@ -39,7 +39,7 @@ class Variables:
     reference: Float[Tensor, "10"] | None = None
 
     def motion(self, body: Body) -> Trajectory:
-        """The trajectory in metres for the present betas; differentiable in both.
+        """Return the trajectory in metres for the current betas; differentiable in both.
 
         Args:
             body: the body model.
@@ -66,7 +66,7 @@ class Variables:
                 self.betas.copy_(as_tall(self.betas, body, config.height_m))
 
     def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
-        """Joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
+        """Return joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
 
         Args:
             body: the body model.
@@ -76,7 +76,7 @@ class Variables:
             return body.shape(self.betas).joints_of(rotations[:, 0], translations[:, 0])
 
     def vertices(self, body: Body, subframes: int) -> Float[Tensor, "T S V 3"]:
-        """Vertices of every sub-frame, camera coordinates [m]; no gradient.
+        """Return vertices of every sub-frame, camera coordinates [m]; no gradient.
 
         Args:
             body: the body model.
@@ -88,7 +88,7 @@ class Variables:
             return posed.vertices.unflatten(0, rotations.shape[:2])
 
     def in_metres(self, body: Body) -> "Variables":
-        """A copy whose trajectory is in metres, without a reference.
+        """Return a copy whose trajectory is in metres, without a reference.
 
         Args:
             body: the body model.
@@ -97,21 +97,21 @@ class Variables:
             return Variables(self.motion(body), self.betas, self.texture).copy()
 
     def leaves(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Rotation, translation, betas and texture."""
+        """Return rotation, translation, betas and texture."""
         return self.trajectory.rotation, self.trajectory.translation, self.betas, self.texture
 
     def copy_from_(self, other: "Variables") -> None:
         """Copy the values of `other` into these tensors.
 
         Args:
-            other: of the same shapes.
+            other: values of the same shapes.
         """
         with torch.no_grad():
             for mine, its in zip(self.leaves(), other.leaves(), strict=True):
                 mine.copy_(its)
 
     def copy(self) -> "Variables":
-        """A detached copy."""
+        """Return a detached copy."""
         trajectory = self.trajectory.with_coefficients(
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
@@ -119,21 +119,21 @@ class Variables:
 
 
 def cosine_decay(iteration: int, iterations: int) -> float:
-    """Factor of the learning rate: from 1 to 1/20 along a half cosine.
+    """Return the factor of the learning rate: from 1 to 1/20 along a half cosine.
 
     Args:
-        iteration: from 0 on.
-        iterations: of the stage.
+        iteration: number of the iteration, from 0 on.
+        iterations: number of the stage's iterations.
     """
     return 0.05 + 0.95 * (1 + math.cos(math.pi * iteration / iterations)) / 2
 
 
 def learning_rates(config: FitConfig, rate: float) -> tuple[float, float, float, float]:
-    """Learning rates of rotation, translation, betas and texture; `rate` is that of the motion.
+    """Return learning rates of rotation, translation, betas and texture.
 
     Args:
         config: options of the fit.
-        rate: of the motion.
+        rate: rate of the motion.
     """
     return rate, rate, rate * config.shape_rate, rate * config.texture_rate
 
@@ -147,14 +147,14 @@ def start_variables(
 ) -> Variables:
     """Start values: a body at rest per frame, moving towards its neighbours' where there are several.
 
-    The texture starts at the mean foreground colour. A single frame cannot tell a motion from its reverse, and a body
-    at rest is the saddle point between the two: its root gets a small velocity in a random direction.
+    The texture starts at the mean foreground colour. A single frame does not distinguish a motion from its reverse, and
+    a body at rest is the saddle point between the two: its root gets a small velocity in a random direction.
 
     Args:
         first_bodies: one static body per frame; their mean shape is used.
         observation: for the texture's colour and the frames' times.
         config: options of the fit.
-        generator: of the random direction.
+        generator: draws the random direction.
         identity: known shape and texture, held constant; both are free when not given.
     """
     poses = torch.stack([first.pose for first in first_bodies]).to(observation.mattes)
@@ -179,7 +179,7 @@ def start_variables(
 
 
 def mean_foreground(observation: Observation) -> Float[Tensor, "3"]:
-    """Mean colour of the person, linear light: eq. (1) solved for one colour, weighted by the mattes.
+    """Return the mean colour of the person, linear light: eq. (1) solved for one colour, weighted by the mattes.
 
     Args:
         observation: frames, plate and mattes.

@@ -32,17 +32,17 @@ def fit_skeleton(variables: Variables, objective: Objective, config: FitConfig) 
 
 
 def warmup_rate(iteration: int, config: FitConfig) -> float:
-    """Learning rate of all variables of the skeleton.
+    """Return the learning rate of all variables of the skeleton.
 
     Args:
-        iteration: from 0 on.
+        iteration: number of the iteration, from 0 on.
         config: options of the fit.
     """
     return _RATE * cosine_decay(iteration, config.settle)
 
 
 def warmup_objective(objective: Objective, config: FitConfig) -> Objective:
-    """The objective with the warm-up's weights.
+    """Return the objective with the warm-up's weights.
 
     Args:
         objective: at full size.

@@ -1,4 +1,4 @@
-"""The square around a person that pose networks look at, and where their weak perspective puts a body."""
+"""The square crop around a person for pose networks, and the position of a body by weak perspective."""
 
 import cv2
 import numpy as np
@@ -10,12 +10,12 @@ from hfb.typing import Array, Float, Tensor
 
 
 def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 0.05) -> tuple[int, int, int]:
-    """left, top and side [px] of the square about the person's box; it may reach outside the picture.
+    """Return left, top and side [px] of the square about the person's box; it may reach outside the image.
 
     Args:
         matte: the person's share of each pixel.
         margin: share of the box that is added on each side.
-        threshold: of the matte, for its box.
+        threshold: alpha above which a pixel belongs to the matte's box.
 
     Raises:
         InputError: the matte is empty.
@@ -35,20 +35,23 @@ def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 
 def cut_square(
     picture: Float[Array, "H W 3"], left: int, top: int, side: int, size_px: int
 ) -> Float[Array, "{size_px} {size_px} 3"]:
-    """A square window at another size; outside the picture it is black, as networks are trained.
+    """Return a square window at another size; black outside the image, as networks are trained.
 
     Args:
         picture: the image.
-        left: of the square [px].
-        top: of the square [px].
-        side: of the square [px].
-        size_px: of the result.
+        left: left edge of the square [px].
+        top: top edge of the square [px].
+        side: side length of the square [px].
+        size_px: side of the result [px].
     """
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
     pads = (
-        max(-top, 0), max(top + side - height, 0), max(-left, 0), max(left + side - width, 0),
-    )  # fmt: skip
+        max(-top, 0),
+        max(top + side - height, 0),
+        max(-left, 0),
+        max(left + side - width, 0),
+    )
     window = cv2.copyMakeBorder(np.ascontiguousarray(inside), *pads, cv2.BORDER_CONSTANT, value=0)
     interpolation = cv2.INTER_AREA if side > size_px else cv2.INTER_LINEAR
     return cv2.resize(window, (size_px, size_px), interpolation=interpolation).astype(np.float32)
@@ -57,20 +60,20 @@ def cut_square(
 def weak_perspective_place(
     scale: float, x: float, y: float, centre_px: tuple[float, float], side_px: float, camera: PinholeCamera
 ) -> Float[Tensor, "3"]:
-    """Where a body [m] stands whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
+    """Return the position of a body [m] whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
 
-    The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
+    The depth is that at which f / z pixels per metre are scale times half the crop's side (Kanazawa et al. 2018).
 
     Args:
-        scale: of the weak perspective.
+        scale: scale of the weak perspective.
         x: shift of the weak perspective.
         y: shift of the weak perspective.
-        centre_px: of the crop.
-        side_px: of the crop.
+        centre_px: centre of the crop [px].
+        side_px: side of the crop [px].
         camera: camera of the image.
 
     Raises:
-        InputError: a scale that is not positive: nobody is in the crop.
+        InputError: a scale that is not positive, so that the crop shows no person.
     """
     if scale <= 0:
         raise InputError(f"the network's camera has the scale {scale:.3g}; its layout may name the wrong output")

@@ -1,8 +1,8 @@
-"""The landmarks of the person whom the matte shows: many proposals, the one that agrees best with the matte.
+"""Landmarks of the person in the matte: of many proposals the one that agrees best with it.
 
-Blur makes the detector miss and lets the second network invent limbs; the matte knows where the person is. So
-regions come from the detector and from the matte itself, pictures are the frame and the person alone on gray, and
-every answer is drawn as a stick figure and compared with the matte.
+Blur makes the detector miss and the second network invent limbs, whereas the matte shows where the person is. So
+regions come from the detector and from the matte itself, images are the frame and the person alone on gray, and every
+result is drawn as a stick figure and compared with the matte.
 """
 
 from collections.abc import Iterator
@@ -20,18 +20,27 @@ _LEAST_SCORE = 0.5
 _SURE_AGREEMENT = 0.55
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
-    ("left_shoulder", "left_elbow", 0.10), ("left_elbow", "left_wrist", 0.08), ("left_wrist", "left_index", 0.07),
-    ("right_shoulder", "right_elbow", 0.10), ("right_elbow", "right_wrist", 0.08), ("right_wrist", "right_index", 0.07),
-    ("left_hip", "left_knee", 0.15), ("left_knee", "left_ankle", 0.10), ("left_heel", "left_foot_index", 0.07),
-    ("right_hip", "right_knee", 0.15), ("right_knee", "right_ankle", 0.10), ("right_heel", "right_foot_index", 0.07),
-    ("left_shoulder", "right_shoulder", 0.12), ("left_hip", "right_hip", 0.16),
-)  # fmt: skip
+    ("left_shoulder", "left_elbow", 0.10),
+    ("left_elbow", "left_wrist", 0.08),
+    ("left_wrist", "left_index", 0.07),
+    ("right_shoulder", "right_elbow", 0.10),
+    ("right_elbow", "right_wrist", 0.08),
+    ("right_wrist", "right_index", 0.07),
+    ("left_hip", "left_knee", 0.15),
+    ("left_knee", "left_ankle", 0.10),
+    ("left_heel", "left_foot_index", 0.07),
+    ("right_hip", "right_knee", 0.15),
+    ("right_knee", "right_ankle", 0.10),
+    ("right_heel", "right_foot_index", 0.07),
+    ("left_shoulder", "right_shoulder", 0.12),
+    ("left_hip", "right_hip", 0.16),
+)
 
 
 def find_landmarks(
     networks: PoseNetworks, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> tuple[Landmarks, float] | None:
-    """The best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
+    """Return the best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
 
     Args:
         networks: loaded pose networks.
@@ -61,7 +70,7 @@ def find_landmarks(
 def _proposals(
     networks: PoseNetworks, frame: Float[Array, "H W 3"], alone: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> Iterator[Region]:
-    """Regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
+    """Yield regions to try, the likeliest first: the detector around the matte, then the matte's own box and axis."""
     top, left, bottom, right = matte_region(matte, margin=0.3)
     window = (slice(top, bottom), slice(left, right))
     for picture in (frame[window], alone[window]):
@@ -85,7 +94,7 @@ def _proposals(
 
 
 def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
-    """A bystander in the plate is a person too: the region's middle must hold a part of the matte."""
+    """Return whether the region's middle holds a part of the matte, since a bystander in the plate is a person, too."""
     half = max(2, round(region.size * 0.2))
     y, x = round(region.y), round(region.x)
     middle = matte[max(0, y - half) : max(0, y + half), max(0, x - half) : max(0, x + half)]
@@ -93,10 +102,10 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
 
 
 def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
-    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
+    """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
-        landmarks: of a person.
+        landmarks: landmarks of a person.
         matte: the person's share of each pixel.
     """
     top, left, bottom, right = matte_region(matte, margin=0.25)
@@ -104,12 +113,12 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
     size = (max(8, round((right - left) * scale)), max(8, round((bottom - top) * scale)))
     target = cv2.resize(matte[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
     figure = draw_stick_figure((landmarks.pixels - (left, top)) * scale, (size[1], size[0])).astype(np.float32)
-    # Parts of the figure outside the picture count against it only where the picture could have shown them.
+    # Parts of the figure outside the image count against it only where the image could have shown them.
     return float(np.minimum(target, figure).sum() / max(np.maximum(target, figure).sum(), 1e-6))
 
 
 def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> Shaped[Array, "h w"]:
-    """A figure of 0 and 1: trunk, head and limbs as thick lines.
+    """Draw a figure of 0 and 1: trunk, head and limbs as thick lines.
 
     Args:
         pixels: places of the landmarks [px].

@@ -1,7 +1,7 @@
-"""From 33 landmarks to a body in the SMPL layout: pose, translation and a little shape, in camera coordinates.
+"""Registration of the body to 33 landmarks: pose, translation and a little shape, in camera coordinates.
 
-The body's joints and a few surface points (nose, ears, heels, toes) are laid onto the landmarks: their pixels fix
-where things appear, the metric landmarks fix in which direction bones point, an anatomical prior fixes the rest.
+The body's joints and a few surface points (nose, ears, heels, toes) are fitted to the landmarks: their pixels determine
+positions in the image, the metric landmarks the directions of bones, an anatomical prior the rest.
 """
 
 from dataclasses import dataclass
@@ -19,26 +19,36 @@ from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
-_SAME_JOINTS = (
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip",
-    "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
+_SAME_JOINTS = tuple(
+    f"{side}_{part}" for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
+)
 # Directions that are compared in 3D, with weights: long bones well seen by the network count more.
 _DIRECTIONS = (
-    ("left_hip", "right_hip", 1.0), ("left_shoulder", "right_shoulder", 1.0), ("left_hip", "left_shoulder", 1.0),
-    ("right_hip", "right_shoulder", 1.0), ("left_shoulder", "left_elbow", 1.0), ("left_elbow", "left_wrist", 1.0),
-    ("right_shoulder", "right_elbow", 1.0), ("right_elbow", "right_wrist", 1.0), ("left_hip", "left_knee", 1.0),
-    ("left_knee", "left_ankle", 1.0), ("right_hip", "right_knee", 1.0), ("right_knee", "right_ankle", 1.0),
-    ("left_heel", "left_foot_index", 0.4), ("right_heel", "right_foot_index", 0.4), ("left_ear", "nose", 0.3),
-    ("right_ear", "nose", 0.3), ("left_ear", "right_ear", 0.3),
-)  # fmt: skip
+    ("left_hip", "right_hip", 1.0),
+    ("left_shoulder", "right_shoulder", 1.0),
+    ("left_hip", "left_shoulder", 1.0),
+    ("right_hip", "right_shoulder", 1.0),
+    ("left_shoulder", "left_elbow", 1.0),
+    ("left_elbow", "left_wrist", 1.0),
+    ("right_shoulder", "right_elbow", 1.0),
+    ("right_elbow", "right_wrist", 1.0),
+    ("left_hip", "left_knee", 1.0),
+    ("left_knee", "left_ankle", 1.0),
+    ("right_hip", "right_knee", 1.0),
+    ("right_knee", "right_ankle", 1.0),
+    ("left_heel", "left_foot_index", 0.4),
+    ("right_heel", "right_foot_index", 0.4),
+    ("left_ear", "nose", 0.3),
+    ("right_ear", "nose", 0.3),
+    ("left_ear", "right_ear", 0.3),
+)
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _LEAST_DEPTH_M = 0.5
 
 
 @dataclass(frozen=True)
 class Attachments:
-    """Where the landmarks sit on a body: joint plus offset [m] in the joint's rest frame."""
+    """Positions of the landmarks on a body: joint plus offset [m] in the joint's rest frame."""
 
     landmarks: Int[Tensor, "L"]
     joints: Int[Tensor, "L"]
@@ -46,10 +56,10 @@ class Attachments:
     weights: Float[Tensor, "L"]
 
     def positions(self, joints: Float[Tensor, "24 3"], R_world_joint: Float[Tensor, "24 3 3"]) -> Float[Tensor, "L 3"]:
-        """The points [m] on a posed body.
+        """Return the points [m] on a posed body.
 
         Args:
-            joints: of the posed body [m].
+            joints: joints of the posed body [m].
             R_world_joint: rotation of every joint.
         """
         return joints[self.joints] + (R_world_joint[self.joints] @ self.offsets[..., None]).squeeze(-1)
@@ -99,10 +109,10 @@ def register(
     landmark counts as much as the network is sure to see it.
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
         body: the body model.
-        iterations: of Adam.
+        iterations: number of Adam's iterations.
         source: recorded in the result.
     """
     dtype = body.template.dtype
@@ -141,10 +151,10 @@ def register(
 
 
 def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
-    """The metric landmarks turned from "along the region's view ray" to "along the optical axis".
+    """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
 
     Args:
-        landmarks: of the person.
+        landmarks: landmarks of the person.
         camera: camera of the image.
     """
     ray = np.array([(landmarks.region.x - camera.cx) / camera.fx, (landmarks.region.y - camera.cy) / camera.fy, 1.0])
@@ -157,10 +167,10 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
 
 
 def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
-    """Arms down, knees hardly bent: nearer to most poses than the rest pose T.
+    """Return a pose with arms down and knees hardly bent: nearer to most poses than the rest pose T.
 
     Args:
-        dtype: of the result.
+        dtype: precision of the result.
     """
     pose = torch.zeros(24, 3, dtype=dtype)
     for name, value in {
@@ -172,7 +182,7 @@ def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
 
 
 def _first_root(shaped: ShapedBody, attachments: Attachments, world: Float[Tensor, "33 3"]) -> Float[Tensor, "3 3"]:
-    """Kabsch: the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best."""
+    """Return the rotation of the rest trunk (shoulders, hips) that fits the landmarks' trunk best (Kabsch)."""
     rest = torch.stack([shaped.joints[JOINT_NAMES.index(name)] for name in _TRUNK])
     seen = torch.stack([world[LANDMARK[name]] for name in _TRUNK])
     rest, seen = rest - rest.mean(0), seen - seen.mean(0)
@@ -196,7 +206,7 @@ def _first_translation(
     pixels: Float[Tensor, "33 2"],
     sure: Float[Tensor, "33"],
 ) -> Float[Tensor, "3"]:
-    """Where a body of this size must stand to appear at these pixels: linear in the translation.
+    """Return the position of a body of this size that appears at these pixels: linear in the translation.
 
     For every landmark f (X + t_x) = (u - c_x) (Z + t_z), and the same for y, weighted by certainty.
     """
@@ -228,7 +238,7 @@ def _spread(points: Float[Tensor, "n 3"]) -> Float[Tensor, ""]:
 
 @dataclass(frozen=True)
 class _Targets:
-    """What the body is laid onto: pixels with certainties, unit directions with weights and their landmark pairs."""
+    """Targets of the body: pixels with certainties, unit directions with weights and their landmark pairs."""
 
     pixels: Float[Tensor, "33 2"]
     sure: Float[Tensor, "33"]
@@ -247,7 +257,7 @@ def _targets(pixels: Float[Tensor, "33 2"], world: Float[Tensor, "33 3"], sure: 
 def _misfit(
     points: Float[Tensor, "L 3"], attachments: Attachments, camera: PinholeCamera, targets: _Targets
 ) -> Float[Tensor, ""]:
-    """Robust reprojection in units of the trunk, and 1 - cosine of the directions."""
+    """Return robust reprojection errors in units of the trunk, and 1 - cosine of the directions."""
     in_front = torch.cat([points[:, :2], points[:, 2:].clamp_min(_LEAST_DEPTH_M / 2)], 1)
     trunk_px = camera.fx * 0.5 / points[:, 2].detach().mean().clamp_min(_LEAST_DEPTH_M)
     miss = (camera.project(in_front) - targets.pixels[attachments.landmarks]) / trunk_px
@@ -264,12 +274,12 @@ def _misfit(
 def follow_chain(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "24 3 3"], translation: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "24 3 3"]]:
-    """Posed joints [m] and each joint's rotation in camera coordinates, without skinning anything.
+    """Return posed joints [m] and each joint's rotation in camera coordinates, without skinning.
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translation: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translation: translation of the body [m].
     """
     places, turns = [rest[0] + translation], [rotations[0]]
     for joint, parent in enumerate(PARENTS[1:], start=1):

@@ -1,4 +1,4 @@
-"""Named arrays out of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
+"""Reading of .npz and .npy files of unknown origin: sizes are checked first, and nothing is unpickled."""
 
 import io
 import math
@@ -18,7 +18,7 @@ _FILE_LIMIT, _MEMBER_LIMIT, _NAME_LIMIT = 1 << 30, 10_000, 1000
 _NUMBERS_AND_TEXTS = "fiubUS"
 
 Objects = Callable[[bytes], Any]
-"""What is to be made of the pickle in an array of objects, e.g. by `hfb.io.safe.pickle_reader.load_pickle`."""
+"""A reader of the pickle in an array of objects, e.g. `hfb.io.safe.pickle_reader.load_pickle`."""
 
 
 def read_arrays(
@@ -27,10 +27,12 @@ def read_arrays(
     limit: int = UNPACKED_LIMIT,
     objects: Objects | None = None,
 ) -> dict[str, Any]:
-    """The arrays of numbers and texts in an .npz archive, on disk or in memory, by name.
+    """Read the arrays of numbers and texts in an .npz archive, by name.
 
     Args:
+        file: the archive, on disk or in memory.
         wanted: only these, as far as the file has them; all of them if not given.
+        limit: most bytes of the unpacked arrays.
         objects: reads the pickle of an array of objects; without it such an array is an error.
 
     Raises:
@@ -46,16 +48,23 @@ def read_arrays(
 
 
 def names_in(file: Path | bytes) -> tuple[str, ...]:
-    """What an .npz archive holds. Raises OSError or ValueError as `read_arrays`."""
+    """Return the names of an .npz archive's arrays. Raises OSError or ValueError as `read_arrays`.
+
+    Args:
+        file: the archive, on disk or in memory.
+    """
     with _opened(file) as archive:
         return tuple(_members(archive))
 
 
 def weights_file(path: Path) -> io.BytesIO:
-    """A file of torch.save, in memory, for torch.load: that inflates whatever is packed and never asks to how much.
+    """Copy a file of torch.save to memory for torch.load, which would inflate packed members without a limit.
 
-    torch packs nothing. An archive is written anew from the members that were looked at, since two readers of
-    archives may find different ones in the same bytes.
+    torch compresses nothing. An archive is written anew from the checked members, since two readers of archives may
+    find different ones in the same bytes.
+
+    Args:
+        path: the file.
 
     Raises:
         OSError: no file there, or it cannot be read.
@@ -85,7 +94,7 @@ def weights_file(path: Path) -> io.BytesIO:
 def _opened(file: Path | bytes) -> zipfile.ZipFile:
     if isinstance(file, Path) and file.stat().st_size > _FILE_LIMIT:
         raise ValueError(f"it is larger than {_FILE_LIMIT >> 20} MB")
-    if isinstance(file, Path) and not file.is_file():  # a pipe would be waited for
+    if isinstance(file, Path) and not file.is_file():  # opening a pipe would block
         raise ValueError("it is no plain file")
     try:
         return zipfile.ZipFile(io.BytesIO(file) if isinstance(file, bytes) else file)
@@ -103,7 +112,7 @@ def _members(archive: zipfile.ZipFile) -> Mapping[str, zipfile.ZipInfo]:
 
 
 def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    """A member's bytes: never more than its announced size."""
+    """Read a member's bytes, never more than its announced size."""
     try:
         with archive.open(info) as member:
             content = member.read(info.file_size)
@@ -115,9 +124,10 @@ def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
 
 
 def parse_array(data: bytes, objects: Objects | None = None) -> Any:
-    """The array in the bytes of a .npy file; numpy's own reader would allocate what a header promises.
+    """Parse a .npy file; numpy's own reader would allocate what a header promises.
 
     Args:
+        data: content of a .npy file.
         objects: see `read_arrays`.
 
     Raises:

@@ -1,7 +1,7 @@
-"""Which form of a formula runs: the compiled kernels, or the readable torch that they are tested against.
+"""The choice between compiled kernels and the readable torch formulas that they are tested against.
 
-Compiled kernels take tensors in the processor's memory, of one fit. The readable form runs on any device, and under
-`torch.func.vmap`, which gives tensors of many fits to a formula written for one.
+Compiled kernels accept tensors of one fit in the CPU's memory. The readable form runs on any device, and under
+`torch.func.vmap`, which passes tensors of many fits to a formula written for one.
 """
 
 from collections.abc import Iterator
@@ -17,13 +17,17 @@ _readable = ContextVar("readable", default=False)
 
 
 def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
-    """Whether the compiled kernels take this tensor."""
+    """Return whether the compiled kernels accept this tensor.
+
+    Args:
+        tensor: an argument of the formula.
+    """
     return tensor.device.type == "cpu" and not _readable.get()
 
 
 @contextmanager
 def readable_formulas() -> Iterator[None]:
-    """Inside, in this thread, the readable form runs wherever there are two."""
+    """Use the readable torch formulas inside, in this thread."""
     before = _readable.set(True)
     try:
         yield
@@ -33,8 +37,13 @@ def readable_formulas() -> Iterator[None]:
 
 @lru_cache(maxsize=256)
 def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) -> Shaped[Tensor, "..."]:
-    """A tensor of these numbers, or of one, made once: to copy them to a device makes the processor wait for it.
+    """Return a cached tensor of some numbers, since copying them to a device makes the CPU wait for it.
 
-    Not to be changed.
+    The caller must not change it.
+
+    Args:
+        values: number or nested tuples of numbers.
+        dtype: precision.
+        device: device of the tensor.
     """
     return torch.tensor(values, dtype=dtype, device=device)

@@ -1,7 +1,7 @@
-"""Compiled kernels as torch operators, and the short way past torch's dispatcher where nobody but autograd looks.
+"""Compiled kernels as torch operators, with a faster path where only autograd is used.
 
-torch.compile and export see a registered operator. Called by itself one costs 25 to 33 us more there and back than a
-plain autograd function with the same kernels and the same way back, and some of the kernels take no longer than that.
+torch.compile and export need a registered operator. Called directly, one costs 25 to 33 us more, forward and backward,
+than a plain autograd function with the same kernels, and some of the kernels take no longer than that.
 """
 
 from __future__ import annotations
@@ -18,12 +18,20 @@ _PLAIN = (torch.Tensor, torch.nn.Parameter)
 
 
 def arrays(*tensors: Tensor) -> list[Array]:
-    """What kernels take: without gaps, in memory of the tensors' own where they have none."""
+    """Return contiguous arrays of tensors, in the tensors' own memory where they are contiguous.
+
+    Args:
+        *tensors: tensors to convert.
+    """
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
 class Operator:
     """A function of tensors that computes in numpy.
+
+    Args:
+        name: name of the operator, such as ``hfb::skin``.
+        function: takes tensors and numbers, computes in numpy.
 
     Attributes:
         registered: the operator as torch.compile, export and `torch.library.opcheck` take it.
@@ -34,7 +42,7 @@ class Operator:
         self._direct = function
 
     def __call__(self, *arguments: Any) -> Any:
-        """The registered operator where torch traces, with tensors of its own kinds; else the function, past it."""
+        """Call the registered operator where torch traces, with tensors of its kinds; else the function directly."""
         if torch.compiler.is_compiling() or not all(
             type(one) in _PLAIN for one in arguments if isinstance(one, Tensor)
         ):
@@ -42,11 +50,15 @@ class Operator:
         return self._direct(*arguments)
 
     def register_fake(self, fake: Callable[..., Any]) -> None:
-        """Shapes and types of the results, for `torch.compile`."""
+        """Register a function that returns shapes and types of the results, for `torch.compile`.
+
+        Args:
+            fake: takes the operator's arguments.
+        """
         self.registered.register_fake(fake)
 
     def register_autograd(self, backward: Callable[..., Any], keep: Callable[..., None]) -> None:
-        """The way back.
+        """Register the backward pass.
 
         Args:
             backward: (ctx, gradients of the results) to the gradients of the arguments.
@@ -71,15 +83,23 @@ class Operator:
 
 
 def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
-    """Make an `Operator` of a function; its types are its schema, as `torch.library.custom_op` reads them."""
+    """Return a decorator that makes an `Operator`; types are the schema, as of `torch.library.custom_op`.
+
+    Args:
+        name: name of the operator, such as ``hfb::skin``.
+    """
     return lambda function: Operator(name, function)
 
 
 def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
-    """An `Operator` that finds one number, and its gradient along with it.
+    """Return a decorator that makes an `Operator` of one number and its gradient.
 
-    The function returns the number and its gradients by its first `moving` arguments; the others are constants. The way
-    back is a product.
+    The function returns the number and its gradients by its first `moving` arguments; the others are constants. The
+    backward pass is a product.
+
+    Args:
+        name: name of the operator, such as ``hfb::skin``.
+        moving: number of differentiable arguments.
     """
 
     def made(function: Callable[..., Any]) -> Operator:

@@ -1,4 +1,4 @@
-"""A small U-Net for the matte: what it is told about a frame and its plate, and its layers."""
+"""A small U-Net for the matte: its input and its layers."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -24,10 +24,11 @@ _DARK = 0.01  # added to both lights before their ratio is taken
 
 
 def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "C H W"]:
-    """What the network sees: both pictures, their difference in units of the noise, their ratio, and texture.
+    """Return the network's input: both images, their difference in units of the noise, their ratio, and texture.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
 
     Returns:
         frame and plate in sRGB (6); signed logarithm of the difference over the noise (3); logarithm of the ratio of
@@ -52,7 +53,12 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
 
 
 def quiet_noise(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """Standard deviation of frame - plate in linear light, by the pixels that differ least."""
+    """Estimate the standard deviation of frame - plate in linear light, from the pixels that differ least.
+
+    Args:
+        frame_srgb: in [0, 1].
+        plate_srgb: in [0, 1], in the frame's exposure.
+    """
     level = np.maximum(frame_srgb, plate_srgb)
     slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
     return np.asarray(_quiet_sigma(frame_srgb, plate_srgb) * slope, np.float32)
@@ -64,13 +70,14 @@ def _quiet_sigma(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H 
 
 
 class MatteNetwork(nn.Module):
-    """Four halvings, a wide look around at the smallest size, four doublings with the finer pictures beside them.
+    """A U-Net of four halvings, wide convolutions at the smallest size, and four doublings with skip connections.
 
     The second output is the logarithm of the expected error (a Laplace scale) of the first.
 
     Args:
-        channels: of what it sees.
-        normalise: made behind every convolution while it is trained, then folded into it; nothing by default.
+        widths: channels of the layers from fine to coarse.
+        normalise: makes a normalisation layer for a number of channels; None for none.
+        channels: number of input channels.
     """
 
     def __init__(
@@ -94,7 +101,11 @@ class MatteNetwork(nn.Module):
         self.exit = nn.Conv2d(widths[0], 2, 3, padding=1)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> Float[Tensor, "B 2 H W"]:
-        """Logit of alpha, and the logarithm of how wrong it may be; any size from 16 px."""
+        """Return the logit of alpha, and the logarithm of its error scale; any size from 16 px.
+
+        Args:
+            picture: features of frame and plate.
+        """
         now = self.entry(picture)
         finer = [now]
         for down in self.down:

@@ -1,4 +1,4 @@
-"""The person's share of each pixel, from a frame and the clean background: one Protocol, one default."""
+"""The protocol of matting, the default method, and common steps."""
 
 from typing import Protocol, runtime_checkable
 
@@ -12,23 +12,31 @@ from hfb.matting.known_background import Evidence, gather_evidence, main_change,
 from hfb.typing import Array, Bool, Float, Tensor
 
 Picture = Float[Tensor, "H W 3"] | Float[Array, "H W 3"]
-Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, told in one sentence
+Plate = Float[Tensor, "h w 3"] | Float[Array, "h w 3"]  # another size is the user's mistake, reported in one sentence
 
 _DETECTION_PX = 480
 _SOLUTION_PX = 640
-_SEEN = 8.0  # in hundredths of alpha: what surely belongs to somebody
+_SEEN = 8.0  # in hundredths of alpha: pixels that certainly belong to a person
 LEAST_SHARE = 2e-4
-"""Of the picture's area; less is no person."""
+"""Smallest share of the image's area that is a person."""
 MOST_SHARE = 0.75
-"""Of the picture's area; where more changed the plate is another one."""
+"""Share of the image's area; where more changed the plate is another one."""
 
 
 @runtime_checkable
 class Matting(Protocol):
-    """alpha of eq. (1): what share of the exposure a pixel saw the person."""
+    """Estimates alpha of eq. (1): the share of the exposure in which a pixel shows the person."""
 
     def __call__(self, frame_linear: Picture, plate_linear: Plate) -> Float[Array, "H W"]:
-        """The matte in [0, 1]. Raises InputError where frame and plate don't fit each other or show nobody."""
+        """Return the matte in [0, 1].
+
+        Args:
+            frame_linear: blurred frame, linear light.
+            plate_linear: background plate, linear light, in the frame's size.
+
+        Raises:
+            InputError: frame and plate do not match, or no person is found.
+        """
         ...
 
 
@@ -63,7 +71,15 @@ class KnownBackground:
 
 
 def check_sizes(frame: Float[Array, "..."], plate: Float[Array, "..."]) -> None:
-    """One sentence where the plate can't belong to the frame."""
+    """Check that the plate has the frame's size.
+
+    Args:
+        frame: (H, W, ...).
+        plate: (H, W, ...).
+
+    Raises:
+        InputError: it has another one.
+    """
     if frame.shape != plate.shape:
         (h, w), (ph, pw) = frame.shape[:2], plate.shape[:2]
         raise InputError(
@@ -73,9 +89,10 @@ def check_sizes(frame: Float[Array, "..."], plate: Float[Array, "..."]) -> None:
 
 
 def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: float = 0.1) -> tuple[int, int, int, int]:
-    """(top, left, bottom, right) of the box around the matte, ends exclusive, inside the picture.
+    """Return (top, left, bottom, right) of the box around the matte, ends exclusive, inside the image.
 
     Args:
+        matte: alpha in [0, 1].
         margin: added on each side, as a share of the box's longer side.
         threshold: alpha above which a pixel counts.
 
@@ -97,14 +114,18 @@ def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: flo
 
 
 def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Drop specks and haze that hang apart from the body, and what is below 0.02."""
+    """Remove specks and haze apart from the body, and values below 0.02.
+
+    Args:
+        alpha: matte in [0, 1].
+    """
     keep = main_change(100 * alpha, threshold=_SEEN)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(keep.astype(np.uint8))
     if count > 2:
         largest = 1 + int(boxes[1:, cv2.CC_STAT_AREA].argmax())
         clear = np.unique(labels[keep & (alpha > 0.6)])  # a shoe cut off by dark trousers, not a patch of shade
         keep = np.isin(labels, [*clear, largest])
-    # As far again as the faint end of a ramp over a tenth of the picture reaches below what counts as seen.
+    # As far again as the faint end of a ramp over a tenth of the image reaches below what counts as seen.
     reach = 2 * max(1, round(0.02 * max(alpha.shape))) + 1
     near = cv2.dilate(keep.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     alpha = np.clip(alpha, 0, 1) * cv2.blur(near.astype(np.float32), (3, 3))
@@ -112,7 +133,12 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
 
 
 def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w *c"]:
-    """Area average to at most `longer_px` on the longer side; smaller pictures stay."""
+    """Reduce an image by area averaging to at most `longer_px` on the longer side; smaller images stay.
+
+    Args:
+        picture: image in any light.
+        longer_px: largest length of the longer side [px].
+    """
     height, width = picture.shape[:2]
     scale = longer_px / max(height, width)
     if scale >= 1:
@@ -129,7 +155,7 @@ def _check_presence(found: Evidence) -> None:
 
 
 def another_scene() -> InputError:
-    """What to raise where nearly everything changed."""
+    """Build the error for a frame that differs from its plate nearly everywhere."""
     return InputError(
         "the frame differs from the background plate nearly everywhere; "
         "check that the plate is of the same scene, camera position and exposure."
@@ -137,7 +163,7 @@ def another_scene() -> InputError:
 
 
 def nobody_found() -> InputError:
-    """What to raise where frame and plate are the same but for noise."""
+    """Build the error for a frame that equals its plate but for noise."""
     return InputError(
         "no person was found: the frame does not differ from the background plate; "
         "give a plate without the person, and a frame with them."
@@ -147,7 +173,14 @@ def nobody_found() -> InputError:
 def scaled_box(
     box: tuple[int, int, int, int], scale: Float[Array, "2"], height: int, width: int
 ) -> tuple[int, int, int, int]:
-    """(top, left, bottom, right) in the picture of which the box is seen `scale` (down, across) times smaller."""
+    """Return a box of a reduced image, (top, left, bottom, right), in the full image.
+
+    Args:
+        box: (top, left, bottom, right) in the reduced image [px].
+        scale: scale of full to reduced size, down and across.
+        height: height of the full image [px].
+        width: width of the full image [px].
+    """
     top, left, bottom, right = box
     return (
         int(top * scale[0]),
@@ -163,7 +196,7 @@ def _empty_around(
     inner: tuple[slice, slice],
     size: tuple[int, int],
 ) -> Bool[Array, "a b"]:
-    """The detection's "nobody here", cut and scaled to the solution's grid."""
+    """Return the detection's empty pixels, cropped and scaled to the solution's grid."""
     away = cv2.distanceTransform(1 - body.astype(np.uint8), cv2.DIST_L2, 3) > 0.03 * max(body.shape)
     indices = [
         ((cut.start + (np.arange(count) + 0.5) * (cut.stop - cut.start) / count) / ratio).astype(int).clip(0, limit - 1)

@@ -1,8 +1,8 @@
-"""What a first matte makes known: the body's colours, and the share of the way from plate to them at every pixel.
+"""Inputs of the second network that follow from a first matte: the body's colours, and alpha by them.
 
-alpha = <I - B, F - B> / |F - B|^2 needs F, and a first matte says where to read it: from opaque neighbours, near and
-far, and, where a thin limb is nowhere opaque, from the blurred pixels themselves with the plate taken out,
-F = B + (I - B) / alpha. None is right everywhere; the second network has learned which to believe.
+alpha = <I - B, F - B> / |F - B|^2 needs F, which follows from a first matte: from opaque neighbours, near and far, and,
+where a thin limb is nowhere opaque, from the blurred pixels themselves after removing the plate,
+F = B + (I - B) / alpha. None is right everywhere; the second network has learned to weigh them.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from hfb.typing import Array, Float
 
 EVIDENCE_CHANNELS = 17
 COLOUR_STARTS = (0, 3)
-"""Where in the evidence three channels are a colour's."""
+"""Channels of the evidence at which a colour's three begin."""
 
 _NEAR_PX, _FAR_PX, _UNMIXED_PX = 4, 32, 6
 _OPAQUE_POWER, _UNMIXED_POWER = 6, 2
-_LEAST_SHARE = 0.15  # a pixel that is less the body's tells nothing of its colour
+_LEAST_SHARE = 0.15  # a pixel with a smaller share does not determine the body's colour
 
 
 def colour_evidence(
@@ -28,11 +28,13 @@ def colour_evidence(
     alpha: Float[Array, "H W"],
     doubt: Float[Array, "H W"] | None = None,
 ) -> Float[Array, "C H W"]:
-    """What the second network sees besides `matte_network.features`.
+    """Return the second network's inputs besides `matte_network.features`.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        alpha: the first matte. doubt: the logarithm of its expected error, where it is known.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        alpha: the first matte.
+        doubt: the logarithm of its expected error, where it is known.
 
     Returns:
         near and unmixed body colours in sRGB (6); for each of the near, far and unmixed colour: alpha by it, how far it
@@ -58,7 +60,14 @@ def explained_by(
     plate_linear: Float[Array, "H W 3"],
     noise: Float[Array, "H W 3"],
 ) -> list[Float[Array, "H W 1"]]:
-    """If the body had these colours: alpha by them, how far they are from the plate, and what is left unexplained."""
+    """Return alpha if the body had these colours, their distance from the plate, and the unexplained rest (all scaled).
+
+    Args:
+        colours: colours of the body, linear light.
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's exposure.
+        noise: standard deviation of frame - plate, linear light.
+    """
     direction, difference = (colours - plate_linear) / noise, (frame_linear - plate_linear) / noise
     length = dot(direction, direction)
     share = dot(difference, direction) / (length + 1)
@@ -70,7 +79,14 @@ def explained_by(
 def unmixed_colours(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], alpha: Float[Array, "H W"], power: int
 ) -> Float[Array, "H W 3"]:
-    """The body's colours by B + (I - B) / alpha, spread from where alpha is large: weights are alpha to a power."""
+    """Return the body's colours by B + (I - B) / alpha, spread from where alpha is large.
+
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's exposure.
+        alpha: matte in [0, 1].
+        power: exponent of alpha in the weights with which colours are spread.
+    """
     unmixed = np.clip(plate_linear + (frame_linear - plate_linear) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
     partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** power + 1e-6).astype(np.float32)
     return spread_colours(unmixed.astype(np.float32), partly, _UNMIXED_PX)

@@ -24,9 +24,9 @@ class SampledMotion:
         joints: joint positions [m].
         times_s: time since the first shutter opened [s].
         frame_index: the frame each row belongs to.
-        K: camera matrix of the full picture [px].
-        joint_radius_mm: where the method says how sure it is: the joint's error about the pelvis (after one rotation of
-            the sequence) is below it with a probability of one half; zero for the pelvis.
+        K: camera matrix of the full image [px].
+        joint_radius_mm: median error of each joint about the pelvis (after one rotation of the sequence), where the
+            method estimates it; zero for the pelvis.
     """
 
     poses: Float[Array, "R 72"]
@@ -39,8 +39,12 @@ class SampledMotion:
     joint_radius_mm: Float[Array, "R 24"] | None = None
 
     def rows_of(self, frame: int) -> Int[Array, "S"]:
-        """Row numbers of one frame's sub-frames, in time."""
-        if self._in_order:  # asked for frame by frame, a search of all rows each time would take their square
+        """Return the row numbers of one frame's sub-frames, in time.
+
+        Args:
+            frame: its number.
+        """
+        if self._in_order:  # a search of all rows for every frame would take quadratic time
             first, last = np.searchsorted(self.frame_index, (frame, frame + 1)).tolist()
             return np.arange(first, last)
         return np.flatnonzero(self.frame_index == frame)
@@ -59,7 +63,17 @@ def sample_motion(
     interval_s: float,
     K: Float[Tensor, "3 3"],
 ) -> SampledMotion:
-    """Evaluate a trajectory at every sub-frame of every frame."""
+    """Evaluate a trajectory at every sub-frame of every frame.
+
+    Args:
+        trajectory: polynomials of the motion [m].
+        shaped: the body with its shape.
+        betas: shape coefficients, which the result records.
+        subframes: per exposure.
+        exposure_s: time that the shutter is open.
+        interval_s: time from one opening of the shutter to the next.
+        K: calibration matrix [px], which the result records.
+    """
     with torch.no_grad():
         rotations, translations = trajectory.at(subframe_clock(subframes, trajectory.rotation.dtype))
         rotations, translations = rotations.flatten(0, 1), translations.flatten(0, 1)
@@ -84,7 +98,15 @@ def still_motion(
     like: SampledMotion,
     body: Body,
 ) -> SampledMotion:
-    """One body per frame, held still through its exposure, at the instants of another motion."""
+    """Return one body per frame, held still through its exposure, at the instants of another motion.
+
+    Args:
+        poses: axis-angle [rad], camera coordinates.
+        translations: SMPL's [m], camera coordinates.
+        betas: shape coefficients.
+        like: motion whose instants and camera are used.
+        body: model of the poses.
+    """
     shaped = body.shape(betas.to(body.template))
     joints = shaped.joints_of(axis_angle_to_matrix(poses.to(body.template)), translations.to(body.template))
     frames = like.frame_index

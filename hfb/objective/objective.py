@@ -44,7 +44,8 @@ class Objective:
         motion_prior: for L_A, which is used for single frames only: neighbours tell the direction better.
         warm_up: compare paths with the network's likelier sign, for several frames too. Afterwards the sign of a single
             frame's path is free, and several frames tell each other's paths.
-        matte_scales, image_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        matte_scales: number of scales of L_alpha and L_I, each half the size of the last.
+        image_scales: number of scales of L_alpha and L_I, each half the size of the last.
     """
 
     observation: Observation
@@ -66,7 +67,7 @@ class Objective:
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms with a positive weight, named as in `Weights`.
+        """Return the unweighted terms with a positive weight, named as in `Weights`.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -82,7 +83,7 @@ class Objective:
     def vertices_and_terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
-        """Vertices to render, camera coordinates [m], and the terms of body and motion.
+        """Return vertices to render, camera coordinates [m], and the terms of body and motion.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -94,14 +95,14 @@ class Objective:
     def _posed(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "n V 3"], dict[str, Float[Tensor, ""]]]:
-        """Vertices of every sub-frame, frame after frame, and the terms of body and motion."""
+        """Return vertices of every sub-frame, frame after frame, and the terms of body and motion."""
         shaped = self.body.shape(betas)
         course = trajectory.at(self._instants(betas.dtype))
         posed, joints = shaped.pose_frames(*course)
         return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
-        """The term of the texture, L_S.
+        """Return the term of the texture, L_S.
 
         Args:
             texture: linear light.
@@ -111,7 +112,7 @@ class Objective:
         return {}
 
     def _instants(self, dtype: torch.dtype) -> Float[Tensor, "S1"]:
-        """Times of the sub-frames, then the middle of the exposure."""
+        """Return times of the sub-frames, then the middle of the exposure."""
         return _instants(self.subframes, dtype, self.first.device)
 
     def body_terms(
@@ -121,7 +122,7 @@ class Objective:
         shaped: ShapedBody,
         course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"], Float[Tensor, "T S1 24 3"]] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Terms that need no rendering.
+        """Return terms that need no rendering.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -162,20 +163,20 @@ class Objective:
         translations: Float[Tensor, "T S1 3"],
         whole: bool,
     ) -> Float[Tensor, "T n 24 3"]:
-        """Joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
+        """Return joints [m] at opening, closing and middle of the exposure, or in the middle alone."""
         some = (0, self.subframes - 1, self.subframes) if whole else (self.subframes,)
         index = constant(some, torch.long, rotations.device)
         places = rotations.index_select(1, index).flatten(0, 1), translations.index_select(1, index).flatten(0, 1)
         return shaped.joints_of(*places).unflatten(0, (-1, len(some)))
 
     def _vectors(self, rotations: Float[Tensor, "T S1 24 3 3"]) -> Float[Tensor, "n 23 3"]:
-        """Axis times angle [rad] below the root at every sub-frame."""
+        """Return axis times angle [rad] below the root at every sub-frame."""
         if compiled(rotations):
             return rotation_vectors(rotations, self.subframes).flatten(0, 1)
         return matrix_to_axis_angle(rotations[:, :-1, 1:].flatten(0, 1))
 
     def _image_terms(self, frame: int, vertices: Float[Tensor, "S V 3"], texture: Tensor) -> dict[str, Tensor]:
-        """Image, matting and background terms of one frame."""
+        """Return image, matting and background terms of one frame."""
         weights, seen, mesh = self.weights, self.observation, self.body.mesh
         if weights.background > 0:  # the only term that needs each sub-frame by itself
             pictures = self.rasterizer.render(vertices, texture, seen.camera, mesh)
@@ -190,7 +191,7 @@ class Objective:
         return self.compare_mean(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
 
     def compare_mean(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
-        """Image and matting terms of a rendered frame: mean colour, premultiplied, and mean silhouette.
+        """Return image and matting terms of a rendered frame: mean colour, premultiplied, and mean silhouette.
 
         Args:
             frame: number of the frame.
@@ -220,18 +221,18 @@ class Objective:
         return tuple(Target(seen.plate_linear, frame, matte, *self._scales) for frame, matte in pictures)
 
     def _named(self, image: Float[Tensor, ""], overlap: Float[Tensor, ""]) -> dict[str, Float[Tensor, ""]]:
-        """Those of both losses that have a weight."""
+        """Return those of both losses that have a weight."""
         weights = self.weights
         return ({"image": image} if weights.image > 0 else {}) | ({"matte": overlap} if weights.matte > 0 else {})
 
     def for_stage(
         self, observation: Observation, weights: StageWeights, visible: Bool[Tensor, "A A"] | None = None
     ) -> "Objective":
-        """The objective of a stage: the observation at its size, and its weights.
+        """Return the objective of a stage: the observation at its size, and its weights.
 
         Args:
             observation: at the stage's size.
-            weights: of the stage.
+            weights: weights of the stage.
             visible: texels visible in some sub-frame; every texel when not given.
         """
         return replace(
@@ -239,7 +240,7 @@ class Objective:
         )
 
     def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
-        """Weighted sum of the terms; one value per fit where the terms have a batch dimension.
+        """Return the weighted sum of the terms; one value per fit where the terms have a batch dimension.
 
         Args:
             terms: unweighted, by name.
@@ -249,7 +250,7 @@ class Objective:
         return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
 
     def total_of_values(self, values: dict[str, float]) -> float:
-        """`total` of plain numbers.
+        """Return `total` of plain numbers.
 
         Args:
             values: unweighted terms by name.
@@ -269,12 +270,12 @@ class Objective:
 
 @lru_cache
 def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "S1"]:
-    """Cached tensor of `Objective._instants`; read only."""
+    """Return cached tensor of `Objective._instants`; read only."""
     return torch.tensor([*subframe_clock(subframes, dtype).tolist(), 0.5], dtype=dtype, device=device)
 
 
 def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
-    """Mean of every term over the frames.
+    """Return the mean of every term over the frames.
 
     Args:
         per_frame: unweighted terms of every frame.

@@ -13,7 +13,7 @@ StageKind = Literal["warm-up", "coarse", "full"]
 
 WARM_UP_JOINTS, WARM_UP_PATH = 1.0, 0.3
 WARM_UP_DIVISORS = {"pose": 20, "motion": 10, "start": 10}
-"""Until the skeleton has moved to the network's joints, regularisers count less."""
+"""Divisors of the regularisers' weights until the skeleton has moved to the network's joints."""
 
 REFINED_HEIGHT_SCALE = 0.22
 """Factor of the height's standard deviation once render and image are compared: about 20 times its weight."""
@@ -33,13 +33,13 @@ class StageWeights:
 
 
 def base_weights(config: FitConfig, n_frames: int) -> Weights:
-    """Weights of a problem of `n_frames` frames, before a stage's own factors.
+    """Return weights of a problem of `n_frames` frames, before a stage's own factors.
 
     The search for directions uses these in every case: its odds were calibrated with them.
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
+        n_frames: number of the problem's frames.
     """
     weights = config.weights
     changed = {}
@@ -51,12 +51,12 @@ def base_weights(config: FitConfig, n_frames: int) -> Weights:
 
 
 def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWeights:
-    """Weights of every term in one kind of stage.
+    """Return weights of every term in one kind of stage.
 
     Args:
         config: options of the fit.
-        n_frames: of the problem.
-        kind: of stage.
+        n_frames: number of the problem's frames.
+        kind: kind of stage.
     """
     weights = base_weights(config, n_frames)
     if kind == "warm-up":
@@ -70,7 +70,7 @@ def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWei
 
 
 def weights_table() -> str:
-    """Every weight of both presets, per kind of stage and number of frames, as a Markdown table."""
+    """Return every weight of both presets, per kind of stage and number of frames, as a Markdown table."""
     columns: list[tuple[Literal["paper", "best"], StageKind, int]] = [
         ("paper", "full", 1),
         ("paper", "full", 2),

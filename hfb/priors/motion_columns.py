@@ -1,11 +1,11 @@
-"""The coefficient matrix C in the one form that the motion prior knows, whatever kind of polynomials a fit uses.
+"""The coefficient matrix C in the motion prior's form, for any kind of polynomials.
 
-A fit's own coefficients mean different things: quaternions or axis and angle, time from the start or from the middle,
-the root seen by whatever camera. Here C is what the motion itself determines: unit quaternions at five instants, and
-the quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
-mid-exposure, so that C, and with it the prior, does not depend on the camera: where the person stands, which way it
-faces and where "up" is are all gone. With the origin in the middle of a symmetric clock, running a column backwards in
-time, c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
+A fit's own coefficients depend on its options: quaternions or axis and angle, time from the start or from the middle,
+the camera's frame of the root. Here C is determined by the motion alone: unit quaternions at five instants, and the
+quadratic in u - 1/2 nearest to them. The root's rotation and the translation are taken in the body's own frame at
+mid-exposure, so that C, and with it the prior, does not depend on the camera: neither on the person's position and
+heading nor on the vertical. With the origin in the middle of a symmetric clock, running a column backwards in time,
+c(u) -> c(1 - u), changes the sign of its linear coefficient and nothing else.
 """
 
 from functools import lru_cache
@@ -33,11 +33,11 @@ LIMBS: dict[str, tuple[int, ...]] = {
     "left arm": (13, 16, 18, 20, 22),
     "right arm": (14, 17, 19, 21, 23),
 }
-"""Columns that a picture confuses together: which way a limb moved is one question per limb."""
+"""Columns that an image confuses together: which way a limb moved is one question per limb."""
 
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
-    """C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin.
+    """Return C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin.
 
     Args:
         trajectory: polynomials of the motion.
@@ -48,10 +48,10 @@ def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
 def columns_of(
     rotations: Float[Tensor, "T 5 24 3 3"], translations: Float[Tensor, "T 5 3"]
 ) -> Float[Tensor, "T 3 25 4"]:
-    """C of motions that are given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
+    """Return C of motions given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
 
     Args:
-        rotations: of every joint at the instants of `CLOCK`.
+        rotations: rotations of every joint at the instants of `CLOCK`.
         translations: at the same instants [m].
     """
     middle = CLOCK.index(0.5)
@@ -68,7 +68,7 @@ def columns_of(
 def at_instants(
     columns: Float[Tensor, "T 3 25 4"], u: Float[Tensor, "S"]
 ) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
-    """The motion that C describes, in the body's own frame at mid-exposure: rotations and translations [m] at u.
+    """Evaluate the motion of C in the body's own frame at mid-exposure: rotations and translations [m] at u.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -82,12 +82,12 @@ def at_instants(
 def joint_places(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "n 24 3 3"], translations: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 24 3"]:
-    """`ShapedBody.joints_of`, five times as fast for thousands of instants and without the person's surface.
+    """Return `ShapedBody.joints_of`, five times as fast for thousands of instants and without the surface.
 
     Args:
         rest: joints of the rest pose [m].
-        rotations: of every joint in its parent's frame.
-        translations: of the body [m].
+        rotations: rotations of every joint in its parent's frame.
+        translations: translations of the body [m].
     """
     turns, places = [rotations[:, 0]], [rest[0] + translations]
     for joint in range(1, JOINT_COUNT):
@@ -98,7 +98,7 @@ def joint_places(
 
 
 def reversed_columns(columns: Float[Tensor, "T 3 25 4"], which: Bool[Tensor, "T 25"]) -> Float[Tensor, "T 3 25 4"]:
-    """C with some columns running backwards in time.
+    """Return C with some columns running backwards in time.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -110,7 +110,7 @@ def reversed_columns(columns: Float[Tensor, "T 3 25 4"], which: Bool[Tensor, "T 
 
 @lru_cache(maxsize=1)
 def mean_rest_joints() -> Float[Tensor, "24 3"]:
-    """Joints of the embedded body's mean shape [m]: the person whom nothing is known about."""
+    """Return joints of the embedded body's mean shape [m], for a person of unknown shape."""
     return load_default_body().joint_template
 
 

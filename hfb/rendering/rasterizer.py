@@ -1,4 +1,4 @@
-"""The one interface through which the forward model sees a body: R_F and R_S of the paper's eq. (1)."""
+"""The interface of rasterisers: R_F and R_S of the paper's eq. (1)."""
 
 from typing import Protocol, runtime_checkable
 
@@ -15,7 +15,7 @@ class Rasterizer(Protocol):
     """Draws bodies, one per sub-frame: differentiable in the vertices and in the texture.
 
     vertices: [m], camera coordinates (OpenCV). texture: linear RGB, row 0 is v = 0; None where only the
-    silhouette is wanted (its colours are then zero). A body outside the picture, behind the lens or of zero
+    silhouette is wanted (its colours are then zero). A body outside the image, behind the lens or of zero
     size draws nothing and receives zero gradients.
     """
 
@@ -26,7 +26,14 @@ class Rasterizer(Protocol):
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
-        """One picture per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1]."""
+        """Return one image per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1].
+
+        Args:
+            vertices: vertices of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...
 
     def render_mean(
@@ -36,11 +43,24 @@ class Rasterizer(Protocol):
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
-        """`render(...).mean(0)`, the averages of eq. (1), without holding the single pictures."""
+        """Return `render(...).mean(0)`, the averages of eq. (1), without holding the single images.
+
+        Args:
+            vertices: vertices of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
-        """Mean of R_S over the sub-frames: what the matte is compared with. Cheaper than `render_mean`."""
+        """Return the mean of R_S over the sub-frames, which is compared with the matte. Cheaper than `render_mean`.
+
+        Args:
+            vertices: vertices of each sub-frame [m], camera coordinates.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...

@@ -15,9 +15,19 @@ from hfb.evaluation.tables import summarize, table_markdown
 
 BINS = [(0.1, 0.2), (0.2, 0.4)]
 NAMED_IN_THE_INTERFACE = {
-    "n", "initial_mpjpe_mm", "mpjpe_mm", "ratio", "ratio_ci95", "pa_mpjpe_mm", "initial_iou", "iou",
-    "better_than_start", "wrong_direction", "best_of_two_mpjpe_mm", "seconds_per_case",
-}  # fmt: skip
+    "n",
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "ratio",
+    "ratio_ci95",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    "better_than_start",
+    "wrong_direction",
+    "best_of_two_mpjpe_mm",
+    "seconds_per_case",
+}
 
 
 def _row(case: int, method: str = "best", blur_rate: float | None = 0.15, **values) -> dict:

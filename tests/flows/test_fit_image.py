@@ -20,13 +20,13 @@ from hfb.fitting.alternatives import LIMB_NAMES, load_alternatives
 from hfb.flows.fit_image import fit_image
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
+from hfb.initialization.fronts import mirrored_in_depth
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body
 from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
-from hfb.tracking.clip_bodies import mirrored_in_depth
 from tests.orchestration import Problem, example, mlflow_rows
 
 TINY = RunConfig(
@@ -161,9 +161,7 @@ def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Pat
 def test_a_height_from_the_clip_is_held_and_recorded(problem: Problem, store: Path, tmp_path: Path) -> None:
     out, clip = tmp_path / "out", tmp_path / "clip.toml"
     clip.write_text("[person]\nheight_m = 1.85\n")
-    result = fit_image(
-        [problem.frame], problem.background, out, TINY, clip=clip, first_bodies=[problem.first_body]
-    )  # fmt: skip
+    result = fit_image([problem.frame], problem.background, out, TINY, clip=clip, first_bodies=[problem.first_body])
     motion, _ = load_motion(out / "motion.npz")
     assert float(height_m(load_default_body(), torch.from_numpy(motion.betas))) == pytest.approx(1.85, abs=1e-4)
     assert result["config"]["fit"]["height_m"] == 1.85

@@ -22,7 +22,10 @@ _KEPT = 4
 class FolderMotions:
     """A `MotionSource` of all recordings below a folder, sorted by their relative paths.
 
-    Hidden files are no recordings. A folder that holds the frames of a CAPE sequence is one motion.
+    Hidden files are ignored. A folder with the frames of a CAPE sequence is one motion.
+
+    Args:
+        folder: folder of the recordings.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -53,18 +56,22 @@ class FolderMotions:
         self._found = [(name, tuple(sorted(found[name]))) for name in sorted(found)]
 
     def names(self) -> Sequence[str]:
-        """Paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
+        """Return paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
         return [name for name, _ in self._found]
 
     def load(self, index: int) -> MotionClip:
-        """Read one of them; see `MotionSource`."""
+        """Read one motion; see `MotionSource`.
+
+        Args:
+            index: number of the motion in `names`.
+        """
         name, paths = self._found[index]
         return _load(name, paths)
 
 
 @lru_cache(maxsize=1024)
 def _tell(remark: str) -> None:
-    """Once per process: cases that share a clip read it again."""
+    """Log a remark once per process, since cases that share a clip read it again."""
     _log.warning("%s", remark)
 
 

@@ -1,4 +1,4 @@
-"""Which stretches of which videos a case can be made from, and an order that spreads over all of them."""
+"""Windows of videos from which cases can be made, and an order that spreads over all of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ class RealWindow:
 
     Attributes:
         first: number of its first frame in the video.
-        remarks: what a reader of the results should know about the recording.
+        remarks: remarks on the recording for readers of the results.
     """
 
     recording: Recording
@@ -28,9 +28,15 @@ class RealWindow:
 
 
 def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
-    """(every window of every usable video, by path and time; relative path -> why a video is not used).
+    """Return every window of every usable video, by path and time, and by relative path why a video is not used.
 
     A window has no dropped frame and, where joints were measured, a row of them for each of its frames.
+
+    Args:
+        spec: specification of the set.
+
+    Raises:
+        InputError: the folder is missing or holds no video.
 
     Raises:
         InputError: the folder is missing or holds no video.
@@ -65,10 +71,15 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
 
 
 def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWindow]:
-    """Up to `count` windows, spread evenly over videos and, within a video, over time.
+    """Choose up to `count` windows, spread evenly over videos and, within a video, over time.
 
     The videos take turns. Within one the windows come in bit-reversed order (van der Corput), rotated by the seed:
     every prefix is spread out, and a longer choice begins with the shorter one.
+
+    Args:
+        windows: windows to choose from.
+        count: largest number of chosen windows.
+        seed: rotates the order.
     """
     rng = np.random.default_rng(seed)
     videos: dict[object, list[RealWindow]] = {}
@@ -85,14 +96,14 @@ def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWin
 
 
 def _bit_reversed(count: int) -> list[int]:
-    """0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
+    """Return 0 .. count - 1, each far from those before it: count times 0, 1/2, 1/4, 3/4, 1/8, ... rounded down."""
     bits = max(count - 1, 1).bit_length()
     reversed_bits = (int(f"{index:0{bits}b}"[::-1], 2) for index in range(1 << bits))
     return list(dict.fromkeys(count * index >> bits for index in reversed_bits))
 
 
 def _starts(recording: Recording, footage: Footage, length: int) -> list[int]:
-    """First frames of all windows of a length.
+    """Return first frames of all windows of a length.
 
     Raises:
         InputError: the video is shorter, or joints and time stamps leave no whole window.

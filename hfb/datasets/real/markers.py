@@ -1,4 +1,4 @@
-"""3D joints that somebody measured: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
+"""Measured 3D joints: .trc files (OpenSim's, Pose2Sim's) and joints3d.npz, and their SMPL names.
 
 Marker-based skeletons, detectors and SMPL put their joints at slightly different places of the body: hips and shoulders
 lie 2 to 5 cm from SMPL's (see truth_source.py).
@@ -32,7 +32,8 @@ class Markers:
     Attributes:
         frames: number of each row's frame, increasing, on the clock of the recording (0 is its first frame).
         rate_hz: rows per second; None where the file leaves it to the video.
-        names: as in the file. xyz_m: NaN where a point is unknown.
+        names: as in the file.
+        xyz_m: NaN where a point is unknown.
         views_known: whether the file tells in how many views a point was seen, as triangulations do.
     """
 
@@ -43,11 +44,16 @@ class Markers:
     views_known: bool = False
 
     def turned(self) -> "Markers":
-        """The same points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
+        """Return the points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
         return replace(self, xyz_m=np.ascontiguousarray(self.xyz_m[..., [2, 0, 1]]))
 
     def rows(self, first: int, count: int) -> Float[Array, "n M 3"]:
-        """The points of consecutive frames; NaN for frames that the file does not have."""
+        """Return the points of consecutive frames [m]; NaN for frames that the file does not have.
+
+        Args:
+            first: number of the first frame.
+            count: number of frames.
+        """
         found = np.full((count, len(self.names), 3), np.nan)
         at = np.searchsorted(self.frames, np.arange(first, first + count))
         known = at < len(self.frames)
@@ -57,7 +63,11 @@ class Markers:
 
 
 def smpl_joint(name: str) -> int | None:
-    """The SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like."""
+    """Return the SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like.
+
+    Args:
+        name: name of the marker.
+    """
     word = "".join(letter for letter in name.lower() if letter.isalnum())
     for limb in _LIMBS:
         side = _SIDES.get(word.removesuffix(limb)) or _SIDES.get(word.removeprefix(limb))
@@ -67,7 +77,11 @@ def smpl_joint(name: str) -> int | None:
 
 
 def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """(columns of the markers that show SMPL joints, those joints), by joint; the first of doubles."""
+    """Return the columns of the markers that show SMPL joints, and those joints, by joint; the first of doubles.
+
+    Args:
+        names: names of the markers.
+    """
     joints: dict[int, int] = {}
     for column, name in enumerate(names):
         joint = smpl_joint(name)
@@ -78,6 +92,9 @@ def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
 
 def read_joints_npz(path: Path) -> Markers:
     """Read joints3d.npz: frames (F,), names (M,), xyz (F,M,3) in metres in the calibration's world.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: missing, damaged, too large, or of other shapes.
@@ -103,6 +120,9 @@ def read_trc(path: Path) -> Markers:
     """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
 
     A gap is an empty cell. Rows are placed by their time: frame = time * rate.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: missing, no .trc, or inconsistent; the text says in which line.
@@ -174,7 +194,7 @@ def _row(path: Path, number: int, line: str, markers: int) -> tuple[float, Float
 
 
 def _checked(markers: Markers, path: Path) -> Markers:
-    """Whole points or none; frames in order; sizes that a room can hold."""
+    """Check markers: points complete or unknown, frames in order, plausible coordinates."""
     if not len(markers.frames) or (np.diff(markers.frames) <= 0).any() or markers.frames[0] < 0:
         raise InputError(f"{path}: its frames must increase from 0 or more, one row each.")
     if len(set(markers.names)) != len(markers.names):

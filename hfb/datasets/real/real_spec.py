@@ -1,4 +1,4 @@
-"""The b-aist set in one record: which videos, how many frames make one exposure. Light to import."""
+"""The options of the set b-aist: its videos and the frames per exposure. Light to import."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hfb.config import Record
 
 
 class RealSpec(Record):
-    """What a set of blurred real video is made from; a case is a function of this record and its window alone."""
+    """Options of a set of blurred real video; they and its window determine a case."""
 
     videos: Path = Field(description="folder of static-camera videos, searched with its subfolders")
     average: int = Field(9, ge=2, le=256, description="K, consecutive frames averaged in linear light per exposure")

@@ -1,6 +1,6 @@
-"""When K averaged frames of a video were exposed, on the clock of a fit.
+"""Exposure times of K averaged frames of a video, on the clock of a fit.
 
-A fit explains a picture as the mean of instants at u = 0 .. 1, both ends included. The mean of K sharp frames is
+A fit explains an image as the mean of instants at u = 0 .. 1, both ends included. The mean of K sharp frames is
 exactly that with u = j / (K - 1), if u = 0 is the middle of the first frame's own exposure and u = 1 that of the
 last. So the made-up shutter is open for (K - 1) / fps and opens every K / fps; between the last frame of one window
 and the first of the next lies one interval of the video, as it should.
@@ -17,7 +17,9 @@ class Shutter:
     """T exposures of K frames each, without a gap.
 
     Attributes:
-        average: K. frames: T. fps: of the sharp video.
+        average: K, sharp frames per exposure.
+        frames: T, number of exposures.
+        fps: frame rate of the sharp video.
     """
 
     average: int
@@ -35,5 +37,5 @@ class Shutter:
         return self.average / self.fps
 
     def instants(self) -> tuple[Float[Array, "R"], Int[Array, "R"]]:
-        """Times [s] of the R = T * K sharp frames since the first one's middle, and the window each belongs to."""
+        """Return times [s] of the R = T * K sharp frames since the first one's middle, and the window of each."""
         return subframe_times_s(self.frames, self.average, self.exposure_s, self.interval_s)

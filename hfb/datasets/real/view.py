@@ -1,4 +1,4 @@
-"""The window through which a case sees its video: around the person, undistorted, at the case's size."""
+"""The window of a case on its video: around the person, undistorted, at the case's size."""
 
 from dataclasses import dataclass, replace
 
@@ -16,14 +16,14 @@ from hfb.matting.matting_protocol import shrink
 from hfb.typing import Array, Bool, Float
 
 _DETECTION_PX = 480
-_MARGIN = 0.12  # of the person's longer side: the matting wants to see some background
+_MARGIN = 0.12  # of the person's longer side: matting needs some background
 _REACH = 0.12  # of the joints' longer side: hands, feet and hair reach beyond the joints
-_LEAST_PX = 48  # a person who is smaller shows no limbs
+_LEAST_PX = 48  # limbs of a smaller person are not visible
 
 
 @dataclass(frozen=True)
 class Box:
-    """left, top, right, bottom in pixels of the full picture, spanning [0, W] x [0, H]."""
+    """left, top, right, bottom in pixels of the full image, spanning [0, W] x [0, H]."""
 
     left: float
     top: float
@@ -31,20 +31,27 @@ class Box:
     bottom: float
 
     def grown(self, share: float) -> "Box":
-        """Wider on each side by a share of the longer side."""
+        """Widen the box on each side by a share of the longer side.
+
+        Args:
+            share: share of the longer side.
+        """
         pad = share * max(self.right - self.left, self.bottom - self.top)
         return Box(self.left - pad, self.top - pad, self.right + pad, self.bottom + pad)
 
 
 @dataclass(frozen=True)
 class View:
-    """A window of the full picture at another size; everything in a case is seen through it.
+    """A window of the full image at another size; all images of a case show it.
 
     Attributes:
-        left, top, width, height: the window in the undistorted full picture [px].
-        camera: the pinhole of the case's pictures, in this project's pixel convention.
-        source: for each pixel of the window where its light lies in the stored picture; None without distortion.
-        body: where the chosen person may be, in the case's pictures.
+        left: left edge of the window in the undistorted full image [px].
+        top: top edge [px].
+        width: width [px].
+        height: height [px].
+        camera: the pinhole of the case's images, in this project's pixel convention.
+        source: for each pixel of the window where its light lies in the stored image; None without distortion.
+        body: possible region of the chosen person, in the case's images.
     """
 
     footage: Footage
@@ -57,7 +64,11 @@ class View:
     body: Bool[Array, "a b"] | None = None
 
     def see(self, stored: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
-        """A stored full picture through the window, in linear light; every pixel the mean of what it covers."""
+        """Return a stored full image through the window, in linear light; every pixel the mean of what it covers.
+
+        Args:
+            stored: full image as stored in [0, 1].
+        """
         if self.source is None:
             window = stored[self.top : self.top + self.height, self.left : self.left + self.width]
             linear = self.footage.to_linear(np.ascontiguousarray(window))
@@ -80,12 +91,15 @@ def make_view(
     size_px: int,
     body: Bool[Array, "h w"] | None = None,
 ) -> View:
-    """The window around a person's box.
+    """Build the window around a person's box.
 
     Args:
-        box: of the person in all frames of the case. full: the camera of the undistorted full picture.
-        size_px: longer side of the case's pictures; a smaller window is not enlarged.
-        body: where the person may be, in a small full picture; None for everywhere.
+        footage: the video.
+        box: box of the person in all frames of the case.
+        full: the camera of the undistorted full image.
+        calibrated: the lens, or None.
+        size_px: longer side of the case's images; a smaller window is not enlarged.
+        body: possible region of the person, in a reduced full image; None for everywhere.
 
     Raises:
         InputError: the person is too small.
@@ -105,7 +119,10 @@ def make_view(
 
 
 def box_of_joints(pixels: Float[Array, "*n 2"]) -> Box:
-    """The box around projected joints, with room for what reaches beyond them.
+    """Return the box around projected joints, with a margin for the body's surface.
+
+    Args:
+        pixels: projected joints [px], NaN where unknown.
 
     Raises:
         InputError: none is known.
@@ -118,7 +135,13 @@ def box_of_joints(pixels: Float[Array, "*n 2"]) -> Box:
 
 
 def box_of_change(recording: Recording, footage: Footage, first: int, count: int) -> tuple[Box, Bool[Array, "h w"]]:
-    """The box of the largest thing that moved in some frames, and its region in a small picture.
+    """Return the box of the largest thing that moved in some frames, and its region in a small image.
+
+    Args:
+        recording: the video with its plate.
+        footage: the video.
+        first: number of the first frame.
+        count: number of frames.
 
     Raises:
         InputError: nothing differs from the plate.
@@ -141,11 +164,11 @@ def box_of_change(recording: Recording, footage: Footage, first: int, count: int
 
 
 def _seen_region(view: View, body: Bool[Array, "h w"], full: PinholeCamera) -> Bool[Array, "H W"]:
-    """A region of a small full picture, a little widened, in the case's pictures."""
+    """Return a region of a small full image, a little widened, in the case's images."""
     reach = 2 * max(2, round(0.015 * max(body.shape))) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     near = cv2.dilate(body.astype(np.uint8), disc)
-    # Centres of the case's pixels in the small picture's pixels: nearest neighbour.
+    # Centres of the case's pixels in the small image's pixels: nearest neighbour.
     rows = view.top + (np.arange(view.camera.height) + 0.5) * view.height / view.camera.height
     columns = view.left + (np.arange(view.camera.width) + 0.5) * view.width / view.camera.width
     at_rows = (rows * body.shape[0] / full.height).astype(int).clip(0, body.shape[0] - 1)

@@ -13,7 +13,7 @@ from hfb.typing import Array, Float, Tensor
 
 _THINNEST_M, _THICKEST_M = 0.005, 0.04
 _ROUNDS = 80
-"""Of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
+"""Rounds of averaging over neighbours: with triangles of 2 cm, the thickness varies over a decimetre or two."""
 
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "left_hip", "right_hip", "left_shoulder", "right_shoulder")
 _CLOSE = ("left_collar", "right_collar")
@@ -21,9 +21,13 @@ _SLEEVES, _LEGS = ("left_elbow", "right_elbow"), ("left_knee", "right_knee")
 
 
 def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
-    """A random outfit: 5 to 40 mm off the skin of torso, upper arms and thighs, less below; sleeves, legs may be bare.
+    """Draw a random outfit: 5 to 40 mm off the skin of torso, upper arms and thighs, less below.
 
-    Along the rest surface's normals, so never inward [m].
+    Sleeves and legs may be bare. Displacements are along the rest surface's normals, so never inward [m].
+
+    Args:
+        body: the undressed body.
+        rng: draws the outfit.
     """
     loose = dict.fromkeys(_TRUNK, 1.0) | dict.fromkeys(_CLOSE, 0.8)
     for part in (_SLEEVES, _LEGS):
@@ -45,18 +49,32 @@ def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
 
 
 def dress(body: Body, clothing: Float[Array, "V 3"]) -> Body:
-    """The body with its clothed surface as template: shape, skinning and joints stay those of the person inside."""
+    """Return the body with its clothed surface as template; shape, skinning and joints stay the undressed body's.
+
+    Args:
+        body: the undressed body.
+        clothing: displacement of each vertex in the rest pose [m].
+    """
     return replace(body, template=body.template + torch.from_numpy(clothing).to(body.template.dtype))
 
 
 def on_subdivided(body: Body, clothing: Float[Array, "V 3"]) -> Float[Array, "W 3"]:
-    """A displacement of a body for `hfb.body.subdivision.subdivide` of it: midpoints keep it outward."""
+    """Extend a body's displacement to its `hfb.body.subdivision.subdivide`; midpoints keep it outward.
+
+    Args:
+        body: the undressed body.
+        clothing: displacement of each vertex in the rest pose [m].
+    """
     ends = body.mesh.edge_vertices.numpy()
     return np.concatenate([clothing, (clothing[ends[:, 0]] + clothing[ends[:, 1]]) / 2])
 
 
 def vertex_normals(body: Body) -> Float[Array, "V 3"]:
-    """Unit normals of the mean rest surface, pointing outward; means of the faces', weighted by area."""
+    """Return unit normals of the mean rest surface, pointing outward: means of the faces', weighted by area.
+
+    Args:
+        body: the undressed body.
+    """
     vertices, faces = body.template.double().numpy(), body.mesh.faces.numpy()
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -67,7 +85,7 @@ def vertex_normals(body: Body) -> Float[Array, "V 3"]:
 
 
 def _bare(body: Body) -> Array:
-    """Vertices that belong to hands, feet, neck or head more than to anything that is clothed."""
+    """Return the vertices that belong to hands, feet, neck or head more than to any clothed part."""
     clothed = {*_TRUNK, *_CLOSE, *_SLEEVES, *_LEGS}
     skin: Tensor = body.skinning_weights[:, [name not in clothed for name in JOINT_NAMES]]
     return (skin.sum(1) > 0.5).numpy()
@@ -75,7 +93,7 @@ def _bare(body: Body) -> Array:
 
 @lru_cache(maxsize=2)
 def _average_of_neighbours(body: Body) -> sparse.csr_array:
-    """Mean of each vertex and its neighbours along edges."""
+    """Return mean of each vertex and its neighbours along edges."""
     ends, count = body.mesh.edge_vertices.numpy(), len(body.template)
     rows, columns = np.concatenate([ends, ends[:, ::-1], np.arange(count)[:, None].repeat(2, 1)]).T
     links = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))

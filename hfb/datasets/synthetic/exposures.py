@@ -1,4 +1,4 @@
-"""The clocks of synthetic cases: how long the shutter may be open, and at which instants the truth is known."""
+"""The clocks of synthetic cases: possible exposures, and the instants of the truth."""
 
 import math
 from dataclasses import dataclass
@@ -22,8 +22,9 @@ class Clock:
     """T exposures of one camera, in seconds of a recording.
 
     Attributes:
-        start_s: when the first shutter opens, from the recording's first frame.
-        exposure_s: each time. interval_s: from opening to opening; exactly 1 / fps of the file that tells it.
+        start_s: first opening of the shutter, from the recording's first frame.
+        exposure_s: length of each exposure.
+        interval_s: time from opening to opening; exactly 1 / fps of the file that states it.
         instants: per exposure, both ends included.
     """
 
@@ -35,35 +36,44 @@ class Clock:
 
     @property
     def fps(self) -> float:
-        """Pictures per second."""
+        """Images per second."""
         return 1 / self.interval_s
 
     def times_s(self) -> Float[Array, "R"]:
-        """Every instant in the recording's time, frame after frame."""
+        """Return every instant in the recording's time, frame after frame."""
         return self.start_s + subframe_times_s(self.frames, self.instants, self.exposure_s, self.interval_s)[0]
 
 
 @dataclass(frozen=True)
 class Shutter:
-    """What may be chosen of a clock.
+    """The possible exposures of a set.
 
     Attributes:
-        exposures_s: possible exposure times, ascending. grid_hz: of which all instants are multiples; None for any.
+        exposures_s: possible exposure times, ascending.
+        grid_hz: grid of which all instants are multiples; None for any.
     """
 
     exposures_s: tuple[float, ...]
     grid_hz: int | None
 
     def nearest(self, exposure_s: float) -> int:
-        """Which possible exposure is nearest, by ratio."""
+        """Return the number of the possible exposure that is nearest by ratio.
+
+        Args:
+            exposure_s: wanted exposure.
+        """
         return int(np.abs(np.log(np.asarray(self.exposures_s) / exposure_s)).argmin())
 
     def clock(self, exposure: int, start_s: float, gap: float, frames: int, motion_px: float) -> Clock:
-        """The clock of a possible exposure.
+        """Return the clock of a possible exposure.
 
         Args:
-            gap: between exposures, in units of an exposure. motion_px: greatest speed of a joint [px per exposure];
-                it moves at most two pixels from instant to instant, as far as 71 instants allow.
+            exposure: its number in `exposures_s`.
+            start_s: first opening of the shutter in the motion.
+            gap: between exposures, in units of an exposure.
+            frames: number of exposures.
+            motion_px: greatest speed of a joint [px per exposure]; it moves at most two pixels from instant to instant,
+                as far as 71 instants allow.
         """
         exposure_s = self.exposures_s[exposure]
         gap_s = gap * exposure_s
@@ -79,12 +89,18 @@ class Shutter:
 
 
 def _instant_sevenths(steps: int) -> list[int]:
-    """Which k make 7 k equal steps out of an exposure of that many grid steps."""
+    """Return each k for which 7 k equal steps fill an exposure of that many grid steps."""
     return [k for k in _SEVENTHS if steps % (7 * k) == 0]
 
 
 def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
-    """BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them."""
+    """Return the shutter of a set.
+
+    BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them.
+
+    Args:
+        name: name of the set.
+    """
     if name == "bt-amass":
         return Shutter(tuple(count / _AMASS_HZ for count in _AMASS_FRAMES), None)
     longest = _SEVENTHS[-1] * 4 * 7
@@ -93,5 +109,9 @@ def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
 
 
 def draw_gap(rng: np.random.Generator) -> float:
-    """The time between two exposures, in units of one."""
+    """Draw the time between two exposures, in units of one.
+
+    Args:
+        rng: draws the gap.
+    """
     return float(rng.uniform(0, _LARGEST_GAP))

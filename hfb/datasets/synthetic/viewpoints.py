@@ -12,7 +12,7 @@ _AZIMUTH_DEG, _ELEVATION_DEG, _ROLL_DEG = 70.0, (-5.0, 20.0), 3.0
 _DIAGONAL_FIELD_DEG = (35.0, 65.0)
 _FILLED = (0.55, 0.85)
 _MARGIN = 0.05
-"""Of the picture's side, kept free on every side of the person."""
+"""Share of the image's side that is kept free on every side of the person."""
 _ROUNDS = 8
 _UPRIGHT = 0.3
 """A front whose horizontal part is shorter than this is no direction to look from: the person lies, or bends far."""
@@ -20,12 +20,14 @@ _UPRIGHT = 0.3
 
 @dataclass(frozen=True)
 class View:
-    """What is free in a camera that looks at a person.
+    """The free parameters of a camera that looks at a person.
 
     Attributes:
-        azimuth_deg: about the world's vertical, from the person's front. elevation_deg: from above where positive.
-        roll_deg: about the line of sight. diagonal_field_deg: between opposite corners of the picture.
-        filled: share of the picture's side that the longer side of the person's box takes.
+        azimuth_deg: angle about the world's vertical, from the person's front.
+        elevation_deg: elevation above the horizontal.
+        roll_deg: angle about the line of sight.
+        diagonal_field_deg: between opposite corners of the image.
+        filled: share of the image's side that the longer side of the person's box takes.
         aside: in [-1, 1], where the box lies (x, y) within what is left.
     """
 
@@ -47,7 +49,11 @@ class PlacedCamera:
 
 
 def draw_view(rng: np.random.Generator) -> View:
-    """A camera anywhere in front of the person, mostly a little above the hips."""
+    """Draw a camera in front of the person, mostly a little above the hips.
+
+    Args:
+        rng: draws the view.
+    """
     x, y = rng.uniform(-1, 1, 2)
     return View(
         azimuth_deg=float(rng.uniform(-_AZIMUTH_DEG, _AZIMUTH_DEG)),
@@ -60,9 +66,12 @@ def draw_view(rng: np.random.Generator) -> View:
 
 
 def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The horizontal direction that a person with this root rotation (axis-angle, world) faces.
+    """Return the horizontal direction that a person with this root rotation faces.
 
-    Where the face looks up or down, the direction from hips to head stands in; then +z.
+    Where the face looks up or down, the direction from hips to head is used instead; then +z.
+
+    Args:
+        root: axis-angle [rad], body to world.
     """
     turn = Rotation.from_rotvec(root).as_matrix()
     for direction in (turn[:, 2], turn[:, 1] * -np.sign(turn[1, 2] or 1.0), np.array([0.0, 0.0, 1.0])):
@@ -74,10 +83,13 @@ def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], size_px: int) -> PlacedCamera:
-    """The camera of a view at the distance, and aimed so, that all points lie in its square picture as the view says.
+    """Place the camera of a view so that all points lie in its square image as the view specifies.
 
     Args:
-        front: unit, horizontal. points: on the person's surface, over the whole time that is seen [m, world].
+        view: angles, field of view and framing.
+        front: unit, horizontal.
+        points: on the person's surface, over the whole time that is seen [m, world].
+        size_px: side of the square image.
     """
     away = Rotation.from_euler("y", view.azimuth_deg, degrees=True).apply(front)
     elevation, roll = np.deg2rad((view.elevation_deg, view.roll_deg))
@@ -87,7 +99,7 @@ def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], siz
     down = np.cross(forward, right)
     right, down = np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right
     R_camera_world = np.stack([right, down, forward])
-    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of a picture of side 1
+    focal = np.sqrt(0.5) / np.tan(np.deg2rad(view.diagonal_field_deg) / 2)  # of an image of side 1
     seen = R_camera_world @ points.T
     extent = np.ptp(seen, axis=1)
     offset = -(seen.min(1) + seen.max(1)) / 2
@@ -110,10 +122,16 @@ def in_camera(
     translations: Float[Array, "S 3"],
     rest_pelvis: Float[Array, "3"],
 ) -> tuple[Float[Array, "S 24 3"], Float[Array, "S 3"]]:
-    """A world motion in camera coordinates.
+    """Transform a world motion to camera coordinates.
 
     SMPL's root turns about the rest pelvis p, x -> R (x - p) + p + t, so the translation of the turned motion is
     R_camera_world (p + t) + offset - p: it depends on the person's shape.
+
+    Args:
+        camera: its pose in the world.
+        poses: axis-angle [rad], the root's in the world.
+        translations: SMPL's [m], world.
+        rest_pelvis: p [m].
     """
     turn = camera.R_camera_world
     poses = poses.copy()

@@ -1,4 +1,4 @@
-"""What `--methods` may name, and everything about a method that can change its result. Light to import."""
+"""Specification of a method by its name in `--methods` and all that can change its result. Light to import."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ METHOD_NAMES: Mapping[str, str] = {
     "oracle-simulated": "the simulated estimator, as good as at the lowest blur, on the TRUE sharp sub-frames",
     "NAME=FILE.toml": "Human from Blur with your own options, as for `hfb fit --config FILE.toml`",
 }
-"""What a method is made of: names and one line each, for the help."""
+"""Names of methods with one line each, for the help."""
 
 
 def _stage_of_all(fit: FitConfig) -> FitConfig:
@@ -89,25 +89,26 @@ MODIFIERS: Mapping[str, str] = {
     "METHOD@true-height": "an oracle: a fit that is told how tall the person is (--fit.height-m)",
     "METHOD@true-start": "an oracle: the true body in the middle of each exposure as the start",
 }
-"""What may be added to a method's name, several of them one after another."""
+"""Endings that may be added to a method's name, several of them one after another."""
 
 
 class FileDigest(Record):
-    """A file or folder that a method reads, by its content."""
+    """A file or folder that a method reads, with its digest."""
 
     path: Path
     sha256: str
 
 
 class MethodSpec(Record):
-    """One method, frozen: equal specs give equal results on equal cases.
+    """The specification of one method: equal specs give equal results on equal cases.
 
     Attributes:
         name: as the user wrote it, without ``=FILE``; the name in every table.
         config: options of a fit; of every other method only the number of sub-frames and the seed count.
         frames_alone: each frame is fitted as if there were no others.
-        oracles: what truth it is given.
-        estimator: of a two-stage oracle. chain: of a deblur-then-estimate method.
+        oracles: parts of the truth that it is given.
+        estimator: estimator of a two-stage oracle.
+        chain: chain of a deblur-then-estimate method.
         digests: networks, folders and priors it reads, by content: two specs are equal only if these are.
     """
 
@@ -121,14 +122,15 @@ class MethodSpec(Record):
     digests: tuple[FileDigest, ...] = ()
 
     def files(self) -> list[Path]:
-        """Every single file that it reads, those in its folders too."""
+        """Return every file that the method reads, also those in its folders."""
         return [inner for one in self.digests for inner in ([one.path] if one.path.is_file() else _within(one.path))]
 
 
 def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
-    """Understand one entry of `--methods`.
+    """Parse one entry of `--methods`.
 
     Args:
+        text: an entry such as `best`, `best@true-matte` or `name=FILE`.
         chains: a chains file, whose tables are methods too.
 
     Raises:
@@ -201,7 +203,7 @@ def _unknown(base: str, chains: Mapping[str, ChainSpec]) -> InputError:
 
 
 def _config_of(path: Path) -> RunConfig:
-    """The preset that a file names, with the file's own entries; only what a method may decide."""
+    """Return the preset that a file names with the file's entries, of which only a method's own are allowed."""
     content = read_toml(path)
     content = to_record(RunConfig, content, str(path)).model_dump(exclude_unset=True)
     foreign = sorted(set(content) - {"preset", "seed", "fit", "prior"})
@@ -215,7 +217,10 @@ def _within(folder: Path) -> list[Path]:
 
 
 def digest(path: Path) -> str:
-    """sha256 of a file, or of a folder's files with their names.
+    """Return the sha256 of a file, or of a folder's files with their names.
+
+    Args:
+        path: a file or a folder.
 
     Raises:
         InputError: nothing lies there, or it cannot be read.

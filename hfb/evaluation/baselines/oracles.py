@@ -1,4 +1,4 @@
-"""Methods that are told something of the truth; every one says so in its name."""
+"""Methods that use a part of the truth, which their names state."""
 
 import time
 from collections.abc import Sequence
@@ -33,7 +33,12 @@ _LEAST_BLUR = 0.05  # the lower end of the paper's first interval of blur rates
 
 
 class TrueMatte:
-    """Another method, shown the exact mattes in place of the estimated ones."""
+    """Another method with the exact mattes in place of the estimated ones.
+
+    Args:
+        name: name of the method.
+        method: method that gets the exact mattes.
+    """
 
     def __init__(self, name: str, method: Method) -> None:
         self.name = name
@@ -48,7 +53,13 @@ class TrueMatte:
 
 
 class TrueStart:
-    """Another method, started from the true body in the middle of every exposure."""
+    """Another method that starts from the true body in the middle of every exposure.
+
+    Args:
+        name: name of the method.
+        method: method that starts from the true body.
+        body: model of the start.
+    """
 
     def __init__(self, name: str, method: Method, body: Body) -> None:
         self.name = name
@@ -73,7 +84,13 @@ class TrueStart:
 
 
 class TrueHeight:
-    """A fit that is told how tall the person is, as somebody may know who films."""
+    """A fit with the person's true height, which a user may know.
+
+    Args:
+        name: name of the method.
+        method: the fit.
+        body: model that is fitted.
+    """
 
     def __init__(self, name: str, method: HumanFromBlur, body: Body) -> None:
         self.name = name
@@ -94,17 +111,25 @@ class TrueHeight:
 
 
 class TwoStageOracle:
-    """An estimator on the TRUE sharp sub-frames with their exact mattes: what a perfect deblurring could give it."""
+    """An estimator on the TRUE sharp sub-frames with their exact mattes: the limit of perfect deblurring.
+
+    Args:
+        name: name of the method.
+        initializer: the estimator; None for the simulated one.
+        subframes: rows per frame of the prediction.
+        seed: seed of the simulated estimator.
+        body: model of the prediction.
+    """
 
     def __init__(self, name: str, initializer: Initializer | None, subframes: int, seed: int, body: Body) -> None:
         self.name = name
         self._subframes = subframes
         self._seed = seed
         self._body = body
-        self._initializer = initializer  # None: the simulated estimator, which needs no pictures
+        self._initializer = initializer  # None: the simulated estimator, which needs no images
 
     def __call__(self, case: Case, observation: Observation, starts: Sequence[FirstBody]) -> Prediction:
-        """Poses alone, interpolated between the eight sub-frames of the truth."""
+        """Predict poses alone, interpolated between the eight sub-frames of the truth."""
         started = time.perf_counter()
         with one_torch_thread():
             estimates = (
@@ -133,9 +158,9 @@ class TwoStageOracle:
         return estimates
 
     def _simulated(self, case: Case, observation: Observation) -> list[list[Estimate | None]]:
-        """The simulated estimator on every sub-frame, each as if it were a frame of its own with next to no blur.
+        """Apply the simulated estimator to every sub-frame, as if it were a frame with hardly any blur.
 
-        All are drawn together: a network errs alike on neighbouring sub-frames.
+        All are drawn together, since a network's errors on neighbouring sub-frames are alike.
         """
         truth, frames = load_truth(case.truth), len(observation.mattes)
         u = np.linspace(0.0, 1.0, SHARP_SUBFRAMES) * observation.exposure_s

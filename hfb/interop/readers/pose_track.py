@@ -1,4 +1,4 @@
-"""What another system found, in hfb's conventions: the one form between their files and our first bodies."""
+"""Another system's result in hfb's conventions, the common form of all readers."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -14,10 +14,10 @@ from hfb.typing import Array, Bool, Float, Int
 
 BetasSpace = Literal["smpl", "smplx", "hfb"]
 OPTIONAL = ("poses", "trans", "betas", "pelvis", "joints", "pixels", "K")
-_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been laid onto them by then
+_SAVED = tuple(name for name in OPTIONAL if name != "pixels")  # bodies have been fitted to them by then
 _NEAR = 0.02
 _LEAST_JOINTS = 6
-"""So many a body needs to be laid onto them (`hfb.initialization.point_registration`)."""
+"""Number of joints that fitting a body needs (`hfb.initialization.point_registration`)."""
 _log = logging.getLogger(__name__)
 
 
@@ -26,19 +26,21 @@ class PoseTrack:
     """One person over the frames in which a system saw them.
 
     Attributes:
-        system: whose result it is. person: the system's name or number for the person.
+        system: name of the system.
+        person: the system's name or number for the person.
         frames: numbers of the video's frames, increasing, the first being 0.
-        size: (height, width) of the pictures that K is about; None where the system does not say.
+        size: (height, width) of the images that K is about; None where the system does not say.
         poses: axis-angle of the 24 joints [rad]; the root's takes the rest body into the camera's axes (x right, y
             down, z forward), where K is None into those of an upright camera whose direction is not known.
-        trans: SMPL's translation [m]. betas: shape coefficients, `betas_space` says whose.
-        pelvis: where the root joint is [m], for systems that know it better than `trans`.
+        trans: SMPL's translation [m].
+        betas: shape coefficients, `betas_space` says whose.
+        pelvis: position of the root joint [m], for systems that know it better than `trans`.
         joints: SMPL's joints [m], NaN where unknown; of systems without poses.
-        pixels: where the picture shows SMPL's joints [px], NaN where unknown; of systems that know no depth.
+        pixels: SMPL's joints in the image [px], NaN where unknown; for systems that know no depth.
         turn_is_known: False where the root's turn about the vertical means nothing to the camera.
         K: the system's own pinhole camera per frame [px]: what it meant is where this camera shows the body.
-        images: names of the pictures, of systems that go by names; see `picture_names`.
-        rate_hz: of a motion with a clock of its own; its frames are then its own too, not the video's.
+        images: names of the images, of systems that go by names; see `image_names.by_pictures`.
+        rate_hz: frame rate of a motion with its own clock; its frame numbers are then its own, too, not the video's.
     """
 
     system: str
@@ -61,17 +63,25 @@ class PoseTrack:
         return len(self.frames)
 
     def rows(self, chosen: Int[Array, "n"]) -> "PoseTrack":
-        """Some of its frames."""
+        """Return some of the frames.
+
+        Args:
+            chosen: numbers of rows.
+        """
         arrays = {name: getattr(self, name) for name in OPTIONAL}
         cut: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in arrays.items()}
         images = None if self.images is None else tuple(self.images[row] for row in chosen)
         return replace(self, frames=self.frames[chosen], images=images, **cut)
 
     def at_size(self, height: int, width: int) -> "PoseTrack":
-        """For pictures of another resolution.
+        """Scale the camera to images of another resolution.
+
+        Args:
+            height: height of the images [px].
+            width: width of the images [px].
 
         Raises:
-            InputError: pictures of another shape: they are not the same ones.
+            InputError: images of another shape: they are not the same ones.
         """
         if self.size is None or self.size == (height, width) or self.K is None:
             return self
@@ -86,7 +96,11 @@ class PoseTrack:
 
 
 def tidy(track: PoseTrack) -> PoseTrack:
-    """In the order of time, every frame once, without rows of which no body can be made: one line says how many."""
+    """Sort by time and keep every frame once; drop unusable rows and log their number.
+
+    Args:
+        track: as read.
+    """
     usable = np.flatnonzero(_usable(track))
     if len(usable) < len(track):
         _log.warning(
@@ -120,10 +134,11 @@ def _usable(track: PoseTrack) -> Bool[Array, "R"]:
 
 
 def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int]:
-    """(height, width) [px] of what a system saw whose camera looks through the middle of the picture.
+    """Return (height, width) [px] of a system's images, whose camera's axis is assumed in the middle.
 
     Args:
-        K: its cameras, NaN where unknown. size: of the frames, which is meant where the other is nearly the same.
+        K: its cameras, NaN where unknown.
+        size: size of the frames, which is meant where the other is nearly the same.
     """
     centres = K[:, [1, 0], 2]
     centres = centres[np.isfinite(centres).all(1)]
@@ -137,12 +152,23 @@ def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int
 
 
 def pinhole(focal_px: float, cx: float, cy: float) -> Float[Array, "3 3"]:
-    """K of one focal length [px]."""
+    """Return K of one focal length.
+
+    Args:
+        focal_px: focal length.
+        cx: principal point [px].
+        cy: principal point [px].
+    """
     return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]], np.float64)
 
 
 def save_track(path: Path, track: PoseTrack) -> None:
-    """Write the canonical .npz, whole or not at all; no pickle."""
+    """Write the canonical .npz, whole or not at all; no pickle.
+
+    Args:
+        path: the .npz file.
+        track: track to write.
+    """
     arrays = {name: getattr(track, name) for name in _SAVED if getattr(track, name) is not None}
     facts = {name: np.array(getattr(track, name)) for name in ("system", "person", "betas_space", "turn_is_known")}
     known = {name: np.array(getattr(track, name)) for name in ("size", "rate_hz") if getattr(track, name) is not None}
@@ -151,6 +177,9 @@ def save_track(path: Path, track: PoseTrack) -> None:
 
 def load_track(path: Path) -> PoseTrack:
     """Read a canonical .npz.
+
+    Args:
+        path: the .npz file.
 
     Raises:
         InputError: damaged, or something else.
@@ -162,7 +191,14 @@ def load_track(path: Path) -> PoseTrack:
 
 
 def track_of(content: dict[str, Any]) -> PoseTrack:
-    """The record out of a canonical file's members.
+    """Build the record from a canonical file's members.
+
+    Args:
+        content: members by name.
+
+    Raises:
+        InputError: numbers of other shapes.
+        KeyError: it is no such file.
 
     Raises:
         InputError: numbers of other shapes. KeyError: it is no such file.

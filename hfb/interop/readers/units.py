@@ -1,4 +1,4 @@
-"""In what unit a person's joints are: told by the lengths of the bones."""
+"""The unit of a person's joints, by the lengths of the bones."""
 
 import logging
 
@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 def in_metres(joints: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
-    """Joints in metres; as they are where too few are known for a bone.
+    """Convert joints to metres; they stay as they are where too few are known for a bone.
 
     Args:
         joints: SMPL's, in any place; NaN where unknown.

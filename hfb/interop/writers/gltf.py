@@ -17,7 +17,7 @@ _COMPONENTS = {
 }
 _TYPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-"""What a buffer view of vertices, or of indices, is for."""
+"""Targets of buffer views of vertices and of indices."""
 
 
 class GlbBuffer:
@@ -49,7 +49,11 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_file(self, data: bytes) -> int:
-        """Append a file, such as a picture; returns its buffer view."""
+        """Append a file, such as an image; return the number of its buffer view.
+
+        Args:
+            data: content of the file.
+        """
         return self._view(data, None)
 
     def _view(self, data: bytes, target: int | None) -> int:
@@ -60,7 +64,11 @@ class GlbBuffer:
         return len(self._views) - 1
 
     def glb(self, document: dict[str, Any]) -> bytes:
-        """The whole file: a document without its buffers, and what was collected."""
+        """Return the file: a document without its buffers, and the collected buffers.
+
+        Args:
+            document: the JSON part.
+        """
         whole = document | {
             "accessors": self._accessors,
             "bufferViews": self._views,

@@ -1,8 +1,8 @@
-"""Compiled parts of bodies with pose blend shapes: every vertex is displaced by its pose and skinned in one go.
+"""Compiled bodies with pose blend shapes: every vertex is displaced and skinned in one pass.
 
-Its directions, 3 x 207 numbers, are read from memory once there and once back: they are too many for the processor's
-cache, and are half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced vertices stay where they are for
-the way back, all instants of one side by side.
+A vertex's directions, 3 x 207 numbers, are read from memory once in the forward and once in the backward pass: they
+are too many for the CPU's cache, and take half as many bytes in 16 bits (`hfb.body.skinning.rounded`). Displaced
+vertices are kept for the backward pass, all instants of one side by side.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -15,13 +15,13 @@ from hfb.kernels.body.body_vector import FEATURES, add_features, displacements
 from hfb.kernels.compile import LOOP, entry
 from hfb.kernels.simd import LANES, lanes, load_lanes, multiply_add, prefetch, store_lanes
 
-AHEAD = 4  # vertices whose directions are asked for before they are needed
-_LINE = 32  # 16-bit numbers that memory hands over at once
+AHEAD = 4  # number of vertices whose directions are prefetched
+_LINE = 32  # 16-bit numbers in a cache line
 
 
 @njit(**LOOP)
 def _read_ahead(directions, v):
-    """Have a vertex's directions read; beyond the last one nothing happens."""
+    """Prefetch a vertex's directions; beyond the last one nothing happens."""
     for k in range(0, 3 * FEATURES, _LINE):
         prefetch(directions, 3 * v * FEATURES + k)
 
@@ -58,10 +58,19 @@ def _blend_and_skin_block(table, feature, rest, directions, steps, starts, joint
 
 @entry
 def blend_and_skin(transforms, rotations, rest, directions, steps, starts, joints, weights, points, vertices):
-    """Fill `vertices` (S, V, 3) by skinning (SMPL's eq. 2) of the rest vertices (V, 3) plus pose blend shapes, and
-    `points` (S / LANES, V, 3 x LANES), these vertices before they were skinned.
+    """Fill `vertices` by skinning (SMPL's eq. 2) of the rest vertices plus pose blend shapes.
 
-    directions: (V, 3, FEATURES) in `steps` (V, 3). starts: (V + 1), where each vertex's joints and weights begin.
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame.
+        rest: (V, 3), rest vertices [m].
+        directions: (V, 3, FEATURES), pose blend shapes in units of `steps`.
+        steps: (V, 3), unit of each row of `directions` [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        points: (S / LANES, V, 3 x LANES), filled with the vertices before skinning.
+        vertices: (S, V, 3), filled.
     """
     table, feature = np.empty((transforms.shape[1], 12 * LANES), rest.dtype), np.zeros((LANES, FEATURES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
@@ -122,8 +131,23 @@ def _gradient_block(
 def blend_and_skin_gradient(
     transforms, directions, steps, starts, joints, weights, points, given, of_transforms, of_rotations, of_rest
 ):
-    """Fill `of_transforms` and, but for the root, `of_rotations`; add to `of_rest`. What the camera does not see asks
-    for nothing and is passed over, half of the work."""
+    """Compute the gradients of `blend_and_skin`.
+
+    Vertices that the camera does not see have no gradient and are skipped, half of the work.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        directions: (V, 3, FEATURES), pose blend shapes in units of `steps`.
+        steps: (V, 3), unit of each row of `directions` [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        points: (S / LANES, V, 3 x LANES), vertices before skinning.
+        given: (S, V, 3), gradient by the vertices.
+        of_transforms: gradient, filled.
+        of_rotations: gradient, filled but for the root.
+        of_rest: gradient, added to.
+    """
     kind = transforms.dtype
     table, of_feature = np.empty((transforms.shape[1], 12 * LANES), kind), np.empty((LANES, FEATURES), kind)
     asking = np.empty(given.shape[1] + 1, np.int64)

@@ -1,7 +1,7 @@
-"""Compiled parts: the features of all instants' poses times a vertex's pose blend shapes, there and back.
+"""Compiled products of all instants' pose features with a vertex's pose blend shapes, and their gradients.
 
-Written out block by block, so that every number in reach of a register stays in one: what the compiler makes of loops
-loads most of them again and again.
+The code is written block by block, so that every number stays in a register; compiled loops would load most of them
+again and again.
 """
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
@@ -21,14 +21,14 @@ def _ahead(builder, position, count):
 
 
 def _directions(context, builder, array_type, array, at, kind):
-    """A block of a vertex's three rows of directions, as real numbers."""
+    """Load a block of a vertex's three rows of directions, as real numbers."""
     rows = [load(context, builder, array_type, array, _ahead(builder, at, row * FEATURES), BLOCK) for row in range(3)]
     block = ir.VectorType(kind, BLOCK)
     return [builder.sitofp(row, block) for row in rows] if isinstance(array_type.dtype, types.Integer) else rows
 
 
 def _sums(builder, blocks):
-    """The sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
+    """Return the sum of each of LANES blocks, side by side: halves, then neighbours of two at a time."""
     half = BLOCK // 2
     blocks = [
         builder.fadd(shuffle(builder, one, one, range(half)), shuffle(builder, one, one, range(half, BLOCK)))
@@ -45,8 +45,14 @@ def _sums(builder, blocks):
 
 @intrinsic
 def displacements(typingctx, features, directions, at):
-    """Of every instant the three inner products of its `features` (LANES, FEATURES) with the three rows that begin at a
-    position of `directions`: three times LANES numbers."""
+    """Return, for every instant, the inner products of its features with three rows: three times LANES numbers.
+
+    Args:
+        typingctx: numba's typing context.
+        features: (LANES, FEATURES).
+        directions: (V, 3, FEATURES).
+        at: position of three rows in `directions`.
+    """
     kind = lanes_of(features.dtype)
     signature = types.UniTuple(kind, 3)(features, directions, at)
 
@@ -69,7 +75,17 @@ def displacements(typingctx, features, directions, at):
 
 @intrinsic
 def add_features(typingctx, features, directions, at, x, y, z):
-    """Way back of `displacements`: add to `features` what the three are asked for, each of (x, y, z) LANES numbers."""
+    """Add the gradient of `displacements` by the features.
+
+    Args:
+        typingctx: numba's typing context.
+        features: (LANES, FEATURES), gradient, added to.
+        directions: (V, 3, FEATURES).
+        at: position of three rows in `directions`.
+        x: gradient by the first product, LANES numbers.
+        y: gradient by the second product.
+        z: gradient by the third product.
+    """
     signature = types.void(features, directions, at, x, y, z)
 
     def codegen(context, builder, signature, arguments):

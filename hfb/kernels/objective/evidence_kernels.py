@@ -1,4 +1,4 @@
-"""Compiled parts: how far joints are from what the joint network saw, with the gradients.
+"""Compiled distances of joints from the joint network's predictions, with gradients.
 
 `joints` are (T, S, 24, 3) [m, camera] at S instants, the last of them the middle of the exposure, the first its opening
 and the last but one its closing; lenses (T, 5) as `hfb.evidence.joint_network.in_units` takes them.
@@ -14,14 +14,14 @@ from hfb.kernels.compile import INLINE, loop_entry
 
 @njit(**INLINE)
 def _in_units(joints, lens, j):
-    """Joint j of (24, 3) as its window shows it."""
+    """Return joint j of (24, 3) in the units of its window."""
     x, y, z, pelvis = np.float64(joints[j, 0]), np.float64(joints[j, 1]), np.float64(joints[j, 2]), joints[0, 2]
     return x / z * lens[0] + lens[2], y / z * lens[1] + lens[3], (z - pelvis) / (pelvis * lens[4])
 
 
 @njit(**INLINE)
 def _pull_units(joints, lens, j, a, b, c, gradient):
-    """Add to the `gradient` (24, 3) of the joints what joint j's units ask for."""
+    """Add to the `gradient` (24, 3) of the joints that by joint j's units."""
     x, y, z, pelvis = np.float64(joints[j, 0]), np.float64(joints[j, 1]), np.float64(joints[j, 2]), joints[0, 2]
     a, b, c = a * lens[0] / z, b * lens[1] / z, c / (pelvis * lens[4])
     gradient[j, 0] += a
@@ -32,14 +32,23 @@ def _pull_units(joints, lens, j, a, b, c, gradient):
 
 @njit(**INLINE)
 def _far(off):
-    """sqrt(1 + off^2) - 1, and its slope."""
+    """Return sqrt(1 + off^2) - 1, and its slope."""
     root = np.sqrt(1.0 + off * off)
     return root - 1.0, off / root
 
 
 @loop_entry
 def off_middle(joints, lenses, middle, scale, share, gradient):
-    """`hfb.evidence.robust.evidence_loss` at the middle of the exposure, of claims (T, 24, 3); fills the gradient."""
+    """Return `hfb.evidence.robust.evidence_loss` at the middle of the exposure; fill the gradient.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates; see the module.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        middle: (T, 24, 3), joints by the network.
+        scale: (T, 24, 3), error scales of the network.
+        share: (3), weight of each coordinate.
+        gradient: filled.
+    """
     total, last, count = 0.0, joints.shape[1] - 1, 3.0 * joints.shape[0] * joints.shape[2]
     gradient[:] = 0.0
     for t in range(joints.shape[0]):
@@ -59,7 +68,7 @@ def off_middle(joints, lenses, middle, scale, share, gradient):
 
 @njit(**INLINE)
 def _off_path(joints, lenses, path, scale, sign, weight, gradient):
-    """The loss of the way from opening to closing times the sign; adds its gradient times the weight."""
+    """Return the loss of the path from opening to closing times the sign; add its gradient times the weight."""
     total, closing, count = 0.0, joints.shape[1] - 2, 3.0 * joints.shape[0] * joints.shape[2]
     for t in range(joints.shape[0]):
         for j in range(joints.shape[2]):
@@ -79,8 +88,19 @@ def _off_path(joints, lenses, path, scale, sign, weight, gradient):
 
 @loop_entry
 def off_path(joints, lenses, path, scale, both_ways, gradient):
-    """`evidence_loss` of the way from opening to closing, of claims (T, 24, 3), or, if both ways count, the smaller of
-    it and of the reverse's; fills the gradient, half of each way's where both are as far."""
+    """Return `evidence_loss` of the path from opening to closing; fill the gradient.
+
+    If both directions count it is the smaller of the path's loss and its reverse's, and each has half of the gradient
+    where both are equal.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates; see the module.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        path: (T, 24, 3), displacements by the network.
+        scale: (T, 24, 3), error scales of the network.
+        both_ways: compare with the reverse, too.
+        gradient: filled.
+    """
     gradient[:] = 0.0
     if not both_ways:
         return _off_path(joints, lenses, path, scale, 1.0, 1.0, gradient)
@@ -95,7 +115,16 @@ def off_path(joints, lenses, path, scale, both_ways, gradient):
 
 @loop_entry
 def off_height(betas, per_beta, mean_m, log_height, scale, gradient):
-    """`evidence_loss` of a person's height, mean_m + per_beta . betas; fills the gradient."""
+    """Return `evidence_loss` of a person's height, mean_m + per_beta . betas; fill the gradient.
+
+    Args:
+        betas: (K), shape coefficients.
+        per_beta: (K), height per unit of each beta [m].
+        mean_m: height with betas of zero.
+        log_height: logarithm of the height [m] by the network.
+        scale: its error scale.
+        gradient: filled.
+    """
     height = mean_m
     for k in range(betas.shape[0]):
         height += np.float64(per_beta[k]) * betas[k]

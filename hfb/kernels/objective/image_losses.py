@@ -1,4 +1,4 @@
-"""What one frame's mean drawing is compared with: the image and the matting loss, and their gradient, by kernels.
+"""Image and matting losses of one frame's mean render, and their gradient, by kernels.
 
 The readable formulas that this is tested against are in `hfb.objective.pyramid`.
 """
@@ -16,12 +16,12 @@ from hfb.kernels.objective import image_kernels as kernels
 from hfb.typing import Array, Float, Int, Tensor
 
 _levels = lru_cache(kernels.levels)
-"""Of a picture's size and a number of scales; not to be changed."""
+"""Table of the levels of an image's size and a number of scales; not to be changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What the gradient of a drawing's losses is made of; see `kernels_pictures.compare`."""
+    """Values saved for the gradient of a render's losses; see `image_kernels.compare`."""
 
     window: Int[Array, "4"]
     difference: Float[Array, "n 4"]
@@ -30,11 +30,14 @@ class Compared:
 
 
 class Target:
-    """A frame, the plate behind it and its matte, and what of both losses is known before anything is drawn.
+    """A frame, its plate and its matte, with precomputed sums of both losses.
 
     Args:
-        plate: the clean background B. frame: I, in the same light. matte: alpha_in.
-        image_scales, matte_scales: how many scales each loss has, each half the last.
+        plate: the clean background B.
+        frame: I, in the same light.
+        matte: alpha_in.
+        image_scales: number of scales of L_I, each half the last.
+        matte_scales: number of scales of L_alpha, each half the last.
     """
 
     def __init__(
@@ -57,14 +60,14 @@ class Target:
     def compare(
         self, mean: Float[Array, "H W 4"], box: tuple[int, int, int, int]
     ) -> tuple[tuple[float, float], Compared]:
-        """(L_I, L_alpha), each the mean over its scales and zero at no scale, and what `backward` needs.
+        """Return (L_I, L_alpha), each the mean over its scales (zero without any), and saved values for `backward`.
 
         Args:
             mean: premultiplied colours and a silhouette, as a rasteriser returns them; written over.
             box: left, top, right and bottom [px] of all that is drawn; elsewhere `mean` is zero.
 
         Raises:
-            ValueError: the picture is not of the frame's size.
+            ValueError: the image is not of the frame's size.
         """
         if mean.shape[:2] != self.size:
             raise ValueError(f"a picture of {mean.shape[:2]} pixels is compared with one of {self.size}")
@@ -89,7 +92,12 @@ class Target:
         return losses, Compared(window, difference, coarse, slopes)
 
     def backward(self, compared: Compared, grad_losses: Sequence[float]) -> Float[Array, "H W 4"]:
-        """Gradient by the mean image, from those of L_I and L_alpha; undefined outside of the box."""
+        """Return the gradient by the mean image; undefined outside of the box.
+
+        Args:
+            compared: saved by `compare`.
+            grad_losses: gradients by L_I and L_alpha.
+        """
         gradient, coarse = np.empty_like(compared.difference), np.empty_like(compared.coarse)
         kernels.gradient_of(
             compared.difference,
@@ -105,7 +113,11 @@ class Target:
         return gradient.reshape(*self.size, 4)
 
     def losses(self, mean: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """L_I and L_alpha of a mean drawing, differentiable in it."""
+        """Return L_I and L_alpha of a mean render, differentiable in it.
+
+        Args:
+            mean: colours and silhouette.
+        """
         return _Losses.apply(mean, self)
 
 

@@ -1,4 +1,4 @@
-"""All bodies of one exposure: every one drawn by compiled kernels, added up in a fixed order, and the way back.
+"""Rendering of all bodies of one exposure: drawn in blocks, added in a fixed order, with gradients.
 
 The result has the same bits for any number of threads; nothing is shared between calls.
 """
@@ -18,15 +18,15 @@ from hfb.typing import Array, Tensor
 TEXTURE_GROUPS = 4  # partial sums of the texture's gradient: fixed, so that the sum's order never depends on threads
 
 Block = tuple[Array, ...]
-"""The trace of up to LANES bodies, see `kernels`; of DIB-R's silhouettes of one."""
+"""The trace of up to LANES bodies, see `render_block`; of DIB-R's silhouettes of one."""
 
 Box = tuple[int, int, int, int]
-"""Of a picture: left, top, right and bottom [px], the last two not in it."""
+"""Left, top, right and bottom of a box in an image [px], the last two exclusive."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is the same for all bodies; the fields are as in `hfb.kernels.rendering.render_operators.draw`."""
+    """The arguments common to all bodies; fields as in `hfb.kernels.rendering.render_operators.draw`."""
 
     uv: Array
     faces: Array
@@ -41,8 +41,18 @@ class Setting:
     def of(
         uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float], soft: Sequence[float], mean: bool, threads: int
     ) -> "Setting":
-        """Index tables unsigned (-1, no face, becomes the largest number): numba tests every signed index for being
-        negative."""
+        """Convert tensors; index tables become unsigned, since numba tests every signed index for being negative.
+
+        An index of -1 (no face) becomes the largest number.
+
+        Args:
+            uv: (F, 3, 2), of the faces' corners.
+            topology: faces, edge_vertices, edge_faces.
+            lens: fx, fy, cx, cy, nearest depth used, width, height.
+            soft: DIB-R's constants; zeros for exact coverage.
+            mean: average the images.
+            threads: number of threads.
+        """
         faces, edge_vertices, edge_faces = (
             table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology
         )
@@ -55,8 +65,16 @@ class Setting:
         return bool(self.soft[0] > 0)
 
     def draw(self, vertices: Array, texels: Array) -> tuple[Block, Array, Array]:
-        """A block's trace, its pixels' colours, none of a silhouette, and a box around them (left, top, right, bottom):
-        the whole picture of soft bodies."""
+        """Draw a block.
+
+        Args:
+            vertices: (n, V, 3) [m], camera coordinates.
+            texels: texture (A, A, 4), the fourth channel 1.
+
+        Returns:
+            its trace, its pixels' colours (empty for silhouettes alone), and a box around them (left, top, right,
+            bottom), which is the whole image for soft bodies.
+        """
         if not self.is_soft:
             edges = self.edge_vertices, self.edge_faces
             *trace, colours, box = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
@@ -83,7 +101,20 @@ class Setting:
         closes: Array,
         total: Array,
     ) -> None:
-        """The way back of some bodies of a block: see `kernels.pull_block`."""
+        """Compute the gradients of some bodies of a block; see `render_block.pull_block`.
+
+        Args:
+            vertices: (n, V, 3) [m], camera coordinates.
+            texels: texture (A, A, 4), the fourth channel 1.
+            block: trace of the block.
+            bodies: first number and number after the last one.
+            given: (n or 1, H W, C), gradient by the images.
+            scale: factor of the images.
+            gradient: (n, V, 3), filled.
+            sums: (A, A, 4), gradient by the texture, added to.
+            closes: (n), bodies after which the sums are moved to `total`.
+            total: (A, A, 3), gradient by the texture, added to.
+        """
         tables = self.lens, self.faces, self.uv, texels
         if not self.is_soft:
             kernels.pull_block(vertices, *tables, block, *bodies, given, scale, gradient, sums, closes, total)
@@ -99,14 +130,26 @@ class Setting:
 
 
 def bodies_at_once(count: int, threads: int, soft: bool) -> int:
-    """Bodies of a block: as many as kernels take, but something for every thread. None depends on who is beside it."""
+    """Return the number of bodies in a block: up to LANES, but work for every thread. Results do not depend on it.
+
+    Args:
+        count: number of all bodies.
+        threads: number of threads.
+        soft: whether silhouettes are DIB-R's.
+    """
     return 1 if soft else min(LANES, max(-(-count // threads), 1))
 
 
 def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Block], Box]:
-    """Pictures, the texture as the way back wants it, the blocks' traces, and what holds all that is drawn."""
+    """Return images, the texture with four channels, the blocks' traces, and a box around all that is drawn.
+
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light.
+        setting: camera, mesh and options.
+    """
     count, lens = len(vertices), setting.lens
-    # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
+    # Four channels suit the CPU, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
     kernels.widen(texture, texels)
     at_once = bodies_at_once(count, setting.threads, setting.is_soft)
@@ -127,7 +170,7 @@ def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Arra
 
 
 def _around(boxes: Sequence[Sequence[int]]) -> Box:
-    """What holds all boxes, whose right is left of their left where nothing is drawn; then of no size."""
+    """Return the box around all boxes, empty where nothing is drawn."""
     left, top, right, bottom = zip(*boxes, strict=True) if boxes else [(0,)] * 4
     return min(left), min(top), max(*right, min(left)), max(*bottom, min(top))
 
@@ -141,7 +184,17 @@ def pull_bodies(
     of_vertices: bool,
     of_texture: bool,
 ) -> tuple[Array, Array]:
-    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    """Return the gradients by the vertices (S, V, 3) and by the texture (A, A, 3).
+
+    Args:
+        of_pictures: (1 or S, H, W, C), gradient by the images.
+        vertices: (n, V, 3) [m], camera coordinates.
+        texels: texture (A, A, 4), the fourth channel 1.
+        blocks: traces of the blocks.
+        setting: camera, mesh and options.
+        of_vertices: compute the first one, else it is empty.
+        of_texture: compute the second one, else it is empty.
+    """
     count = len(vertices)
     groups, at_once = min(count, TEXTURE_GROUPS), bodies_at_once(count, setting.threads, setting.is_soft)
     gradient = np.empty_like(vertices) if of_vertices else np.empty((count, 0, 3), vertices.dtype)
@@ -177,7 +230,7 @@ def pull_bodies(
         )
         for sums in tasks:
             kernels.move_texels(sums, total)
-    else:  # the same sums in the same order, in one place that stays in the processor's cache
+    else:  # the same sums in the same order, in one place that stays in the CPU's cache
         closes[[limit - 1 for limit in limits[1:]]] = of_texture
         pull(0, count, np.zeros(size, texels.dtype))
     return gradient, total

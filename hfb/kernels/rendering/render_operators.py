@@ -1,8 +1,8 @@
-"""The fast rasteriser in torch: operators that autograd, torch.compile and export see, and a short cut past them.
+"""The fast rasteriser in torch: operators for autograd, torch.compile and export, and a faster path without them.
 
-`draw` draws all sub-frames and averages them on the way, one body at a time in a fixed order: the result has the
-same bits for any number of threads. `draw_gradient` is its way back. Both hand a body's trace on as tensors; where
-nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
+`draw` renders all sub-frames and averages them in the same pass, one body at a time in a fixed order: the result has
+the same bits for any number of threads. `draw_gradient` is its backward pass. Both pass a body's trace as tensors;
+where nothing is traced, `pictures` does the same without them, which saves a tenth of the time.
 """
 
 from collections.abc import Sequence
@@ -15,16 +15,22 @@ from torch.autograd.function import once_differentiable
 from hfb.kernels.rendering.render_blocks import Block, Box, Setting, bodies_at_once, draw_bodies, pull_bodies
 from hfb.typing import Array, Tensor
 
-_PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
+_PARTS = 9  # tensors kept of each block of bodies: its trace, see `render_block`
 
 
 def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
-    """The first result of `draw`, differentiable in the vertices and the texture, where nothing traces."""
+    """Return the first result of `draw`, differentiable in the vertices and the texture, without tracing.
+
+    Args:
+        vertices: (S, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
+        setting: camera, mesh and options.
+    """
     return _Pictures.apply(vertices, texture, setting)
 
 
 class _Pictures(torch.autograd.Function):
-    """`draw` with its way back, the bodies' traces kept as they are."""
+    """`draw` with its backward pass, the bodies' traces kept as they are."""
 
     @staticmethod
     def forward(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
@@ -41,18 +47,34 @@ class ImageLoss(Protocol):
     """Losses of a mean image (H, W, 4) with their gradient."""
 
     def compare(self, mean: Array, box: Box) -> tuple[tuple[float, ...], Any]:
-        """(losses, values saved for `backward`) of an image that is zero outside of the box; it may be overwritten."""
+        """Return the losses, and values saved for `backward`.
+
+        Args:
+            mean: (H, W, 4), zero outside of the box; may be overwritten.
+            box: box of all that is drawn.
+        """
         ...
 
     def backward(self, saved: Any, grad_losses: Sequence[float]) -> Array:
-        """Gradient by the image; only values inside the box are used."""
+        """Return the gradient by the image; only values inside the box are used.
+
+        Args:
+            saved: by `compare`.
+            grad_losses: gradient by each loss.
+        """
         ...
 
 
 def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLoss) -> tuple[Tensor, ...]:
-    """Losses of `pictures`, a mean; differentiable in the vertices and the texture.
+    """Return losses of the mean of `pictures`, differentiable in the vertices and the texture.
 
     Rendering and losses are one autograd node: the overhead of a second one is as large as the losses' time.
+
+    Args:
+        vertices: (S, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
+        setting: camera, mesh and options.
+        loss: loss of the mean image.
     """
     return _RenderedLosses.apply(vertices, texture, setting, loss)
 
@@ -75,15 +97,15 @@ class _RenderedLosses(torch.autograd.Function):
 
 
 def _drawn(ctx: Any, vertices: Tensor, texture: Tensor, setting: Setting) -> tuple[Array, Box]:
-    """Pictures, and the box that holds all that is drawn; keeps what `_input_gradients` needs."""
+    """Return images and the box around all that is drawn; save values for `_input_gradients`."""
     drawn, texels, blocks, box = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
-    ctx.save_for_backward(vertices, texture)  # tells when one of them was changed in the meantime
+    ctx.save_for_backward(vertices, texture)  # detects changes in the meantime
     ctx.setting, ctx.texels, ctx.blocks = setting, texels, blocks
     return drawn, box
 
 
 def _input_gradients(ctx: Any, of_pictures: Array) -> tuple[Tensor | None, Tensor | None]:
-    """Gradients of the vertices and of the texture, those that are wanted."""
+    """Return the wanted gradients by the vertices and by the texture."""
     vertices, texture = ctx.saved_tensors
     wanted = ctx.needs_input_grad[0], ctx.needs_input_grad[1] and len(texture) > 0
     of_vertices, of_texture = pull_bodies(
@@ -103,19 +125,22 @@ def draw(
     mean: bool,
     threads: int,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Pictures of S bodies, and what the way back needs.
+    """Return images of S bodies, and saved values for the backward pass.
 
     Args:
-        vertices: (S, V, 3) [m]. texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
-        uv: (F, 3, 2), of the faces' corners. topology: tables faces, edge_vertices, edge_faces of the mesh, int16
-            (read as unsigned) where that holds them, else int32.
-        lens: fx, fy, cx, cy, nearest depth used, width, height. soft: DIB-R's 1 / delta [1/px^2], reach [px] and
-            number of faces; zeros for exact coverage.
-        mean: average the pictures. threads: to draw with.
+        vertices: (S, V, 3) [m].
+        texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
+        uv: (F, 3, 2), of the faces' corners.
+        topology: tables faces, edge_vertices, edge_faces of the mesh, int16 (read as unsigned) where that holds them,
+            else int32.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        soft: DIB-R's 1 / delta [1/px^2], reach [px] and number of faces; zeros for exact coverage.
+        mean: average the images.
+        threads: number of threads.
 
     Returns:
-        pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
-        and for each block of bodies in turn the parts of its trace (see `kernels`).
+        images (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
+        and for each block of bodies in turn the parts of its trace (see `render_block`).
     """
     setting = Setting.of(uv, topology, lens, soft, mean, threads)
     drawn, texels, blocks, _ = draw_bodies(vertices.detach().numpy(), texture.detach().numpy(), setting)
@@ -170,7 +195,21 @@ def draw_gradient(
     of_texture: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    """Return the gradients by the vertices (S, V, 3) and by the texture (A, A, 3).
+
+    Args:
+        of_pictures: gradient by the images.
+        vertices: (S, V, 3) [m], camera coordinates.
+        uv: as of `draw`.
+        topology: as of `draw`.
+        lens: as of `draw`.
+        soft: as of `draw`.
+        mean: as of `draw`.
+        kept: saved by `draw`.
+        of_vertices: compute the first one, else it is empty.
+        of_texture: compute the second one, else it is empty.
+        threads: number of threads.
+    """
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
     setting = Setting.of(uv, topology, lens, soft, mean, threads)

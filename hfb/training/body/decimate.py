@@ -1,6 +1,6 @@
-"""Fewer vertices by half-edge collapses: a vertex moves onto a neighbour, so what is left is a subset of the mesh.
+"""Mesh decimation by half-edge collapses: a vertex moves onto a neighbour, so the result is a subset of the mesh.
 
-Each vertex that survives keeps its place in every shape sample, its weights and its texture coordinates exactly.
+Each remaining vertex keeps its position in every shape sample, its weights and its texture coordinates exactly.
 Order by Garland & Heckbert's quadric error (Surface Simplification Using Quadric Error Metrics, 1997).
 """
 
@@ -14,9 +14,17 @@ LENGTH_SHARE = 2e-3  # weight of squared edge length in the cost: even triangles
 
 
 class Decimator:
-    """A triangle list under collapse; vertices of `on_middle` stay on their plane, texture seams stay seams."""
+    """A triangle mesh under edge collapse; vertices of ``on_middle`` stay on their plane, texture seams stay seams."""
 
     def __init__(self, points: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray):
+        """Take a mesh.
+
+        Args:
+            points: (V, 3) vertices [m].
+            faces: (F, 3) vertex indices.
+            uv_faces: (F, 3) texture coordinate indices.
+            on_middle: (V,) bool, vertices of the plane x = 0.
+        """
         self.points = points
         self.on_middle = on_middle
         self.faces = {i: list(face) for i, face in enumerate(faces.tolist())}
@@ -29,7 +37,11 @@ class Decimator:
         self.version = dict.fromkeys(self.at, 0)
 
     def run(self, vertices_left: int) -> None:
-        """Collapse the cheapest edges until so many vertices are left."""
+        """Collapse the cheapest edges until the mesh is small enough.
+
+        Args:
+            vertices_left: target number of vertices.
+        """
         heap = [entry for v in self.at for entry in self._candidates(v)]
         heapq.heapify(heap)
         alive = len(self.at)
@@ -51,7 +63,7 @@ class Decimator:
                     heapq.heappush(heap, self._entry(x, w))
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:
-        """(faces, uv_faces), indices as given."""
+        """Return (faces, uv_faces) of the decimated mesh, with the indices of the original one."""
         return np.array(list(self.faces.values())), np.array(list(self.uv_faces.values()))
 
     def _normal(self, corners: list[int]) -> np.ndarray:
@@ -97,7 +109,7 @@ class Decimator:
         return {self.uv_faces[i][self.faces[i].index(v)] for i in self.at[v]}
 
     def _collapsible(self, u: int, v: int) -> dict[int, int] | None:
-        """{texture coordinate at u: the one at v that takes its place}, or None where u must not move onto v."""
+        """Return {texture coordinate at u: its replacement at v}, or None where u must not move onto v."""
         shared = self.at[u] & self.at[v]
         if self.on_middle[u] and (not self.on_middle[v] or len(shared) != 1):
             return None

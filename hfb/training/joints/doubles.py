@@ -1,8 +1,8 @@
 """Draw people with doubles: `hfb train joints-doubles --mocap DIR --backgrounds DIR --out d1 --count 9000`.
 
-To compare a picture with a fit's own is learned from fits (`joint_fits`), each of which takes most of a second. A
-double is posed a little otherwise than the person, of another shape, in blurred clothes, and moves less. It is drawn
-in no time.
+Comparing an image with a fit's rendering is learned from fits (`joint_fits`), each of which takes most of a second. A
+double is a fast substitute for a fit: the person in a slightly different pose and shape, in blurred clothes, with less
+motion.
 """
 
 import argparse
@@ -22,15 +22,15 @@ from hfb.training.joints.joint_bank import Rows, draw_rows, split
 from hfb.training.joints.people import INSTANTS, STARTS, draw_amplitude, draw_moments
 
 _AMPLITUDES, _MOTION, _BLUR_PX = (0.03, 0.4), (0.3, 1.05), (0.3, 3.0)
-"""Ranges: of a network's errors; how much of the motion is left; how blurred the texture of 128 px is."""
+"""Ranges: scale of a network's errors; share of the motion that is kept; blur of the texture of 128 px."""
 _SUBFRAMES = 7
 _KEPT, _SHAPE = 0.8, 0.45
-"""Of the betas' truth, and how large their errors are."""
+"""Share of the true betas that is kept, and scale of their errors."""
 _NOBODY = 0.01  # of a pixel, as in hfb.fitting.refine
 
 
 class DoublesStudio(Studio):
-    """A studio in which everybody has a double."""
+    """A studio in which every person has a double."""
 
     def _try(self, rng: np.random.Generator) -> Sample | None:
         shot = self._shot(rng)
@@ -58,7 +58,7 @@ class DoublesStudio(Studio):
         )
 
     def _double(self, shot: Shot, pose: torch.Tensor, rng: np.random.Generator) -> Shot:
-        """Somebody in that pose (24, 3) at u = 1/2 who covers about the same pixels, the further away the taller."""
+        """Return a person in that pose (24, 3) at u = 1/2 who covers about the same pixels: taller if further away."""
         share = rng.uniform(*_MOTION) * np.linspace(-1, 1, _SUBFRAMES)
         middle = INSTANTS // 2
         at = np.round(middle * (1 + share)).astype(int).clip(0, INSTANTS - 1)
@@ -88,7 +88,7 @@ class DoublesStudio(Studio):
         )
 
     def _beside(self, seen: Seen, double: Shot) -> Seen:
-        """The double over the plate, as `hfb.fitting.comparison.drawn` shows a fit."""
+        """Return the double over the plate, as `hfb.fitting.comparison.drawn` renders a fit."""
         mean = self.rasterizer.render_mean(double.vertices, double.texture, double.lens, double.mesh)[seen.inner]
         alpha = mean[..., 3].numpy()
         composed = compose(mean, torch.from_numpy(seen.plate)).numpy()
@@ -97,12 +97,20 @@ class DoublesStudio(Studio):
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write pictures and joints as two files; a person and a double per row."""
+    """Write images and joints as two files; a person and a double per row.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     studio = DoublesStudio(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px

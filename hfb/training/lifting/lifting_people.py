@@ -1,4 +1,4 @@
-"""People as joints for the lifting network: drawn ones with errors like a fit's, and fits."""
+"""People as joints for the lifting network: synthetic ones with errors like a fit's, and fits."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -28,34 +28,39 @@ _STEPS_MM = {
     "head": 5,
     "pelvis": 0,
 }
-"""How far a fit's joints are off across the view, added at each joint: measured on 160 frames of held-out motions.
+"""Error that each joint adds in the image plane of a fit [mm]: measured on 160 frames of held-out motions.
 
 16 mm in the mean; 25 until 2026-11-24.
 """
 
 _INHERITED = 0.6
 _TOWARDS_START = 0.15
-"""A parent's share in a joint's error; the largest share of the first guess' error that a fit keeps."""
+"""A parent's share in a joint's error; the largest share of the first estimate's error that a fit keeps."""
 
 _MOVED_AT_MOST_M, _FORGETS_M = 0.25, 0.145
 _STILL, _GROWS_PER_M = 0.65, 5.2
-"""The farther joints move from one frame to the other (mean over joints, from the pelvis) the less the errors' variance
-is the same in both, exp(-moved / .145 m), and the larger errors are. Measured on 791 fitted pairs of held-out motions:
-.94 of the variance is the same and errors are .74 of their mean where joints moved 16 mm, .29 and 1.57 at 175 mm."""
+"""Errors of two frames of a pair: their correlation is exp(-moved / 0.145 m), and their size grows with ``moved``.
+
+``moved`` is the mean path of the joints from one frame to the other, relative to the pelvis. Measured on 791 fitted
+pairs of held-out motions: where joints moved 16 mm, 0.94 of the variance is shared and errors are 0.74 of their mean;
+at 175 mm 0.29 and 1.57.
+"""
 
 _SIZE, _BONE = 0.015, 0.02
-"""How far a fit's bones are off, as logarithms: as far as one unit of the window goes, and each by itself (both sides
-alike). Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a piece of the spine 6)."""
+"""Errors of a fit's bone lengths, as logarithms: of the whole body, and of each bone (both sides alike).
+
+Measured on 74 fitted pairs of held-out motions: 1.5 %, and 1 to 3 % (a spine bone 6 %).
+"""
 
 _ROLL_FITS, _SIZES_FITS = 0.25, 0.08
-"""Turns [rad] and sizes (logarithms) of fits."""
+"""Rotations [rad] and sizes (logarithms) with which fits are augmented."""
 _OTHER_CAMERAS, _PERSPECTIVE = 0.35, 0.4
-"""Share of the people as other cameras see them, from afar (0) to near by (a unit is .4 of the distance)."""
+"""Share of the people seen by other cameras, from afar (0) to close by (a unit is 0.4 of the distance)."""
 _PITCH_YAW_ROLL = (0.0, 0.2, 0.15)
 _ASLANT, _PITCH_YAW_ROLL_ASLANT = 0.25, (0.25, 0.2, 0.3)
-"""Turns of whole people [rad]; a share as cameras see them that look down or are held aslant."""
+"""Rotations of whole people [rad]; a share as seen by cameras that look down or are tilted."""
 _LEANING, _LEAN = 0.3, 0.25
-"""Share of first guesses that are tilted as a whole into depth, as real estimators do, and how far [rad]."""
+"""Share of first estimates tilted as a whole into depth, as of real estimators, and the angle [rad]."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +68,11 @@ class Bank:
     """N people in two frames each, in their windows' units.
 
     Attributes:
-        joints, starts: (N, 2, 24, 3), first guesses among the latter. unit_m, perspective: (N, 2), one unit in metres
-            and as a tangent. lengths: (N, 24) of bones [m].
+        joints: (N, 2, 24, 3).
+        starts: (N, 2, 24, 3) first estimates.
+        unit_m: (N, 2) the unit's length.
+        perspective: (N, 2) the unit as a tangent.
+        lengths: (N, 24) of bones [m].
     """
 
     joints: torch.Tensor
@@ -75,7 +83,11 @@ class Bank:
 
     @staticmethod
     def read(paths: list[Path]) -> "Bank":
-        """Files of `lifting_bank`."""
+        """Read files of `lifting_bank`.
+
+        Args:
+            paths: at least one.
+        """
         files = [read_arrays(path) for path in paths]
         return Bank(*(torch.from_numpy(np.concatenate([file[one.name] for file in files])) for one in fields(Bank)))
 
@@ -85,10 +97,12 @@ class Bank:
 
 @dataclass(frozen=True)
 class Fitted:
-    """N people in two frames each.
+    """N people in two frames each, as fits find them.
 
     Attributes:
-        told: what the network is told of them. truth: (N, 2, 24, 3) joints from the pelvis. unit_m: (N, 2).
+        told: input of the network.
+        truth: (N, 2, 24, 3) joints from the pelvis.
+        unit_m: (N, 2) the unit's length.
     """
 
     told: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
@@ -97,7 +111,11 @@ class Fitted:
 
     @staticmethod
     def read(paths: list[Path]) -> "Fitted":
-        """Files of `lifting_fits`."""
+        """Read files of `lifting_fits`.
+
+        Args:
+            paths: at least one.
+        """
         files = [read_arrays(path) for path in paths]
         file = {name: torch.from_numpy(np.concatenate([one[name] for one in files])) for name in files[0]}
         across, start, truth = (from_pelvis(file[name]) for name in ("fitted", "starts", "joints"))
@@ -105,13 +123,17 @@ class Fitted:
         return Fitted(told, truth, file["unit_m"]).with_starts_match_spread()
 
     def with_starts_match_spread(self) -> "Fitted":
-        """First guesses that spread as wide as the joints are seen."""
+        """Rescale first estimates to the spread of the observed joints."""
         across, start, *rest = self.told
         large = match_spread(start.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2))
         return replace(self, told=(across, large, *rest))
 
     def some(self, count: int) -> "Fitted":
-        """Some of them in either order; mirrored, turned about the line of sight, and of another size."""
+        """Draw random people in either frame order: mirrored, rotated about the line of sight, and rescaled.
+
+        Args:
+            count: how many.
+        """
         rows = torch.randint(len(self.truth), (count, 1))
         order = torch.tensor([[0, 1], [1, 0]])[torch.randint(2, (count,))]
         across, start, lengths, perspective = (one[rows, order] for one in self.told)
@@ -131,16 +153,21 @@ class Fitted:
         return Fitted(told, changed(truth), self.unit_m[rows, order] / size[:, None]).with_starts_match_spread()
 
     def beside(self, other: "Fitted") -> "Fitted":
-        """These and others."""
+        """Concatenate with others.
+
+        Args:
+            other: appended.
+        """
         told = tuple(torch.cat(two) for two in zip(self.told, other.told, strict=True))
         return Fitted(told, torch.cat([self.truth, other.truth]), torch.cat([self.unit_m, other.unit_m]))  # type: ignore[arg-type]
 
 
 def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
-    """Joints across the view and bones as a fit would have them, first guesses as large as those.
+    """Add errors like a fit's to joints in the image plane and to bones; first estimates get the same size.
 
     Args:
-        levels: (N,) of the errors; 1 is as measured.
+        people: without errors.
+        levels: (N,) scale of the errors; 1 is as measured.
     """
     joints, starts = from_pelvis(people.joints), from_pelvis(people.starts)
     limbs = torch.tensor([{"left": 0, "right": 1}.get(name.partition("_")[0], 2) for name in JOINT_NAMES])
@@ -166,8 +193,14 @@ def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
 
 
 def augmented(bank: Bank, count: int) -> Bank:
-    """Some of them: mirrored, turned about the line of sight and the vertical, as other cameras see them; some guesses
-    nearly right."""
+    """Draw random people: mirrored, rotated about the line of sight and the vertical, seen by other cameras.
+
+    A share of the first estimates is made nearly right.
+
+    Args:
+        bank: to draw from.
+        count: how many.
+    """
     rows = torch.randint(len(bank), (count, 1))
     order = torch.tensor([[0, 1], [1, 0]])[torch.randint(2, (count,))]
     joints, starts = from_pelvis(bank.joints[rows, order]), from_pelvis(bank.starts[rows, order])
@@ -190,16 +223,20 @@ def augmented(bank: Bank, count: int) -> Bank:
 
 
 def _from_afar(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """Joints (N, 2, 24, 3) from the pelvis without their perspective, but for what hangs on their way to the axis."""
+    """Remove the perspective of joints (N, 2, 24, 3) from the pelvis, except for the part due to the view's axis."""
     return torch.cat([joints[..., :2] * (1 + perspective[..., None, None] * joints[..., 2:]), joints[..., 2:]], -1)
 
 
 def _by_a_camera(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tensor:
-    """The way back."""
+    """Apply perspective: the inverse of `_from_afar`."""
     nearer = (1 + perspective[..., None, None] * joints[..., 2:]).clamp_min(0.2)
     return torch.cat([joints[..., :2] / nearer, joints[..., 2:]], -1)
 
 
 def from_pelvis(joints: torch.Tensor) -> torch.Tensor:
-    """Joints relative to the pelvis."""
+    """Return joints relative to the pelvis.
+
+    Args:
+        joints: (..., 24, 3).
+    """
     return joints - joints[..., :1, :]

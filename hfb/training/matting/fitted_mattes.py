@@ -1,9 +1,9 @@
 """Draw fits that mattes are learned from: `hfb train matting-fits --mocap DIR --backgrounds DIR --out f.npy`.
 
-For the matte's third network (`hfb train matting --third --fits f.npy`): a picture, its plate, the matte that
-the first two networks find, what a fit of these makes of it before its stages of full size, and the truth. A fit errs
-where its matte does, and its texture takes the plate's colours where its body stands before the plate by mistake: no
-double (`hfb train matting-bank --doubles`) does.
+For the third matting network (`hfb train matting --third --fits f.npy`): an image, its plate, the matte of the first
+two networks, the rendering of a fit to these before the full-resolution stages, and the truth. A fit is wrong where its
+matte is, and its texture takes the plate's colours where its body wrongly covers the plate. Doubles
+(`hfb train matting-bank --doubles`) lack this correlation.
 """
 
 import argparse
@@ -27,13 +27,19 @@ _EVERY = 50
 
 
 class MattingGym(Gym):
-    """A gym whose mattes are those in use, but for the moving layer."""
+    """A gym with the shipped mattes, except for the moving layer."""
 
     matting = NetworkMatting()
 
     def mattes(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """(12, SIZE_PX, SIZE_PX) uint8 of one or two frames: frame and plate in sRGB (6), the matte, the fit's picture
-        (square roots of premultiplied light) and its silhouette (4), the true matte."""
+        """Return (12, SIZE_PX, SIZE_PX) uint8 of one or two frames.
+
+        Channels: frame and plate in sRGB (6), the matte, the fit's rendering (square roots of premultiplied light) and
+        its silhouette (4), the true matte.
+
+        Args:
+            rng: of the person.
+        """
         return until_found(lambda: self._rows(rng))
 
     def _rows(self, rng: np.random.Generator) -> list[np.ndarray] | None:
@@ -63,7 +69,7 @@ class MattingGym(Gym):
 
 
 def _cut(layers: np.ndarray, matte: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A square around the person, not scaled where it fits."""
+    """Cut a square around the person, unscaled where it fits."""
     top, left, bottom, right = matte_region(matte, margin=_MARGIN)
     side = max(bottom - top, right - left, SIZE_PX)
     corner = [round((a + b - side) / 2 + rng.normal(0, 4)) for a, b in ((top, bottom), (left, right))]
@@ -79,12 +85,20 @@ def _cut(layers: np.ndarray, matte: np.ndarray, rng: np.random.Generator) -> np.
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write one array, which training may read meanwhile: rows of nothing are not drawn yet."""
+    """Write one array that training may read meanwhile: rows of zeros are not drawn yet.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     gym = MattingGym(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px

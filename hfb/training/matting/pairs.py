@@ -1,7 +1,7 @@
-"""Composites of known alpha for comparing matting methods: a clothed figure, moved by exactly so many pixels.
+"""Composites of known alpha for comparing matting methods: a clothed figure with motion blur of exact length.
 
 A silhouette of a held-out figure wears a held-out texture and slides along a straight path during the exposure, so
-every ramp of alpha is known, or it moves as a person does, drawn so large that its fastest joint smears that far.
+that every ramp of alpha is known; or it moves as a person does, scaled so that its fastest joint smears that far.
 """
 
 import json
@@ -23,7 +23,7 @@ _LONGER_PX = 200  # of the sharp figure
 
 @dataclass(frozen=True)
 class Pair:
-    """One texture before one background, and what troubles the camera."""
+    """One texture before one background, with one camera defect."""
 
     kind: str
     smear_px: int
@@ -32,10 +32,13 @@ class Pair:
 
 
 def draw_pairs(bank: Path, plates: list[np.ndarray], photos: list[np.ndarray], per_kind: int) -> list[Pair]:
-    """All pairs, the same on every call: each kind and smear over `per_kind` textures and backgrounds.
+    """Draw all pairs, the same on every call: each kind and smear over textures and backgrounds.
 
     Args:
-        bank: of hfb train matting-bank --held-out. plates, photos: uint8 sRGB, what stands behind and what is worn.
+        bank: a file of matting-bank --held-out.
+        plates: backgrounds, uint8 sRGB.
+        photos: textures, uint8 sRGB.
+        per_kind: pairs of each kind and smear.
     """
     figures = np.load(bank, mmap_mode="r")
     smears = np.array([one["smear_px"] for one in json.loads(bank.with_suffix(".json").read_text())["figures"]])
@@ -59,7 +62,7 @@ def draw_pairs(bank: Path, plates: list[np.ndarray], photos: list[np.ndarray], p
 
 
 def _cut(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray:
-    """A square of a photograph in linear light, (side, side, 3)."""
+    """Cut a square of a photograph in linear light, (side, side, 3)."""
     whole = min(picture.shape[:2])
     size = int(whole * rng.uniform(0.6, 1))
     top, left = (int(rng.integers(0, room + 1)) for room in (picture.shape[0] - size, picture.shape[1] - size))
@@ -70,7 +73,7 @@ def _cut(picture: np.ndarray, side: int, rng: np.random.Generator) -> np.ndarray
 def _layers(
     channels: np.ndarray, kind: str, photo: np.ndarray, plate: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """(SIZE_PX, SIZE_PX, 4): premultiplied light, and coverage."""
+    """Return (SIZE_PX, SIZE_PX, 4): premultiplied light, and coverage."""
     alpha = channels[0].astype(np.float32)[..., None] / 255
     if kind.endswith("photograph"):
         return np.concatenate([photo * alpha, alpha], -1)
@@ -82,7 +85,7 @@ def _layers(
 
 
 def _placed(layers: np.ndarray, scale: float, smear_px: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled, put near the middle, smeared along a straight line: (premultiplied light, alpha), SIDE_PX square."""
+    """Return a scaled figure near the middle, smeared along a line: (premultiplied light, alpha), SIDE_PX square."""
     offset = (SIDE_PX - scale * SIZE_PX) / 2 + rng.uniform(-8, 8, 2)
     matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
     placed = cv2.warpAffine(layers.astype(np.float32), matrix, (SIDE_PX, SIDE_PX), flags=cv2.INTER_LINEAR)
@@ -100,7 +103,7 @@ def _line(length_px: float, angle_rad: float) -> np.ndarray:
 def _photographed(
     colour: np.ndarray, alpha: np.ndarray, plate: np.ndarray, trouble: str, rng: np.random.Generator
 ) -> Scene:
-    """Frame and plate as a camera gives them: always shot noise and eight bits, and one trouble or all of them."""
+    """Simulate the camera: always shot noise and eight bits, and one defect or all of them."""
     has = {trouble} if trouble != "all" else set(TROUBLES)
     lit = plate * cast_shadows(alpha, rng) if "shadow" in has else plate
     frame = colour + (1 - alpha[..., None]) * lit

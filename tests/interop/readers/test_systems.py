@@ -138,7 +138,7 @@ def test_without_tram_s_camera_the_diagonal_is_assumed(tmp_path: Path) -> None:
 
 
 def test_amass_is_upright_but_nowhere(tmp_path: Path) -> None:
-    """z up: someone who stands in a z-up world stands in the picture."""
+    """A person who stands in a z-up world stands in the image."""
     poses = np.zeros((3, 156))
     poses[:, 0] = np.pi / 2  # from the rest pose's y up to z up
     np.savez(tmp_path / "walk_poses.npz", poses=poses, trans=np.zeros((3, 3)), mocap_framerate=120.0)
@@ -166,9 +166,11 @@ def test_joints_of_any_system(tmp_path: Path) -> None:
     assert np.linalg.norm(seen(first, own_camera(track, 2)) - expected, axis=1).mean() < 3
     order = [3, 1, 2, 0, *range(4, 20)]
     np.savez(
-        tmp_path / "named.npz", joints=joints[:, order] * [1, -1, -1], y_up=True,
+        tmp_path / "named.npz",
+        joints=joints[:, order] * [1, -1, -1],
+        y_up=True,
         joint_names=np.array([JOINT_NAMES[joint] for joint in order]),
-    )  # fmt: skip
+    )
     (track,) = read(tmp_path / "named.npz")
     assert track.joints is not None
     np.testing.assert_allclose(track.joints[:, 7], joints[:, 7])
@@ -179,9 +181,14 @@ def test_our_own_motion_starts_another_fit(tmp_path: Path) -> None:
     person = Person.some(4, count=6)
     K = np.array([[700.0, 0, 320], [0, 700, 240], [0, 0, 1]])
     motion = SampledMotion(
-        person.poses.reshape(6, 72), np.tile([0.0, 0, 4], (6, 1)), person.betas[0], person.standing,
-        np.arange(6) / 100, np.repeat([0, 1], 3), K,
-    )  # fmt: skip
+        person.poses.reshape(6, 72),
+        np.tile([0.0, 0, 4], (6, 1)),
+        person.betas[0],
+        person.standing,
+        np.arange(6) / 100,
+        np.repeat([0, 1], 3),
+        K,
+    )
     save_motion(tmp_path / "motion.npz", motion, "hfb")
     (track,) = read(tmp_path / "motion.npz")
     assert track.frames.tolist() == [0, 1]

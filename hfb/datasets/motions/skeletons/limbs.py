@@ -15,7 +15,7 @@ _FRAME_WEIGHT = 0.02
 """Weight of the foreign frame against the plane of the bend, which has its squared sine: equal at 8 degrees."""
 
 _CARRY_S = 0.08
-"""How long the plane of a bend is trusted once the limb is straight."""
+"""Time for which the plane of a bend is used once the limb is straight."""
 
 _BACKWARD = -0.3
 """Cosine between the axis of the bends and the anatomical one below which a limb is broken: some conversions of CMU's
@@ -32,13 +32,13 @@ class Limb:
     fps: float
 
     def hinge(self, expected: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
-        """The axis about which knee or elbow bend, over time [unit length].
+        """Return the axis about which knee or elbow bend, over time [unit length].
 
-        It is across both bones where the limb is bent. In the upper bone's own frame it hardly moves, which tells the
-        rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
+        It is perpendicular to both bones where the limb is bent. In the upper bone's own frame it hardly moves, so
+        elsewhere its mean there over the clip is used, turned towards the plane of the bend as far as that is visible.
 
         Args:
-            expected: where the axis is to be looked for if the limb never bends.
+            expected: axis to assume if the limb never bends.
         """
         across = np.cross(self.upper, self.lower)  # as long as the sine of the bend
         sine = np.linalg.norm(across, axis=-1, keepdims=True)
@@ -51,13 +51,17 @@ class Limb:
         return np.cos(angle) * carried + np.sin(angle) * sideways
 
     def bends_backward(self, expected: Float[Array, "F 3"]) -> bool:
-        """Whether it bends the way that no joint can, over the clip as a whole; `expected` is the anatomical axis."""
+        """Return whether the hinge bends the impossible way, over the clip as a whole.
+
+        Args:
+            expected: anatomical axis of the hinge.
+        """
         across = np.cross(self.upper, self.lower)
         seen = self._mean_in_frame(across * np.linalg.norm(across, axis=-1, keepdims=True))
         return bool(seen @ self._mean_in_frame(expected) < _BACKWARD)
 
     def turned_round(self) -> "Limb":
-        """The lower bone on the other side of the upper one."""
+        """Return the limb with the lower bone on the other side of the upper one."""
         along = (self.lower * self.upper).sum(-1, keepdims=True) * self.upper
         return replace(self, lower=2 * along - self.lower)
 
@@ -65,7 +69,7 @@ class Limb:
         return unit(rotate(conjugate(self.frame), axes).sum(0))
 
     def _smooth(self, seen: np.ndarray, sine: Float[Array, "F"]) -> np.ndarray:
-        """Smallest sum of: distance from what is seen (as much as it weighs), from no turn, and change over time."""
+        """Smooth turns: minimise the weighted distance from the observations, from zero, and the change over time."""
         weight = sine * sine
         stiffness = (_CARRY_S * self.fps) ** 2 * _FRAME_WEIGHT
         bands = np.zeros((2, len(seen)))
@@ -78,7 +82,14 @@ class Limb:
 def align_frame(
     bone: Float[Array, "F 3"], hinge: Float[Array, "F 3"], rest_bone: Float[Array, "3"], rest_hinge: Float[Array, "3"]
 ) -> Float[Array, "F 4"]:
-    """The rotation that takes a bone at rest to its direction, and its hinge as near as that allows."""
+    """Return the rotation that takes a bone from rest to its direction, and its hinge as near as that allows.
+
+    Args:
+        bone: direction of the bone.
+        hinge: axis of the hinge.
+        rest_bone: direction of the bone at rest.
+        rest_hinge: axis of the hinge at rest.
+    """
     return multiply(_frame(bone, hinge), conjugate(_frame(unit(rest_bone), rest_hinge)))
 
 
@@ -88,5 +99,5 @@ def _frame(bone: Float[Array, "*n 3"], hinge: Float[Array, "*n 3"]) -> Float[Arr
 
 
 def _across(vector: Float[Array, "*n 3"], bone: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """The part of a vector that is at right angles to the bone, of unit length."""
+    """Return the part of a vector that is at right angles to the bone, of unit length."""
     return unit(vector - (vector * bone).sum(-1, keepdims=True) * bone)

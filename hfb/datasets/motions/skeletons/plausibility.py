@@ -1,4 +1,4 @@
-"""Joints of a retargeted motion that no person can turn so: axes were misunderstood, or the recording is broken."""
+"""Impossible joints of a retargeted motion, a sign of misread axes or a broken recording."""
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Array, Bool, Float
 
 _IMPOSSIBLE = np.deg2rad(45)
-"""Beyond the usual range of motion; fights and acrobatics stay below in most of their frames."""
+"""Excess of the usual range of motion; fights and acrobatics stay below in most of their frames."""
 _AROUND = np.cos(np.deg2rad(100) / 2)
 """Nobody's head is turned farther against the chest."""
 _MOSTLY = 0.5
@@ -20,7 +20,11 @@ _LOOKED_AT = 2000
 
 
 def impossible_joints(poses: Float[Array, "F 24 3"]) -> Bool[Array, "24"]:
-    """Joints that lie far beyond what a person can do in most frames; the root never does."""
+    """Return the joints that are far beyond a person's range of motion in most frames; the root never is.
+
+    Args:
+        poses: axis-angle [rad].
+    """
     some = poses[:: -(-len(poses) // _LOOKED_AT)]
     beyond = AnatomicalPrior().beyond_limits(torch.from_numpy(some[:, 1:]).double()).numpy() > _IMPOSSIBLE
     found = np.concatenate([[False], beyond.mean(0) > _MOSTLY])
@@ -31,7 +35,10 @@ def impossible_joints(poses: Float[Array, "F 24 3"]) -> Bool[Array, "24"]:
 
 
 def without_impossible_ends(poses: Float[Array, "F 24 3"]) -> tuple[Float[Array, "F 24 3"], tuple[str, ...]]:
-    """(the motion with impossible heads, hands and feet left at rest, the names of these).
+    """Return the motion with impossible heads, hands and feet left at rest, and the names of these.
+
+    Args:
+        poses: axis-angle [rad].
 
     Raises:
         InputError: a limb or the trunk is impossible, so that its joints are in wrong places.

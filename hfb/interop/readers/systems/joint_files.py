@@ -7,7 +7,7 @@ K             (3, 3) or (frames, 3, 3), where the joints are placed before a cam
 frame_index   the video's frame numbers, from 0 on; each row is the next frame where it is missing
 y_up          true where y points up and z towards the viewer
 
-Millimetres and centimetres are told from the bones' lengths.
+Millimetres and centimetres are recognised by the bones' lengths.
 """
 
 from typing import Any
@@ -28,7 +28,13 @@ _NAMES = ("joints", "joints3d", "joints_3d", "keypoints3d", "keypoints_3d")
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The one person of a joints file; None where it is something else."""
+    """Read the one person of a joints file; None where it is something else.
+
+    Args:
+        content: content of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     given = _given(content, one)
     if given is None or "poses" in one:
@@ -42,7 +48,7 @@ def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[Po
 
 
 def _given(content: Any, one: dict[str, Any]) -> Float[Array, "..."] | None:
-    """The joints by their name, or an array alone that can be nothing else."""
+    """Return the joints by their name, or an array alone that can be nothing else."""
     name = next((name for name in _NAMES if name in one), None)
     if name is not None:
         return array_in(one[name])

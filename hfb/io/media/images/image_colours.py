@@ -1,7 +1,8 @@
-"""Colours of a picture that are not sRGB's: what its file says of them, and the way to sRGB.
+"""Conversion of colours to sRGB by what an image file states.
 
-Where a curve per channel and a matrix say it (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries), levels are
-converted exactly, 16 bits too. Profiles that are tables (of printers and scanners) are littleCMS's work, with 8 bits.
+Colours given by a curve per channel and a matrix (Display P3, Adobe RGB, ProPhoto, a PNG's gamma and primaries) are
+converted exactly, also with 16 bits. Profiles that are tables (of printers and scanners) are converted by littleCMS,
+with 8 bits.
 """
 
 import io
@@ -54,7 +55,7 @@ class Colours:
     to_srgb: Float[Array, "3 3"]
 
     def is_srgb(self) -> bool:
-        """Whether converting changes no level of 8 bits."""
+        """Return whether converting changes no level of 8 bits."""
         steps = np.linspace(0, 1, 18)
         some = np.stack([*np.meshgrid(steps, steps, steps)], -1).reshape(-1, 3)
         rows = np.concatenate([np.repeat(steps[:, None], 3, 1), some[some.min(-1) > 0.2]])
@@ -62,7 +63,12 @@ class Colours:
         return float(np.abs(linear_to_srgb((linear @ self.to_srgb.T).clip(0, 1)) - rows).max()) < _SAME
 
     def converted(self, levels: Shaped[Array, "H W 3"], full: int) -> Float[Array, "H W 3"]:
-        """Levels up to `full` as sRGB in [0, 1]; colours that sRGB cannot show go to its edge."""
+        """Convert levels to sRGB in [0, 1]; colours outside its gamut are clipped.
+
+        Args:
+            levels: as stored.
+            full: highest level.
+        """
         grid = np.arange(full + 1) / full
         tables = [curve(grid).astype(np.float32) for curve in self.curves]
         matrix = self.to_srgb.T.astype(np.float32)
@@ -79,7 +85,10 @@ class UnreadableProfile(ValueError):
 
 
 def of_profile(profile: bytes) -> Colours:
-    """Of an ICC profile of RGB or gray that is made of curves and a matrix.
+    """Read an ICC profile of RGB or gray that consists of curves and a matrix.
+
+    Args:
+        profile: ICC profile.
 
     Raises:
         UnreadableProfile: it is something else, or damaged.
@@ -105,7 +114,14 @@ def of_profile(profile: bytes) -> Colours:
 
 
 def of_png(chunks: dict[bytes, bytes]) -> Colours | str | None:
-    """Of a PNG's cICP, or gAMA and cHRM; a name of high dynamic range; None where these say nothing, or sRGB."""
+    """Read a PNG's cICP, or gAMA and cHRM.
+
+    Args:
+        chunks: by `png_chunks`.
+
+    Returns:
+        the colours; the name of a high dynamic range; None where the chunks say nothing, or sRGB.
+    """
     told = chunks.get(b"cICP", b"")
     if len(told) == 4:
         primaries, transfer = told[0], told[1]
@@ -137,16 +153,20 @@ def of_png(chunks: dict[bytes, bytes]) -> Colours | str | None:
 
 
 def adobe_rgb() -> Colours:
-    """What a camera's photograph is in that names it by DCF's interoperability index alone."""
+    """Return the colours of photographs that name them by DCF's interoperability index alone."""
     curve = _power(563 / 256)
     return Colours("Adobe RGB", (curve, curve, curve), _to_srgb(_ADOBE, _D65))
 
 
 def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
-    """A picture of 8 bits, of CMYK too, in sRGB.
+    """Convert an image of 8 bits, also CMYK, to sRGB.
+
+    Args:
+        image: as stored.
+        profile: ICC profile.
 
     Raises:
-        UnreadableProfile: it is damaged, or another picture's.
+        UnreadableProfile: it is damaged, or another image's.
     """
     try:
         source, target = ImageCms.ImageCmsProfile(io.BytesIO(profile)), ImageCms.createProfile("sRGB")
@@ -159,7 +179,11 @@ def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
 
 
 def png_chunks(data: bytes) -> dict[bytes, bytes]:
-    """The small chunks of a PNG before its pixels."""
+    """Return the small chunks of a PNG before its pixels.
+
+    Args:
+        data: content of the file.
+    """
     chunks: dict[bytes, bytes] = {}
     at = 8
     while at + 12 <= len(data) and len(chunks) < 100:
@@ -189,7 +213,7 @@ def _profile_name(profile: bytes) -> str:
 
 
 def _icc_curve(tag: bytes) -> Curve:
-    """A `curv` or `para` tag."""
+    """Parse a `curv` or `para` tag."""
     if tag[:4] == b"curv":
         (count,) = struct.unpack_from(">I", tag, 8)
         if count == 0:
@@ -217,7 +241,7 @@ def _icc_curve(tag: bytes) -> Curve:
 
 
 def _curve_of(transfer: int) -> Curve | None:
-    """Of ITU-T H.273's numbers; None where it is as sRGB's, or not known."""
+    """Return the curve of an ITU-T H.273 number; None where it is sRGB's, or unknown."""
     powers = {4: 2.2, 5: 2.8, 8: 1.0}
     return srgb_to_linear if transfer in _AS_SRGB else _power(powers[transfer]) if transfer in powers else None
 
@@ -234,7 +258,7 @@ def _to_srgb(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"
 
 
 def _to_xyz_d50(primaries: tuple[_Place, ...], white: _Place) -> Float[Array, "3 3"]:
-    """Linear RGB to XYZ, its white adapted to D50 by Bradford's way."""
+    """Return the matrix from linear RGB to XYZ, its white adapted to D50 by Bradford's method."""
     columns = np.stack([_xyz(place) for place in primaries], -1)
     own = columns * np.linalg.solve(columns, _xyz(white))
     seen, wanted = _BRADFORD @ _xyz(white), _BRADFORD @ _xyz(_D50)

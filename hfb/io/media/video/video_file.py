@@ -1,4 +1,4 @@
-"""Opening a video: the file alone, as a container that hfb knows, with frames of a bounded size."""
+"""Opening of a video: a local file, in a supported container, with frames of a bounded size."""
 
 from pathlib import Path
 
@@ -19,7 +19,10 @@ _NO_VIDEO = Disposition.attached_pic | Disposition.timed_thumbnails | Dispositio
 
 
 def open_video(path: Path) -> av.container.InputContainer:
-    """A container whose frames may be decoded; to be closed.
+    """Open a container whose frames may be decoded; the caller closes it.
+
+    Args:
+        path: the video file.
 
     Raises:
         InputError: it holds no video stream, or frames of an absurd size.
@@ -27,7 +30,7 @@ def open_video(path: Path) -> av.container.InputContainer:
     """
     if path.is_file():
         with path.open("rb") as file:
-            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC picture for videos
+            if kind := foreign_kind(file):  # FFmpeg takes a camera's CR3 and a HEIC image for videos
                 raise InputError(f"{path}: {kind}.")
     # "file:" keeps a name such as "concat:a|b" from being taken for one of FFmpeg's protocols.
     name = f"file:{path.absolute()}"
@@ -52,7 +55,11 @@ def open_video(path: Path) -> av.container.InputContainer:
 
 
 def video_stream(container: av.container.InputContainer) -> av.VideoStream:
-    """The stream that players show: no cover or thumbnail, more than one frame, marked as the default, the largest."""
+    """Return the stream that players show: no cover or thumbnail, more than one frame, the default, the largest.
+
+    Args:
+        container: opened.
+    """
 
     def rank(stream: av.VideoStream) -> tuple[bool, bool, bool, int]:
         codec = stream.codec_context
@@ -67,6 +74,15 @@ def _videos(container: av.container.InputContainer) -> list[av.VideoStream]:
 
 
 def check_size(path: Path, width: int, height: int) -> None:
-    """Raises InputError where a frame is too large."""
+    """Check that a frame is not too large.
+
+    Args:
+        path: the video file.
+        width: width of the frame [px].
+        height: height of the frame [px].
+
+    Raises:
+        InputError: it has more pixels than `PIXEL_LIMIT`.
+    """
     if width * height > PIXEL_LIMIT:
         raise InputError(f"{path}: {width} x {height} pixels are over the limit; make the video smaller.")

@@ -1,4 +1,4 @@
-"""Where every frame of a video lies: exact time stamps, and reading from the middle as if from the start."""
+"""An index of a video's frames: exact time stamps, and exact reading from the middle."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -33,18 +33,19 @@ class VideoIndex:
 
     Attributes:
         stamps: their time stamps, in units of the stream's time base; their numbers where they are `counted`.
-        keys: those of frames that decode by themselves.
-        times_s: when they are shown, in seconds.
-        height, width: as shown: the container's rotation is applied, and pixels are square.
+        keys: those of key frames, which decode without others.
+        times_s: times at which they are shown.
+        height: as shown: the container's rotation is applied, and pixels are square.
+        width: as shown: the container's rotation is applied, and pixels are square.
         rate: (frames per second, where that is from), should they have to be counted.
         aspect: width / height of a pixel as stored; see `hfb.io.media.video.video_pixels.pixel_aspect`.
         counted: why frames go by number, one sentence; None where they go by their time stamps.
-        loss: what is known to be missing from the file, one sentence.
+        loss: known loss in the file, one sentence.
         tick_s: the resolution of `times_s`.
         colours: as the container states them; see `hfb.io.media.video.video_colours.stated_colours`.
         capture: (frames per second, where that stands) where the file says at what rate it was captured.
         interlaced: whether the container alone says so; see `hfb.io.media.video.interlacing.stated_interlaced`.
-        remarks: what else a user should know, one sentence each.
+        remarks: further remarks for the user, one sentence each.
     """
 
     path: Path
@@ -66,10 +67,10 @@ class VideoIndex:
     remarks: tuple[str, ...] = ()
 
     def by_number(self, why: str) -> "VideoIndex":
-        """The same frames numbered, at the stated rate; they are never read from the middle then.
+        """Return the frames numbered at the stated rate; they are never read from the middle then.
 
         Args:
-            why: what is wrong with the file's time stamps, as the first words of a sentence.
+            why: problem of the file's time stamps, as the first words of a sentence.
         """
         numbers, (fps, source) = np.arange(len(self.stamps)), self.rate
         counted = (
@@ -79,19 +80,33 @@ class VideoIndex:
         return replace(self, stamps=numbers, keys=numbers[:0], times_s=numbers / fps, counted=counted)
 
     def recounted(self, on_progress: OnProgress | None = None, scan: Scan | None = None) -> "VideoIndex | None":
-        """Where frames do not come by their time stamps: by number, if as many decode as there are packets."""
+        """Return an index by number for frames that do not match their time stamps, if every packet decodes.
+
+        Args:
+            on_progress: called with (frames done, of how many).
+            scan: checks every frame.
+        """
         if self.counted:
             return None
         index = self.by_number(_OTHERS_STAMPS.format(self.path.name))
         return index if index.look_through(0, len(self.stamps), on_progress, scan) == len(self.stamps) else None
 
     def frames(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does."""
+        """Yield frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does.
+
+        Args:
+            start: first frame.
+            stop: frame after the last one.
+        """
         for frame in self._decoded(start, stop):
             yield self._picture(frame)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
-        """Some frames, given in ascending order, as `frames` has them: what lies between is decoded or jumped over."""
+        """Yield some frames as `frames` does; those between are decoded or skipped.
+
+        Args:
+            numbers: numbers of the frames, ascending.
+        """
         worth_a_jump = 3 * len(self.stamps) / max(len(self.keys), 1)
         breaks = np.flatnonzero(np.diff(numbers) > worth_a_jump) + 1
         for group in np.split(np.asarray(numbers), breaks):
@@ -106,9 +121,12 @@ class VideoIndex:
     def look_through(
         self, start: int, stop: int, on_progress: OnProgress | None = None, scan: Scan | None = None
     ) -> int:
-        """Decode a range without keeping anything; the number of the first frame that does not come.
+        """Decode a range without keeping anything; return the number of the first frame that cannot be decoded.
 
         Args:
+            start: first frame.
+            stop: frame after the last one.
+            on_progress: called with (frames done, of how many).
             scan: sees every frame.
         """
         reached = start
@@ -123,14 +141,14 @@ class VideoIndex:
         return reached
 
     def _decoded(self, start: int, stop: int) -> Iterator[av.VideoFrame]:
-        """Decoded frames by their stamps: the same ones, whether decoding begins at the start or not."""
+        """Yield decoded frames by their stamps, the same ones wherever decoding begins."""
         if self.counted:
             count = len(self.stamps)
             yield from read_on(self.path, start, min(stop, count), count, lambda: self._from(None))
             return
         wanted = self.stamps[start:stop]
         keys = self.keys[self.keys <= wanted[0]]
-        # One key frame earlier than needed: what refers across a key frame (open groups) is complete then.
+        # One key frame earlier than needed, since frames of open groups refer across a key frame.
         origin = int(keys[-2]) if len(keys) > 1 else None
         given = 0
         for stamp, frame in self._from(origin):
@@ -158,7 +176,7 @@ class VideoIndex:
                 return
 
     def _from(self, stamp: int | None) -> Iterator[tuple[int, av.VideoFrame]]:
-        """(stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
+        """Yield (stamp, frame) in the order shown, from a key frame or from the start; ends at the first damage."""
         try:
             with open_video(self.path) as container:
                 stream = video_stream(container)
@@ -177,7 +195,10 @@ class VideoIndex:
 
 
 def index_video(path: Path) -> VideoIndex:
-    """Read the numbers of all packets; nothing is decoded but one frame.
+    """Read the numbers of all packets; only one frame is decoded.
+
+    Args:
+        path: the video file.
 
     Raises:
         InputError: no video, no frame, high dynamic range, or an absurd size.
@@ -227,7 +248,7 @@ def index_video(path: Path) -> VideoIndex:
 
 
 def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
-    """With the colours that the container states, and what a user should know of them."""
+    """Decode the first frame; return it with the container's stated colours and remarks for the user."""
     try:
         with open_video(path) as container:
             stream = video_stream(container)
@@ -242,7 +263,7 @@ def _first_frame(path: Path) -> tuple[av.VideoFrame, Stated, tuple[str, ...]]:
 
 
 def _recorded_exposure(metadata: dict[str, str]) -> tuple[float, str] | None:
-    """(seconds, where it stands) of container metadata that tell it, as some cameras do: a number or a fraction."""
+    """Return (seconds, source) of container metadata with an exposure time, a number or a fraction."""
     for name, text in sorted(metadata.items()):
         if name.lower() not in _EXPOSURE_KEYS:
             continue
