@@ -15,7 +15,8 @@ from hfb.evaluation.warnings import ResultWarning, check_never_left
 from hfb.fitting.clip.windows import ClipWindow, person_config, person_windows, plan_windows, window_config
 from hfb.flows.runtime.failures import ServerWatch
 from hfb.io.media.plate import HOLDS_PERSON
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, PriorsHandle
+from hfb.matting.exposure_match import describe_gains
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle, PriorsHandle
 from hfb.tasks.core.video_handles import (
     ClipBodiesHandle,
     FootageHandle,
@@ -75,7 +76,7 @@ class Scene:
     folder: Path
     footage: FootageHandle
     plate: PlateHandle
-    frames: tuple[FileHandle, ...]
+    frames: tuple[FrameHandle, ...]
     mattes: Mapping[int, FileHandle]
     areas: tuple[float, ...]
     warnings: tuple[ResultWarning, ...] = ()
@@ -155,10 +156,12 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     if not alone:
         progress.say(f"hfb: {track.others + 1} people are seen: following {track.name}; [person] in clip.toml chooses")
     chunks = [
-        ExtractCall(footage=footage, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
+        ExtractCall(footage=footage, plate=plate, start=at, stop=min(at + CHUNK, footage.count), folder=folder)
         for at in range(0, footage.count, CHUNK)
     ]
     frames = tuple(file for chunk in require_all(extract_frames, chunks, "frames") for file in chunk.files)
+    if exposures := describe_gains([frame.gain for frame in frames]):
+        progress.say(f"hfb: {exposures}")
     calls = [
         MatteCall(
             still=footage.still(frame, plate),

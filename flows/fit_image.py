@@ -19,6 +19,7 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import CURVES, RECORD, REPORT
 from hfb.io.safe_folder import check_tree
+from hfb.matting.exposure_match import describe_gains
 from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FirstBodyHandle, FitHandle, PriorsHandle, ScoresHandle
 from hfb.tasks.core.result_records import records_in
@@ -98,6 +99,8 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         )
         for remark in scene.remarks:
             progress.say(f"hfb: {remark}")
+        if exposures := describe_gains([frame.gain for frame in scene.frames]):
+            progress.say(f"hfb: {exposures}")
         numbers, body = range(len(scene.frames)), inputs.body
         mattes = tuple(
             matte(clip=scene, index=index, config=config.matting, folder=folder, network=inputs.matting)
@@ -144,7 +147,14 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         exports = export_motion(shot, fitted.texture_image, config.export, folder)
         warnings = (*plate_warnings(scene.remarks), *found)
         result = _result(
-            out=out, config=config, inputs=inputs, firsts=firsts, fitted=fitted, scores=scores, warnings=warnings
+            out=out,
+            config=config,
+            inputs=inputs,
+            scene=scene,
+            firsts=firsts,
+            fitted=fitted,
+            scores=scores,
+            warnings=warnings,
         )
         files: dict[str, FileHandle] = {
             "motion.npz": fitted.motion,
@@ -235,6 +245,7 @@ def _result(
     out: Path,
     config: RunConfig,
     inputs: Inputs,
+    scene: ClipHandle,
     firsts: tuple[FirstBodyHandle, ...],
     fitted: FitHandle,
     scores: ScoresHandle,
@@ -259,6 +270,7 @@ def _result(
         "mlflow_link": None,
         "first_bodies": sources,
         "pose_networks": [file.path.name for file in inputs.networks],
+        "exposure_gain": [list(frame.gain) for frame in scene.frames],
         "inputs": input_hashes(inputs),
         "config": config.model_dump(mode="json"),
         "code": code_version(),

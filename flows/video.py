@@ -166,6 +166,7 @@ def _result(
         "mlflow_link": None,
         "pose_networks": [file.path.name for file in scene.inputs.networks],
         "background": scene.plate.source,
+        "exposure_gain": [list(frame.gain) for frame in scene.frames],
         "remarks": list(footage.remarks),
         "inputs": video_hashes(scene.inputs),
         "config": scene.config.model_dump(mode="json"),

@@ -10,6 +10,7 @@ from hfb.config import InitConfig
 from hfb.errors import InputError
 from hfb.geometry.camera import PinholeCamera
 from hfb.initialization.landmarks import Landmarks, PoseNetworks, networks_ready
+from hfb.initialization.lean import less_lean
 from hfb.initialization.matte_search import search_by_matte
 from hfb.initialization.network_body import MetroBody
 from hfb.initialization.person_landmarks import find_landmarks
@@ -36,7 +37,7 @@ _REFINEMENT = (SilhouetteStage(64, 40, 0.02, shape=False), SilhouetteStage(_COMP
 _ABOUT_AS_GOOD = 0.03  # a smear hardly determines a pose: the one found at rest is nearer to the truth
 _SAME_DISTANCE = 0.05  # but a smear determines the distance, and a body found at rest is mostly too near
 _STAY_ON_THE_WAY = Stay(pose=0.02, root=0.1, prior=0.004, betas=0.05)
-_STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.05, place=0.5)
+_STAY_BY_LANDMARKS = Stay(pose=0.01, root=0.3, place=0.5)  # no outline shows how far a body leans in depth
 
 
 @runtime_checkable
@@ -132,7 +133,7 @@ class LandmarkInitializer:
         return find_landmarks(self._networks, frame_srgb, matte)
 
     def body(self, landmarks: Landmarks, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body) -> FirstBody:
-        """Register, then refine; the refinement is kept only where it shares more with the matte.
+        """Register, then refine, which is kept only where it shares more with the matte; then lessen the lean.
 
         Args:
             landmarks: landmarks of the person.
@@ -143,7 +144,7 @@ class LandmarkInitializer:
         first = register(landmarks, camera, body)
         closer = refine(first, matte, camera, body, self._rasterizer, _REFINEMENT, _STAY_BY_LANDMARKS)
         level = matte_level(matte, camera, _COMPARE_PX)
-        return max((closer, first), key=lambda one: overlap(one, level, body, self._rasterizer))
+        return less_lean(max((closer, first), key=lambda one: overlap(one, level, body, self._rasterizer)), body)
 
 
 class AutoInitializer:

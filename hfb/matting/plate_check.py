@@ -4,11 +4,14 @@ A plate that is shifted farther than alignment.py corrects turns every edge into
 camera_noise.py does not correct turns the whole room into a person. Both are detected and reported before matting.
 """
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from hfb.matting.alignment import MOST_PX, find_movement, moved_plate
 from hfb.matting.camera_noise import GAINS, exposure_gain
+from hfb.matting.exposure_match import Gain
 from hfb.matting.matting_protocol import clean, shrink
 from hfb.photometry import linear_to_srgb
 from hfb.typing import Array, Bool, Float
@@ -60,6 +63,23 @@ def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float
     return (
         f"the background plate and the frame {' and '.join(wrong)}, so that the matte will hold parts of the room: "
         f"{' and '.join(mend)}, or give a plate of the same clip, camera position and exposure (--background)"
+    )
+
+
+def tell_exposures(gains: Sequence[Gain]) -> str | None:
+    """What a user should know of exposures that were evened out; None where one is close to the plate's.
+
+    Args:
+        gains: of all frames over the plate.
+    """
+    apart = [float(np.abs(np.log(np.array(gain) / np.clip(gain, *GAINS))).max()) for gain in gains]
+    if not gains or min(apart) <= _MOST_GAIN:
+        return None
+    factor = float(np.exp(np.log(gains[int(np.argmin(apart))]).mean()))
+    return (
+        f"the background plate and the frame differ in exposure (by a factor of about {factor:.2g}): this is evened "
+        "out, but what is too bright or too dark in one of them is lost: bring both to one exposure, or give a plate "
+        "of the same clip, camera position and exposure (--background)"
     )
 
 

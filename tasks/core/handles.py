@@ -79,6 +79,16 @@ class FileHandle(Record):
             raise StaleFile(f"{self.path} is no longer what it was")
 
 
+class FrameHandle(FileHandle):
+    """A blurred picture.
+
+    Attributes:
+        gain: per channel, its exposure over the background's (`hfb.matting.exposure_match`).
+    """
+
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
 class ClipHandle(Record):
     """Frames of one static camera with their plate, and when and how they were taken.
 
@@ -86,7 +96,7 @@ class ClipHandle(Record):
         remarks: sentences for the user.
     """
 
-    frames: tuple[FileHandle, ...]
+    frames: tuple[FrameHandle, ...]
     background: FileHandle
     height: int
     width: int

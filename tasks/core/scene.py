@@ -18,9 +18,10 @@ from hfb.body.model import Body
 from hfb.geometry.camera import PinholeCamera
 from hfb.io.media.images.image_decoding import Picture, decode_picture
 from hfb.io.media.images.image_io import read_matte
+from hfb.matting.exposure_match import NO_GAIN, in_plate_exposure
 from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
 from hfb.rendering.observation import Observation
-from hfb.tasks.core.handles import ClipHandle, FileHandle, verify_unchanged
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FrameHandle, verify_unchanged
 from hfb.typing import Array
 
 Light = Literal["srgb", "linear"]
@@ -102,7 +103,7 @@ def decode_once(file: FileHandle, transfer: Transfer, light: Light) -> tuple[Pic
 
 
 def load_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
-    """Return an image (H, W, 3) in the light in which the clip's blur is averaged.
+    """Return an image (H, W, 3) in the light in which the clip's blur is averaged, in the background's exposure.
 
     Args:
         picture: one of the clip's frames, or its background.
@@ -134,6 +135,23 @@ def in_light(picture: Array, transfer: Transfer, light: Light) -> Tensor:
     if light == "linear":
         return srgb_to_linear(stored)
     return linear_to_srgb(stored) if transfer == "linear" else stored
+
+
+def match_plate(image: Tensor, plate: Tensor, gain: tuple[float, float, float], light: Light) -> Tensor:
+    """Return a frame in the exposure of its background.
+
+    Args:
+        image: the frame (H, W, 3).
+        plate: the background.
+        gain: of the frame over the background, per channel of linear light.
+        light: of both images.
+    """
+    if gain == NO_GAIN:
+        return image
+    if light == "linear":
+        return torch.from_numpy(in_plate_exposure(image.numpy(), plate.numpy(), gain))
+    seen, there = (srgb_to_linear(one).numpy() for one in (image, plate))
+    return linear_to_srgb(torch.from_numpy(in_plate_exposure(seen, there, gain)))
 
 
 def load_camera(clip: ClipHandle) -> PinholeCamera:
@@ -186,7 +204,11 @@ def _shared_image(picture: FileHandle, clip: ClipHandle) -> Tensor:
     def decode() -> Tensor:
         return decode_once(picture, clip.transfer, clip.light)[1]
 
-    return _kept.get(_key(picture, clip.transfer, clip.light), decode)
+    image = _kept.get(_key(picture, clip.transfer, clip.light), decode)
+    if not isinstance(picture, FrameHandle) or picture.gain == NO_GAIN:
+        return image
+    key = (*_key(picture, clip.transfer, clip.light), clip.background.sha256, *map(str, picture.gain))
+    return _kept.get(key, lambda: match_plate(image, _shared_image(clip.background, clip), picture.gain, clip.light))
 
 
 def _shared_matte(matte: FileHandle) -> Tensor:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from hfb.config import Record
 from hfb.io.clip import PersonChoice
-from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import Call, ClipHandle, FileHandle, FirstBodyHandle, FrameHandle
 
 _Row = tuple[float, float, float]
 
@@ -32,7 +32,7 @@ class FootageHandle(FileHandle):
     bits: Literal[8, 16]
     remarks: tuple[str, ...]
 
-    def clip(self, frames: tuple[FileHandle, ...], background: FileHandle) -> ClipHandle:
+    def clip(self, frames: tuple[FrameHandle, ...], background: FileHandle) -> ClipHandle:
         """Return some frames as a clip of their own.
 
         Args:
@@ -51,7 +51,7 @@ class FootageHandle(FileHandle):
             light=self.light,
         )
 
-    def still(self, frame: FileHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
+    def still(self, frame: FrameHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
         """Return one frame without times, so that steps that use none keep their cached results when the times change.
 
         Args:
@@ -67,7 +67,7 @@ class FootageHandle(FileHandle):
 class FramesHandle(Record):
     """Some of a clip's frames as image files."""
 
-    files: tuple[FileHandle, ...]
+    files: tuple[FrameHandle, ...]
 
 
 class PlateHandle(FileHandle):

@@ -1,15 +1,15 @@
 """Check and read the user's images: whether they fit together, and how they were taken."""
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 from hfb.config import CameraConfig, ExposureConfig
 from hfb.errors import InputError
 from hfb.io.clip import Clip
 from hfb.io.media.images.image_decoding import doubt_depths
-from hfb.photometry import Transfer, as_srgb, srgb_to_linear
-from hfb.tasks.core.handles import ClipHandle, FileHandle
+from hfb.matting.exposure_match import NO_GAIN, frame_gain, in_plate_exposure
+from hfb.photometry import Transfer, as_srgb, linear_to_srgb, srgb_to_linear
+from hfb.tasks.core.handles import ClipHandle, FileHandle, FrameHandle
 from hfb.tasks.core.scene import Light, decode_once
 from hfb.tasks.inputs.inputs import find_exposure_s
 from hfb.tasks.task import task
@@ -42,11 +42,12 @@ def prepare(
         InputError: a file is no image, or its size is not the plate's.
     """
     from hfb.io.media.plate import HOLDS_PERSON, seems_to_hold_person
-    from hfb.matting.plate_check import find_plate_mismatch
+    from hfb.matting.plate_check import find_plate_mismatch, tell_exposures
 
     images = _Images(clip.transfer, exposure.light)
     plate, plate_linear = images.read(background)
     doubts: list[bool] = []
+    matched: list[FrameHandle] = []
     told: str | None = None
     height, width = plate.shape[:2]
     for number, frame in enumerate(frames):
@@ -57,9 +58,15 @@ def prepare(
                 f"{frame.path} is {other} px and the background {background.path} {width} x {height} px: "
                 "give a background of the same camera at the same size"
             )
+        gain = frame_gain(image_linear, plate_linear)
+        matched.append(FrameHandle(**frame.model_dump(include=set(FileHandle.model_fields)), gain=gain))
+        if gain != NO_GAIN:
+            image_linear = in_plate_exposure(image_linear, plate_linear, gain)
+            image = image_linear if clip.transfer == "linear" else linear_to_srgb(image_linear)
         doubts.append(seems_to_hold_person(image, plate))
         if number == 0 or told is not None:  # what is wrong with the plate is seen in every frame
-            told = find_plate_mismatch(image_linear(), plate_linear())
+            told = find_plate_mismatch(image_linear, plate_linear)
+    told = told or tell_exposures([one.gain for one in matched])
     remarks = images.remarks()
     interval_s = 1 / (exposure.fps or clip.exposure.fps or _DEFAULT_FPS)
     exposure_s = find_exposure_s(frames[0].path, clip.exposure, exposure, interval_s) or interval_s
@@ -69,7 +76,7 @@ def prepare(
             "give the true fps or exposure time"
         )
     return ClipHandle(
-        frames=frames,
+        frames=tuple(matched),
         background=background,
         height=height,
         width=width,
@@ -91,8 +98,8 @@ class _Images:
         self._told: list[str] = []
         self._depths: list[tuple[Path, int | None]] = []
 
-    def read(self, file: FileHandle) -> tuple[Float[Array, "H W 3"], Callable[[], Float[Array, "H W 3"]]]:
-        """Return an image encoded as sRGB (one of linear light as stored), and a function that returns its light.
+    def read(self, file: FileHandle) -> tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]]:
+        """Return an image encoded as sRGB (one of linear light as stored), and its linear light.
 
         Args:
             file: the image.
@@ -101,13 +108,9 @@ class _Images:
         self._told += found.remarks
         self._depths.append((file.path, found.seems_bits))
         stored = as_srgb(found.pixels, self._transfer)
-
-        def linear() -> Float[Array, "H W 3"]:
-            if self._light == "linear":
-                return image.numpy()
-            return stored if self._transfer == "linear" else srgb_to_linear(stored)
-
-        return stored, linear
+        if self._light == "linear":
+            return stored, image.numpy()
+        return stored, stored if self._transfer == "linear" else srgb_to_linear(stored)
 
     def remarks(self) -> tuple[str, ...]:
         """Return the remarks, after a check of the images' bit depths."""

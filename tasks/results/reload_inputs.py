@@ -137,7 +137,8 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: 
 
 def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: str, folder: Path) -> SeenImages:
     from hfb.io.media.images.image_io import read_picture_srgb
-    from hfb.tasks.core.scene import in_light, load_camera
+    from hfb.matting.exposure_match import frame_gain
+    from hfb.tasks.core.scene import in_light, load_camera, match_plate
     from hfb.tasks.video.video_clip import find_background, load_footage, look_at_clip
 
     inputs = recipe_inputs(VideoInputs, recipe, places, run)
@@ -145,13 +146,16 @@ def _of_video(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run
         inputs=inputs, average=config.video.average, camera=config.camera, exposure=config.exposure, folder=folder
     )
     plate = find_background.fn(seen, inputs.plate, inputs.background, folder)
-    frames = _InOrder(load_footage(seen))
-    return SeenImages(
-        load_camera(seen.clip((), plate)),
-        in_light(read_picture_srgb(plate.path), seen.transfer, seen.light),
-        lambda number: in_light(frames.picture(number), seen.transfer, seen.light),
-        seen.light,
-    )
+    frames, empty = _InOrder(load_footage(seen)), read_picture_srgb(plate.path)
+    plate_linear = in_light(empty, seen.transfer, "linear").numpy()
+    shown_plate = in_light(empty, seen.transfer, seen.light)
+
+    def frame(number: int) -> Tensor:
+        stored = frames.picture(number)
+        gain = frame_gain(in_light(stored, seen.transfer, "linear").numpy(), plate_linear)
+        return match_plate(in_light(stored, seen.transfer, seen.light), shown_plate, gain, seen.light)
+
+    return SeenImages(load_camera(seen.clip((), plate)), shown_plate, frame, seen.light)
 
 
 class _InOrder:

@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING
 
 from hfb.config import InitConfig, MattingConfig
 from hfb.errors import InputError
-from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle
+from hfb.tasks.core.handles import Call, FileHandle, FirstBodyHandle, FrameHandle
 from hfb.tasks.core.video_handles import BodyFound, FootageHandle, FrameCall, FramesHandle, MatteHandle, SeenFrameCall
 from hfb.tasks.inputs.given_networks import check_networks, with_matting_network, with_pose_network
 from hfb.tasks.task import task
+from hfb.typing import Array
 
 if TYPE_CHECKING:
     from hfb.motion.static_pose import FirstBody
 
 
 class ExtractCall(Call):
-    """Frames `start` to `stop` (exclusive) of a clip."""
+    """Frames `start` to `stop` (exclusive) of a clip, and its background, with whose exposure they are compared."""
 
     footage: FootageHandle
+    plate: FileHandle
     start: int
     stop: int
     folder: Path
@@ -70,20 +72,27 @@ def extract_frames(call: ExtractCall) -> FramesHandle:
     Args:
         call: the frames.
     """
-    from hfb.io.media.images.image_io import write_png
+    from hfb.io.media.images.image_io import read_picture_srgb, write_png
+    from hfb.matting.exposure_match import frame_gain
+    from hfb.tasks.core.scene import in_light
     from hfb.tasks.video.video_clip import reading
 
+    def linear(stored: Array) -> Array:
+        return in_light(stored, call.footage.transfer, "linear").numpy()
+
+    empty = linear(read_picture_srgb(call.plate.path))
     start, stop, bits = call.start, call.stop, call.footage.bits
-    paths = []
+    frames: list[FrameHandle] = []
     with reading(call.footage, start, stop) as footage:
         for number, frame in enumerate(footage.frames(start, stop), start):
-            paths.append(call.folder / f"frame_{number:06d}.png")
-            write_png(paths[-1], frame, bits=bits)
-    if len(paths) != stop - start:
+            path = call.folder / f"frame_{number:06d}.png"
+            write_png(path, frame, bits=bits)
+            frames.append(FrameHandle.of(path, gain=frame_gain(linear(frame), empty)))
+    if len(frames) != stop - start:
         raise InputError(
-            f"frame {start + len(paths)} can no longer be read: the footage has changed; run the same command again"
+            f"frame {start + len(frames)} can no longer be read: the footage has changed; run the same command again"
         )
-    return FramesHandle(files=tuple(FileHandle.of(path) for path in paths))
+    return FramesHandle(files=tuple(frames))
 
 
 @task("mattes", where="cluster")

@@ -24,7 +24,7 @@ from hfb.initialization.fronts import mirrored_in_depth
 from hfb.io.media.images.image_io import read_matte, read_picture_srgb, write_png
 from hfb.motion.motion_file import load_motion
 from hfb.motion.static_pose import load_first_body, save_first_body
-from hfb.photometry import srgb_to_linear
+from hfb.photometry import linear_to_srgb, srgb_to_linear
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.observation import Observation
 from tests.orchestration import Problem, example, mlflow_rows
@@ -97,6 +97,21 @@ def test_the_published_matte_is_the_one_the_fit_used_last(problem: Problem, stor
     assert sum(result["fit_stage_seconds"].values()) <= result["fit_seconds"] + 0.01
     names = {name for (name,) in mlflow_rows(store, "select distinct key from metrics")}
     assert {f"time/fit_{stage}_s" for stage in stages} <= names
+
+
+def test_a_brighter_frame_is_seen_in_its_plates_exposure(problem: Problem, store: Path, tmp_path: Path) -> None:
+    """By a third of a stop and with clipped highlights: the same matte and the same motion, and no warning."""
+    bright = tmp_path / "bright.png"
+    write_png(bright, linear_to_srgb(np.clip(1.25 * srgb_to_linear(read_picture_srgb(problem.frame)), 0, 1)))
+    results = {name: run(problem, tmp_path / name, frame=one) for name, one in (("as_is", None), ("bright", bright))}
+    assert results["as_is"]["exposure_gain"] == [[1.0, 1.0, 1.0]]
+    assert results["bright"]["exposure_gain"] == [pytest.approx([1.25] * 3, rel=0.003)]
+    codes, expected = ({one["code"] for one in results[name]["warnings"]} for name in ("bright", "as_is"))
+    assert codes <= expected
+    mattes = [read_matte(tmp_path / name / "matte_0.png") for name in results]
+    assert soft_iou(*mattes) > 0.97
+    joints = [load_motion(tmp_path / name / "motion.npz")[0].joints for name in results]
+    assert 1000 * np.linalg.norm(joints[0] - joints[1], axis=-1).mean() < 10
 
 
 def load_observation_of(problem: Problem, matte: np.ndarray) -> Observation:

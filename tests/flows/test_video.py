@@ -47,6 +47,7 @@ def test_results_and_record() -> None:
     assert space == "hfb"
     assert motion.frame_index.tolist() == sorted(3 * list(range(FRAMES)))
     assert (np.diff(motion.times_s) > 0).all()
+    assert result["exposure_gain"] == [[1.0, 1.0, 1.0]] * FRAMES
     assert result["worst_jump_mm"] < 2
     assert result["worst_velocity_share"] < 0.02
     assert 0.4 < result["matte_iou"] < 1

@@ -79,6 +79,28 @@ def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None
     torch.testing.assert_close(load_image(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("light", ["srgb", "linear"])
+@pytest.mark.parametrize("transfer", ["srgb", "linear"])
+def test_a_frame_of_another_exposure_is_loaded_in_its_plates(tmp_path: Path, transfer: str, light: str) -> None:
+    scene = composite(generated_plate("clouds"), 16, 3)
+    pictures = {"as_is": scene.frame, "bright": np.clip(1.25 * scene.frame, 0, 1), "plate": scene.plate}
+    for name, picture in pictures.items():
+        write_png(tmp_path / f"{name}.png", linear_to_srgb(picture) if transfer == "srgb" else picture, bits=16)
+    as_is, bright, plate = (FileHandle.of(tmp_path / f"{name}.png") for name in pictures)
+    clip = prepare.fn(
+        frames=(as_is, bright), background=plate, clip=Clip.model_validate({"transfer": transfer}),
+        camera=CameraConfig(), exposure=ExposureConfig(light=light),
+    )  # fmt: skip
+    assert clip.remarks == ()
+    assert clip.frames[0].gain == (1, 1, 1)
+    assert clip.frames[1].gain == pytest.approx((1.25,) * 3, rel=0.003)
+    assert ClipHandle.model_validate_json(clip.model_dump_json()) == clip
+    first, second = (load_image(frame, clip) for frame in clip.frames)
+    assert torch.equal(first, load_image(as_is, clip))
+    assert (second - first).abs().mean() < 0.002 < (load_image(bright, clip) - first).abs().mean()
+    assert torch.equal(second, load_image(clip.only(1).frames[0], clip.only(1)))
+
+
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])
 def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path, transfer: str) -> None:
     """By one sentence that names the fix, and only where every frame shows it."""
