@@ -14,7 +14,7 @@ from hfb.typing import Float, Tensor
 
 _DOUBTED, _LYING_RAD = 0.2, math.radians(45)
 """The share by which a lean is lessened. Shares of 0.1 to 0.3 made its error smaller on three of four real cameras (the
-fourth unchanged within one degree) and on 158 synthetic people, with cameras that look down by 25 degrees among them."""
+fourth unchanged within one degree) and on 158 synthetic people, some from cameras that look down by 25 degrees."""
 
 
 def lean_rad(joints: Float[Tensor, "24 3"]) -> float:
