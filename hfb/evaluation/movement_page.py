@@ -8,12 +8,12 @@ from hfb.evaluation.table_text import TIED, UNKNOWN, blur_label, grid, interval,
 
 _MOVEMENT = ("in_plane_px", "ray_depth_mm", "lean_deg", "motion_ratio")
 _EXPLAINED = (
-    "In plane: distance in the picture, nothing aligned. Depth: along the ray, the roots in one place. Lean: angle "
+    "In plane: distance in the picture, nothing aligned. Depth: error along the ray, the roots in one place. Lean: angle "
     "between both trunks in the plane of the vertical and the depth. Front wrong: share of exposures whose body faces "
-    "over 90 degrees away from the true one. Spin: largest turn between neighbouring exposures that nobody made. "
-    "Motion: mean distance of both paths about their own means, and over that of a still body (1 tells nothing of the "
-    "motion), with the 95 % interval; then in the better direction of time, which one exposure cannot tell. Path: "
-    "length of the joints' paths about the root, share of the true one."
+    "over 90 degrees away from the true one. Spin: largest turn between neighbouring exposures that the truth does not "
+    "make. Motion: mean distance of both paths about their own means; its ratio to a still body's, with the 95 % "
+    "interval, is 1 where nothing is told of the motion. One exposure cannot tell the direction of time: the ratio in "
+    "the better one stands beside it. Path: length of the joints' paths about the root, share of the true one."
 )
 
 
@@ -39,11 +39,12 @@ def movement_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> lis
     def table(groups: Mapping[str, Mapping[str, Cell]], label: str | None) -> str:
         head, first = _columns(spins), [] if label is None else [label]
         rows = [
-            [*([] if label is None else [group]), _shown(name, starts, oracles), *_figures(cell, spins)]
+            [group, _shown(name, starts, oracles), *_figures(cell, spins)]
             for group, cells in groups.items()
             for name, cell in cells.items()
             if cell["n"]
         ]
+        rows = [row[1:] for row in rows] if label is None else _said_once(rows)
         return grid([*first, "method", *head], rows, left=1 + len(first))
 
     parts = ["## In the picture, in depth and in motion", _EXPLAINED, table({"": every}, None)]
@@ -76,8 +77,14 @@ def recording_tables(summary: Mapping[str, Any], oracles: Collection[str]) -> li
                 + [_mean(cell, entry, bounds, count) for cell in row]
                 for name, row in told.items()
             ]
-        parts += [f"### {title}", grid(header, rows, left=2)]
+        parts += [f"### {title}", grid(header, _said_once(rows), left=2)]
     return parts
+
+
+def _said_once(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """The name of a group stands in its first row alone."""
+    before = [None, *(row[0] for row in rows)]
+    return [["" if row[0] == last else row[0], *row[1:]] for row, last in zip(rows, before, strict=False)]
 
 
 def _mean(cell: Cell, entry: str, bounds: str, count: str) -> str:
@@ -93,7 +100,7 @@ def _shown(name: str, starts: Collection[str], oracles: Collection[str]) -> str:
 def _columns(spins: bool) -> Sequence[str]:
     return [
         "n", "MPJPE / PA [mm]", "in plane [px]", "depth [mm]", "lean [deg]", "front wrong",
-        *(["spin [deg]"] if spins else []), "motion [mm]", "still body's [mm]", "over a still body's",
+        *(["spin [deg]"] if spins else []), "motion [mm]", "still body's [mm]", "motion ratio",
         "better way of time", "path", "matte IoU",
     ]  # fmt: skip
 
