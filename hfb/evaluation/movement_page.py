@@ -8,7 +8,7 @@ from hfb.evaluation.table_text import TIED, UNKNOWN, blur_label, grid, interval,
 
 _MOVEMENT = ("in_plane_px", "ray_depth_mm", "lean_deg", "motion_ratio")
 _EXPLAINED = (
-    "In plane: distance in the picture, nothing aligned. Depth: error along the ray, the roots in one place. Lean: angle "
+    "In plane: distance in the picture, nothing aligned. Depth: error along the ray, roots in one place. Lean: angle "
     "between both trunks in the plane of the vertical and the depth. Front wrong: share of exposures whose body faces "
     "over 90 degrees away from the true one. Spin: largest turn between neighbouring exposures that the truth does not "
     "make. Motion: mean distance of both paths about their own means; its ratio to a still body's, with the 95 % "
