@@ -220,9 +220,13 @@ class _Rounds:
         """How many clips there are, and what became of them."""
         counts, out = self._summary.counts(), self._out.resolve()
         return {
-            "clips": counts.clips, "done": counts.done, "set_aside": counts.set_aside, "waiting": counts.waiting,
-            "out": str(out), "page": str(out / PAGE),
-        }  # fmt: skip
+            "clips": counts.clips,
+            "done": counts.done,
+            "set_aside": counts.set_aside,
+            "waiting": counts.waiting,
+            "out": str(out),
+            "page": str(out / PAGE),
+        }
 
     def _look(self) -> tuple[ClipPlace, ...]:
         """The clips as they are now; the pages show these."""

@@ -18,7 +18,7 @@ from hfb.flows.runtime.reaper import mark_owner
 from hfb.flows.runtime.workspace import publish, workspace
 from hfb.interop.writers.export_names import REPORT
 from hfb.io.safe_folder import check_tree
-from hfb.tasks.benchmark.benchmark_page import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
+from hfb.tasks.benchmark.benchmark_report import BESIDE, BESIDE_PLOT, draw_benchmark_page, write_beside
 from hfb.tasks.benchmark.benchmark_results import gallery, record_benchmark, tabulate
 from hfb.tasks.benchmark.cases import (
     CaseHandle,
@@ -107,9 +107,14 @@ def _synthesis(spec: Spec, count: int, out: Path) -> dict[str, Any]:
             check_tree(out, case_name(number))
         sources, cases, skipped = _made(spec, count, folder, cases_folder=out, out=out)
         result = {
-            "set": set_name(spec), "count": len(cases), "skipped": len(skipped), "skipped_reasons": skipped,
-            "seed": spec.seed, "out": str(out.resolve()), "sources": len(sources.usable),
-        }  # fmt: skip
+            "set": set_name(spec),
+            "count": len(cases),
+            "skipped": len(skipped),
+            "skipped_reasons": skipped,
+            "seed": spec.seed,
+            "out": str(out.resolve()),
+            "sources": len(sources.usable),
+        }
         publish(out, {}, result)
     return result
 
@@ -141,11 +146,16 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         _, cases, skipped = _made(spec, plan.count, folder, cases_folder=out / "cases", out=out)
         to_see = [
             SeeCall(
-                case=case, start=plan.start, matting=plan.matting, init=plan.init, networks=networks, body=body,
+                case=case,
+                start=plan.start,
+                matting=plan.matting,
+                init=plan.init,
+                networks=networks,
+                body=body,
                 folder=folder,
             )
             for case in cases
-        ]  # fmt: skip
+        ]
         seen = map_task(see_case, to_see, "mattes and starts")
         ready = _successes(seen, [f"case {case.number}" for case in cases], skipped)
         to_judge = [
@@ -159,27 +169,44 @@ def _benchmark(plan: BenchmarkPlan, out: Path, experiment: Experiment | None = N
         )
         names = tuple(method.name for method in plan.methods)
         results = tabulate(
-            judged=rows, set_name=set_name(spec), frames=spec.frames, methods=names, count=len(ready), seed=spec.seed,
-            skipped=skipped, notes=_notes(plan), folder=folder,
-        )  # fmt: skip
+            judged=rows,
+            set_name=set_name(spec),
+            frames=spec.frames,
+            methods=names,
+            count=len(ready),
+            seed=spec.seed,
+            skipped=skipped,
+            notes=_notes(plan),
+            folder=folder,
+        )
         looks = gallery(rows, names, folder)
         beside = write_beside(experiment, results, folder) if experiment is not None else None
         page = draw_benchmark_page(
-            judged=rows, results=results, gallery=looks, beside=beside, params=_params(plan), methods=_options(plan),
+            judged=rows,
+            results=results,
+            gallery=looks,
+            beside=beside,
+            params=_params(plan),
+            methods=_options(plan),
             folder=folder,
-        )  # fmt: skip
+        )
         files = {
-            **results.files(), "gallery.png": looks.path, REPORT: page.path,
+            **results.files(),
+            "gallery.png": looks.path,
+            REPORT: page.path,
             **({BESIDE: beside.path} if beside is not None else {}),
             **({BESIDE_PLOT: beside.plot.path} if beside is not None and beside.plot is not None else {}),
-        }  # fmt: skip
+        }
         places = {"out": str(out.resolve()), "page": str(out.resolve() / REPORT)}
         result = {**results.content(), **places, "mlflow_run_id": None, "mlflow_link": None}
         try:
             run = record_benchmark(
-                name=set_name(spec), params=_params(plan), methods=_options(plan), results=results,
+                name=set_name(spec),
+                params=_params(plan),
+                methods=_options(plan),
+                results=results,
                 files=tuple(files.values()),
-            )  # fmt: skip
+            )
             result |= {"mlflow_run_id": run.run_id, "mlflow_link": run.link}
         except tracking.StoreLost as lost:
             progress.say(f"not recorded in MLflow, the result itself is complete: {lost}")

@@ -94,9 +94,12 @@ class Scene:
         """Return what films are drawn from."""
         plate = FileHandle(path=self.plate.path, sha256=self.plate.sha256)
         return ShotHandle(
-            clip=self.footage.clip(self.frames, plate), motion=motion, texture=person, body=self.inputs.body,
+            clip=self.footage.clip(self.frames, plate),
+            motion=motion,
+            texture=person,
+            body=self.inputs.body,
             config=self.config.fit,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -138,11 +141,17 @@ def see(inputs: VideoInputs, config: RunConfig, folder: Path) -> Scene:
     frames = tuple(file for chunk in _require_all(extract_frames, chunks, "frames") for file in chunk.files)
     calls = [
         MatteCall(
-            still=footage.still(frame, plate), number=number, box=box, alone=alone, config=config.matting,
-            network=inputs.matting, folder=folder,
+            still=footage.still(frame, plate),
+            number=number,
+            box=box,
+            alone=alone,
+            config=config.matting,
+            network=inputs.matting,
+            folder=folder,
         )
-        for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True)) if box is not None
-    ]  # fmt: skip
+        for number, (frame, box) in enumerate(zip(frames, track.boxes, strict=True))
+        if box is not None
+    ]
     found = dict(zip((call.number for call in calls), _require_all(find_matte, calls, "mattes"), strict=True))
     mattes = {number: one.file for number, one in found.items() if one.file is not None}
     if not mattes:
@@ -174,11 +183,16 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
     keys = key_frames(present, config.video.key_every)
     calls = [
         KeyBodyCall(
-            still=scene.still(n), number=n, matte=scene.mattes[n], body=body, config=config.init, networks=networks,
+            still=scene.still(n),
+            number=n,
+            matte=scene.mattes[n],
+            body=body,
+            config=config.init,
+            networks=networks,
             folder=scene.folder,
         )
         for n in keys
-    ]  # fmt: skip
+    ]
     searched = _require_all(find_key_body, calls, "first bodies")
     found = {number: one.first for number, one in zip(keys, searched, strict=True) if one.first is not None}
     if not found:
@@ -188,11 +202,15 @@ def find_first_bodies(scene: Scene) -> ClipBodiesHandle:
     others = [number for number in scene.mattes if number not in keys]
     between = [
         BetweenCall(
-            still=scene.still(n), number=n, matte=scene.mattes[n], known=_around(n, known), body=body,
+            still=scene.still(n),
+            number=n,
+            matte=scene.mattes[n],
+            known=_around(n, known),
+            body=body,
             folder=scene.folder,
         )
         for n in others
-    ]  # fmt: skip
+    ]
     placed = _require_all(find_body_between, between, "first bodies between")
     for number, one in zip(others, placed, strict=True):
         if one.first is not None:
@@ -205,19 +223,31 @@ def _bodies_of_result(scene: Scene) -> ClipBodiesHandle:
     inputs, first = scene.inputs, scene.config.init.frame
     names, frames = pictures_of(scene.footage, inputs.video, first)
     result = read_result(
-        files=inputs.init_files, height=scene.footage.height, width=scene.footage.width,
-        person=scene.config.init.person, looks=looks_at(scene.footage, scene.mattes, first), body=inputs.body,
-        pictures=names, frames=frames, folder=scene.folder,
-    )  # fmt: skip
+        files=inputs.init_files,
+        height=scene.footage.height,
+        width=scene.footage.width,
+        person=scene.config.init.person,
+        looks=looks_at(scene.footage, scene.mattes, first),
+        body=inputs.body,
+        pictures=names,
+        frames=frames,
+        folder=scene.folder,
+    )
     if remark := result.remark():
         progress.say(f"hfb: {remark}")
     calls = [
         GivenBodyCall(
-            footage=scene.footage, still=scene.still(n), number=n, matte=scene.mattes[n], result=result, first=first,
-            body=inputs.body, folder=scene.folder,
+            footage=scene.footage,
+            still=scene.still(n),
+            number=n,
+            matte=scene.mattes[n],
+            result=result,
+            first=first,
+            body=inputs.body,
+            folder=scene.folder,
         )
         for n in sorted(scene.mattes)
-    ]  # fmt: skip
+    ]
     given = _require_all(find_given_body, calls, "first bodies of the result")
     found = {call.number: one.first for call, one in zip(calls, given, strict=True) if one.first is not None}
     if not found:
@@ -269,9 +299,14 @@ def join(scene: Scene, fitted: Fitted) -> JoinedHandle:
     """One continuous motion."""
     config = scene.config
     return join_clip(
-        footage=scene.footage, windows=fitted.windows, person=fitted.person, body=scene.inputs.body,
-        subframes=config.fit.subframes, longest_fill=config.video.longest_fill, folder=scene.folder,
-    )  # fmt: skip
+        footage=scene.footage,
+        windows=fitted.windows,
+        person=fitted.person,
+        body=scene.inputs.body,
+        subframes=config.fit.subframes,
+        longest_fill=config.video.longest_fill,
+        folder=scene.folder,
+    )
 
 
 def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[int, float]]:
@@ -283,10 +318,15 @@ def score(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> dict[str, dict[
         clip, mattes = scene.of(some)
         calls.append(
             ScoreCall(
-                clip=clip, numbers=some, mattes=mattes, motion=joined.motion, person=fitted.person,
-                body=scene.inputs.body, config=scene.config.fit,
+                clip=clip,
+                numbers=some,
+                mattes=mattes,
+                motion=joined.motion,
+                person=fitted.person,
+                body=scene.inputs.body,
+                config=scene.config.fit,
             )
-        )  # fmt: skip
+        )
     told = _require_all(score_frames, calls, "scores")
     if scene.inputs.truth is not None:
         told.append(judge_clip(joined.motion, scene.inputs.truth))
@@ -309,9 +349,14 @@ def warn(scene: Scene, fitted: Fitted, joined: JoinedHandle, matte_iou: Mapping[
     shown = looks_over(sorted({frame for window in fitted.windows for frame in window.frames}))
     clip, mattes = scene.of(shown)
     found = look_for_warnings(
-        clip=clip, numbers=shown, mattes=mattes, motion=joined.motion, matte_iou=tuple(sorted(matte_iou.items())),
-        body=scene.inputs.body, config=scene.config.fit,
-    ).warnings  # fmt: skip
+        clip=clip,
+        numbers=shown,
+        mattes=mattes,
+        motion=joined.motion,
+        matte_iou=tuple(sorted(matte_iou.items())),
+        body=scene.inputs.body,
+        config=scene.config.fit,
+    ).warnings
     tell(found)
     return [*scene.warnings, *found]
 
@@ -323,9 +368,16 @@ def draw(scene: Scene, fitted: Fitted, joined: JoinedHandle) -> FileHandle:
     clip, mattes = scene.of(shown)
     note = f"frames {', '.join(map(str, shown))} of {scene.footage.count}"
     return draw_clip(
-        clip=clip, numbers=shown, mattes=mattes, motion=joined.motion, person=fitted.person, body=scene.inputs.body,
-        config=scene.config.fit, note=note, folder=scene.folder,
-    )  # fmt: skip
+        clip=clip,
+        numbers=shown,
+        mattes=mattes,
+        motion=joined.motion,
+        person=fitted.person,
+        body=scene.inputs.body,
+        config=scene.config.fit,
+        note=note,
+        folder=scene.folder,
+    )
 
 
 def _window_call(scene: Scene, bodies: ClipBodiesHandle, window: ClipWindow, person: FileHandle | None) -> WindowCall:

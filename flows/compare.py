@@ -20,10 +20,10 @@ from hfb.io.media.images.image_io import read_picture_srgb, stored_png
 from hfb.io.safe_folder import check_ordinary, read_file
 from hfb.motion.motion_file import load_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import small_picture
-from hfb.report.run_page import PageTable, RunLook, run_page
-from hfb.report.several_motions import draw_motions, png_bytes, stack_pictures
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.images.several_motions import draw_motions, png_bytes, stack_pictures
+from hfb.report.pages.page import small_picture
+from hfb.report.pages.run_page import PageTable, RunLook, run_page
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from hfb.tasks.inputs.out_place import check_no_clip
 from hfb.tasks.results.resolve_result import find_named_body, load_fitted_body
 from hfb.tasks.results.run_comparison import Numbers, RunComparison, Words, compare_records
@@ -111,7 +111,7 @@ def _seen(run: StoredRun, folder: Path) -> _Shown:
         body = None
     turning = viewer(
         [ViewedMotion(run.title, motion)], body, stored_png(texture) if texture and body else None, run.title, _GROUP
-    )  # fmt: skip
+    )
     return _Shown(run, motion, _picture(run, folder), turning)
 
 
@@ -154,9 +154,11 @@ def _page(comparison: RunComparison, shown: Sequence[_Shown], overlay: Any, resu
 def _tables(comparison: RunComparison) -> list[PageTable]:
     runs = comparison.runs
     facts = (
-        ("run", *(run.run_id for run in runs)), ("made", *(f"{run.started} UTC" for run in runs)),
-        ("state", *(run.status for run in runs)), ("MLflow", *(run.link for run in runs)),
-    )  # fmt: skip
+        ("run", *(run.run_id for run in runs)),
+        ("made", *(f"{run.started} UTC" for run in runs)),
+        ("state", *(run.status for run in runs)),
+        ("MLflow", *(run.link for run in runs)),
+    )
     metrics = []
     for name, values in comparison.metrics:
         one, other = values[:2]
@@ -187,13 +189,22 @@ def _result(
         pairs = zip(runs[1:], sentences, strict=True)
         sentences = [f"{run.title} against {runs[0].title}: {words[0].lower()}{words[1:]}" for run, words in pairs]
     return {
-        "run_a": runs[0].run_id, "run_b": runs[1].run_id, "runs": [run.run_id for run in runs],
+        "run_a": runs[0].run_id,
+        "run_b": runs[1].run_id,
+        "runs": [run.run_id for run in runs],
         "names": [run.title for run in runs],
-        "config": _plain(comparison.config), "same_options": comparison.same_options,
-        "environment": _plain(comparison.environment), "metrics": _plain(comparison.metrics),
-        "motion": motions[0], "motions": motions, "sentence": sentences[0], "sentences": sentences,
-        "out": str(place), "page": str(place / PAGE), "picture": str(place / PICTURE) if has_picture else None,
-    }  # fmt: skip
+        "config": _plain(comparison.config),
+        "same_options": comparison.same_options,
+        "environment": _plain(comparison.environment),
+        "metrics": _plain(comparison.metrics),
+        "motion": motions[0],
+        "motions": motions,
+        "sentence": sentences[0],
+        "sentences": sentences,
+        "out": str(place),
+        "page": str(place / PAGE),
+        "picture": str(place / PICTURE) if has_picture else None,
+    }
 
 
 def _plain(every: Sequence[Words] | Sequence[Numbers]) -> list[dict[str, Any]]:

@@ -28,8 +28,8 @@ from hfb.flows.runtime.workspace import check_writable
 from hfb.flows.train_prior import TrainingPlan
 from hfb.io.clip import BACKGROUND_WORDS
 from hfb.io.toml_file import merged, to_record
-from hfb.tasks.batch.metrics import serve_metrics
 from hfb.tasks.batch.notifications import addresses_of, enable_notifications
+from hfb.tasks.batch.prometheus_metrics import serve_metrics
 from hfb.tasks.inputs.video_inputs import take_video_inputs
 from hfb.tasks.telemetry.displays import show_progress
 from hfb.tasks.tracking import tracking
@@ -215,11 +215,22 @@ def benchmark(
         if places.is_limited():
             places.check_programs("chains", chains)
         given = argparse.Namespace(
-            set=set, count=count, methods=None if methods is None else ",".join(methods), start=start, seed=seed,
-            motions=motions, videos=folders,
-            average=average, body=body, fill=fill, chains=chains, backgrounds=None, textures=None, size=None,
+            set=set,
+            count=count,
+            methods=None if methods is None else ",".join(methods),
+            start=start,
+            seed=seed,
+            motions=motions,
+            videos=folders,
+            average=average,
+            body=body,
+            fill=fill,
+            chains=chains,
+            backgrounds=None,
+            textures=None,
+            size=None,
             easy=False,
-        )  # fmt: skip
+        )
         plan = judging.plan_of(given, frames)
         if places.is_limited():
             for spec in plan.methods:

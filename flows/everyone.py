@@ -24,9 +24,18 @@ from hfb.tasks.workers.engine import Engine
 
 _log = logging.getLogger(__name__)
 _KEPT = (
-    "frames", "sub_frames", "gaps", "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "seconds", "out",
-    "mlflow_run_id", "warnings",
-)  # fmt: skip
+    "frames",
+    "sub_frames",
+    "gaps",
+    "resumed_frames",
+    "matte_iou",
+    "psnr_db",
+    "mpjpe_mm",
+    "seconds",
+    "out",
+    "mlflow_run_id",
+    "warnings",
+)
 
 
 def run_clip(inputs: VideoInputs, out: Path, config: RunConfig, engine: Engine | int) -> dict[str, Any]:

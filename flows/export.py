@@ -77,10 +77,12 @@ def export_result(
                     written = [write_motion_file(target, form, exported) for form in formats] + written
         count = sum(_write_meshes(folder / MESHES, form, exported) for form in meshes)
     return {
-        "out": str(folder.resolve()), "meshes": count,
+        "out": str(folder.resolve()),
+        "meshes": count,
         "files": {path.name: (folder / path.name).stat().st_size for path in written},
-        "sub_frames": len(motion.times_s), "betas_space": space,
-    }  # fmt: skip
+        "sub_frames": len(motion.times_s),
+        "betas_space": space,
+    }
 
 
 def _draw_films(
@@ -97,10 +99,8 @@ def _draw_films(
     with ExitStack() as stack:
         with progress.step("pictures"):
             shot = stack.enter_context(
-                reload_shot(
-                    place.run_words, inputs, motion=exported.motion, body=exported.body, texture=texture
-                )
-            )  # fmt: skip
+                reload_shot(place.run_words, inputs, motion=exported.motion, body=exported.body, texture=texture)
+            )
         written = []
         for film in films:
             with progress.step(f"film ({film})"):

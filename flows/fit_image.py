@@ -25,9 +25,9 @@ from hfb.tasks.core.result_records import records_in
 from hfb.tasks.image.evaluate import evaluate
 from hfb.tasks.image.first_body import first_body, given_body
 from hfb.tasks.image.fit_motion import fit_motion
+from hfb.tasks.image.fit_strip import strip
 from hfb.tasks.image.matte import matte
 from hfb.tasks.image.prepare import prepare
-from hfb.tasks.image.strip import strip
 from hfb.tasks.inputs.given_networks import tell_networks
 from hfb.tasks.inputs.inputs import Inputs, input_hashes, take_inputs, with_height
 from hfb.tasks.results.exports import ShotHandle, export_motion
@@ -35,7 +35,7 @@ from hfb.tasks.results.result_report import ReportParts, add_report, draw_page_f
 from hfb.tasks.results.result_warnings import look_for_warnings, plate_warnings, tell
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.tracking.record import fit_record, record
+from hfb.tasks.tracking.fit_record import fit_record, record
 from hfb.tasks.tracking.run_record import keep_for_later
 from hfb.tasks.video.external_poses import Look, body_of_result, read_result, require
 from hfb.tasks.video.video_windows import mend_fronts
@@ -84,9 +84,12 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
     config = with_height(config, inputs.clip)
     with workspace(out) as folder, records_in(folder):
         scene = prepare(
-            frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
+            frames=inputs.frames,
+            background=inputs.background,
+            clip=inputs.clip,
+            camera=config.camera,
             exposure=config.exposure,
-        )  # fmt: skip
+        )
         for remark in scene.remarks:
             progress.say(f"hfb: {remark}")
         numbers, body = range(len(scene.frames)), inputs.body
@@ -97,18 +100,35 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
         firsts = _first_bodies(scene, mattes, inputs=inputs, config=config, folder=folder)
         priors = PriorsHandle(kind=config.prior.kind, pose=inputs.pose_prior, motion=inputs.motion_prior)
         fitted = fit_motion(
-            clip=scene, mattes=mattes, first_bodies=firsts, body=body, priors=priors, config=config.fit,
-            seed=config.seed, folder=folder,
-        )  # fmt: skip
+            clip=scene,
+            mattes=mattes,
+            first_bodies=firsts,
+            body=body,
+            priors=priors,
+            config=config.fit,
+            seed=config.seed,
+            folder=folder,
+        )
         scores = evaluate(
-            clip=scene, mattes=mattes, first_bodies=firsts, fit=fitted, body=body, truth=inputs.truth,
-            config=config.fit, folder=folder,
-        )  # fmt: skip
+            clip=scene,
+            mattes=mattes,
+            first_bodies=firsts,
+            fit=fitted,
+            body=body,
+            truth=inputs.truth,
+            config=config.fit,
+            folder=folder,
+        )
         # Warnings compare with the mattes of before the fit: refined ones share its errors.
         found = look_for_warnings(
-            clip=scene, numbers=tuple(numbers), mattes=mattes, motion=fitted.motion, matte_iou=(), body=body,
+            clip=scene,
+            numbers=tuple(numbers),
+            mattes=mattes,
+            motion=fitted.motion,
+            matte_iou=(),
+            body=body,
             config=config.fit,
-        ).warnings  # fmt: skip
+        ).warnings
         tell(found)
         image = strip(clip=scene, fit=fitted, body=body, config=config.fit, folder=folder)
         shot = ShotHandle(clip=scene, motion=fitted.motion, texture=fitted.texture, body=body, config=config.fit)
@@ -118,10 +138,14 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             out=out, config=config, inputs=inputs, firsts=firsts, fitted=fitted, scores=scores, warnings=warnings
         )
         files: dict[str, FileHandle] = {
-            "motion.npz": fitted.motion, **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
-            "texture.png": fitted.texture_image, "strip.png": image, CURVES: fit_curves(fitted, folder),
-            **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)}, **exports.by_name(),
-        }  # fmt: skip
+            "motion.npz": fitted.motion,
+            **({"alternatives.npz": fitted.alternatives} if fitted.alternatives else {}),
+            "texture.png": fitted.texture_image,
+            "strip.png": image,
+            CURVES: fit_curves(fitted, folder),
+            **{f"matte_{index}.png": one for index, one in enumerate(fitted.mattes)},
+            **exports.by_name(),
+        }
         of_run = fit_record(inputs=inputs, config=config, fit=fitted, scores=scores, published=files, result=result)
         try:
             run = record(of_run, files)
@@ -134,9 +158,14 @@ def _run_chain(inputs: Inputs, out: Path, config: RunConfig) -> dict[str, Any]:
             )
         if config.export.report:
             parts = ReportParts(
-                motion=fitted.motion, curves=files[CURVES], body=body, texture=fitted.texture_image, strip=image,
-                alternatives=fitted.alternatives, film=draw_page_film(shot, folder),
-            )  # fmt: skip
+                motion=fitted.motion,
+                curves=files[CURVES],
+                body=body,
+                texture=fitted.texture_image,
+                strip=image,
+                alternatives=fitted.alternatives,
+                film=draw_page_film(shot, folder),
+            )
             files[REPORT] = write_report(parts, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)
@@ -154,20 +183,32 @@ def _first_bodies(
         tell_networks(inputs.networks)
         firsts = tuple(
             first_body(
-                clip=scene, index=index, mattes=mattes, body=inputs.body, config=config.init,
-                networks=inputs.networks, folder=folder,
+                clip=scene,
+                index=index,
+                mattes=mattes,
+                body=inputs.body,
+                config=config.init,
+                networks=inputs.networks,
+                folder=folder,
             )
             for index in numbers
-        )  # fmt: skip
+        )
         agreed = mend_fronts(numbers, firsts, folder).firsts if len(firsts) > 1 else firsts
         return tuple(one for one in agreed if one is not None)
     first = config.init.frame
     looks = tuple(Look(matte=one, frame=None if first is None else first + n) for n, one in enumerate(mattes))
     pictures = tuple(file.path.name for file in inputs.frames) if first is None else ()
     given = read_result(
-        files=inputs.init_files, height=scene.height, width=scene.width, person=config.init.person, looks=looks,
-        body=inputs.body, pictures=pictures, frames=0, folder=folder,
-    )  # fmt: skip
+        files=inputs.init_files,
+        height=scene.height,
+        width=scene.width,
+        person=config.init.person,
+        looks=looks,
+        body=inputs.body,
+        pictures=pictures,
+        frames=0,
+        folder=folder,
+    )
     if whom := given.remark():
         progress.say(f"hfb: {whom}")
     return tuple(

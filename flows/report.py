@@ -14,7 +14,7 @@ from hfb.interop.writers.export_names import CURVES, FILM_NAMES, PAGE_FILM, REPO
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.json_file import read_json
 from hfb.motion.motion_file import load_motion
-from hfb.report.result_facts import read_facts
+from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.core.handles import FileHandle, sha256_of
 from hfb.tasks.inputs.inputs import input_file
 from hfb.tasks.results.resolve_result import TEXTURE, FoundResult, find_named_body, load_fitted_body, resolve_result
@@ -100,14 +100,16 @@ def _parts(place: FoundResult, film: Path | None, made: Path) -> ReportParts:
         write_bytes_atomic(curves, json.dumps(known).encode())
     others = {part: input_file(folder / name) for part, name in _OTHERS.items() if (folder / name).exists()}
     return ReportParts(
-        motion=FileHandle.of(place.motion), curves=input_file(curves),
-        film=FileHandle.of(film) if film else None, **others,
-    )  # fmt: skip
+        motion=FileHandle.of(place.motion),
+        curves=input_file(curves),
+        film=FileHandle.of(film) if film else None,
+        **others,
+    )
 
 
 def _film(
     place: FoundResult, run: StoredRun | None, body: Body | None, *, inputs: Path | None, made: Path
-) -> Path | None:  # fmt: skip
+) -> Path | None:
     """The page's film as it was drawn, drawn again from the pictures, or the result's own; None where there is none."""
     drawn, own = place.folder / INTERMEDIATE / PAGE_FILM, place.folder / FILM_NAMES["slowmotion"]
     if drawn.is_file() and _fits_a_page(drawn) and not shows_another_motion(drawn, sha256_of(place.motion)):

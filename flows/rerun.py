@@ -189,11 +189,15 @@ def _compare(plan: Plan) -> dict[str, Any]:
     differing = sorted(name for name, sha256 in plan.results.items() if made[name] != sha256)
     bit_equal, mean_mm, max_mm = _difference(plan) if MOTION in differing else (True, 0.0, 0.0)
     return {
-        "run_id": plan.run.run_id, "bit_equal": bit_equal, "mean_mm": mean_mm, "max_mm": max_mm,
-        "same_environment": not plan.changed, "changed": list(plan.changed),
+        "run_id": plan.run.run_id,
+        "bit_equal": bit_equal,
+        "mean_mm": mean_mm,
+        "max_mm": max_mm,
+        "same_environment": not plan.changed,
+        "changed": list(plan.changed),
         "files_that_differ": [name for name in differing if name != MOTION or not bit_equal],
         "out": str(plan.out.resolve()),
-    }  # fmt: skip
+    }
 
 
 def _difference(plan: Plan) -> tuple[bool, float | None, float | None]:

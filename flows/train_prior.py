@@ -21,9 +21,9 @@ from hfb.tasks.core.environment import code_version
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.core.result_records import records_in
 from hfb.tasks.inputs.out_place import check_sources_out
+from hfb.tasks.prior_training import LessonsHandle, TrainedHandle, gather, measure, record_training, train
 from hfb.tasks.telemetry import progress
 from hfb.tasks.tracking import tracking
-from hfb.tasks.train_prior import LessonsHandle, TrainedHandle, gather, measure, record_training, train
 from hfb.training.priors.training_spec import MotionTraining, PoseTraining
 
 

@@ -83,9 +83,7 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
     try:
         scene = see(inputs, config, folder)
         bodies = find_first_bodies(scene)
-        fitted = fit_windows(
-            scene, bodies, lambda frames, loss: record.frames("fit/loss", dict.fromkeys(frames, loss))
-        )  # fmt: skip
+        fitted = fit_windows(scene, bodies, lambda frames, loss: record.frames("fit/loss", dict.fromkeys(frames, loss)))
         joined = join(scene, fitted)
         record.frames("frame/seen", _seen(bodies, joined))
         scores = score(scene, fitted, joined)
@@ -97,9 +95,13 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
         exports = export_motion(shot, texture, config.export, folder)
         curves = clip_curves(fitted.windows, _pairs(scores), folder)
         files: dict[str, FileHandle] = {
-            "motion.npz": joined.motion, CURVES: curves, "edges.json": joined.edges, "texture.png": texture,
-            "strip.png": draw(scene, fitted, joined), **exports.by_name(),
-        }  # fmt: skip
+            "motion.npz": joined.motion,
+            CURVES: curves,
+            "edges.json": joined.edges,
+            "texture.png": texture,
+            "strip.png": draw(scene, fitted, joined),
+            **exports.by_name(),
+        }
         result = _result(scene=scene, bodies=bodies, fitted=fitted, joined=joined, scores=scores, out=out)
         result["warnings"] = [one.model_dump(mode="json") for one in warnings]
         result["seconds"] = round(time.perf_counter() - began, 3)
@@ -112,9 +114,13 @@ def _motion_of(inputs: VideoInputs, out: Path, folder: Path, config: RunConfig) 
             result |= {"mlflow_run_id": place.run_id, "mlflow_link": place.link}
         if config.export.report:
             made_of = ReportParts(
-                motion=joined.motion, curves=curves, body=inputs.body, texture=texture, strip=files["strip.png"],
+                motion=joined.motion,
+                curves=curves,
+                body=inputs.body,
+                texture=texture,
+                strip=files["strip.png"],
                 film=draw_page_film(shot, folder),
-            )  # fmt: skip
+            )
             files[REPORT] = write_report(made_of, result, folder)
             add_report(result["mlflow_run_id"], files[REPORT])
         publish(out, {name: file.path for name, file in files.items()}, result)

@@ -25,7 +25,7 @@ RENAMED_FIT_OPTIONS: Mapping[str, str] = {
 
 
 def current_option_name(name: str) -> str:
-    """The present name of a dotted option such as ``fit.several.image``.
+    """Return the current name of a dotted option such as ``fit.several.image``.
 
     Args:
         name: dotted, by an earlier or the present name.
@@ -53,7 +53,7 @@ HeightM = Annotated[float, Field(ge=1.4, le=2.4)]
 
 
 def within(least: float, most: float) -> AfterValidator:
-    """Refuses what no camera has, such as 1e300: products of such numbers overflow.
+    """Refuse values that no camera has, such as 1e300, since products of such numbers overflow.
 
     Args:
         least: smallest value.
@@ -407,7 +407,7 @@ _BEST = FitConfig(
 
 
 def preset(name: Literal["paper", "best"]) -> RunConfig:
-    """All options of a preset: ``paper`` is the faithful method, ``best`` what measured best.
+    """Return all options of a preset: ``paper`` is the faithful method, ``best`` the one with the best results.
 
     Args:
         name: of the preset.

@@ -27,6 +27,9 @@ def srgb_to_linear(encoded: Tensor | Array) -> Tensor | Array:
 
     Values below 0 and above 1 follow the same two pieces; the type (torch or numpy, 32 or 64 bit) is kept.
     Differentiable with a finite gradient everywhere, 0 included.
+
+    Args:
+        encoded: sRGB.
     """
     # The power branch is evaluated above its knee only: the other branch's gradient would be NaN times zero.
     if isinstance(encoded, torch.Tensor):
@@ -44,6 +47,9 @@ def linear_to_srgb(linear: Tensor | Array) -> Tensor | Array:
     """Encode linear light as sRGB: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above.
 
     The inverse of `srgb_to_linear` but for the standard's own rounding of the two knees (below 1e-7).
+
+    Args:
+        linear: linear light.
     """
     if isinstance(linear, torch.Tensor):
         power = 1.055 * linear.clamp_min(_LINEAR_KNEE) ** (1 / 2.4) - 0.055
@@ -53,10 +59,14 @@ def linear_to_srgb(linear: Tensor | Array) -> Tensor | Array:
 
 
 def as_srgb(stored: Float[Array, "*n"], transfer: Transfer) -> Float[Array, "*n"]:
-    """Stored values encoded as sRGB; those of ``srgb`` and ``linear`` stay as they are.
+    """Encode stored values as sRGB; those of ``srgb`` and ``linear`` stay as they are.
 
     ``bt709``: the camera's curve of ITU-R BT.709, 4.5 L below 0.018 and 1.099 L^0.45 - 0.099 above; ``gamma22``:
     L^(1/2.2).
+
+    Args:
+        stored: values of a file in [0, 1].
+        transfer: the file's curve.
     """
     if transfer in ("srgb", "linear"):
         return stored

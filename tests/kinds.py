@@ -21,9 +21,14 @@ KINDS = {
 """In the order in which they begin: what takes long and cannot be divided comes first."""
 
 _FOLDERS = {
-    "bench": "bench", "cli": "integration", "docs": "integration", "faults": "faults", "flows": "integration",
-    "fuzz": "integration", "infra": "integration",
-}  # fmt: skip
+    "bench": "bench",
+    "cli": "integration",
+    "docs": "integration",
+    "faults": "faults",
+    "flows": "integration",
+    "fuzz": "integration",
+    "infra": "integration",
+}
 _FIXTURES = {"here": "team", "store": "integration"}
 _PROCESSES = {"os.exec", "os.fork", "os.posix_spawn", "os.spawn", "os.system", "subprocess.Popen"}
 _FONTS = "fc-list"  # which Matplotlib asks once per machine

@@ -21,9 +21,19 @@ from filelock import FileLock
 
 TINY_FIT = '[{"size_px": 32, "iterations": 3}]'
 TINY_OPTIONS = (
-    "--init.method", "matte", "--fit.stages", TINY_FIT, "--fit.subframes", "2", "--fit.texture-px", "16",
-    "--export.report", "false", "--export.films", "none",
-)  # fmt: skip
+    "--init.method",
+    "matte",
+    "--fit.stages",
+    TINY_FIT,
+    "--fit.subframes",
+    "2",
+    "--fit.texture-px",
+    "16",
+    "--export.report",
+    "false",
+    "--export.films",
+    "none",
+)
 _SIDE_PX = 96
 RUN_FOLDER = "TEST_RUN_FOLDER"  # the variable that names the folder which a run's processes share
 _CACHE = platformdirs.user_cache_path("hfb") / "tests"
@@ -81,9 +91,7 @@ def _make_prefect_tables(path: Path) -> None:
     program = "from hfb.flows.runtime.server import PrefectServer; PrefectServer().wait()"
     settings = {name: value for name, value in os.environ.items() if name != "PREFECT_API_URL"}
     root = str(Path(__file__).parents[1])
-    subprocess.run(
-        [sys.executable, "-c", program], check=True, cwd=root, env={**settings, "PREFECT_HOME": str(home)}
-    )  # fmt: skip
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=root, env={**settings, "PREFECT_HOME": str(home)})
     (source,) = home.glob("**/prefect-*.db")
     with closing(sqlite3.connect(source)) as live, closing(sqlite3.connect(path)) as copy:
         live.backup(copy)

@@ -52,9 +52,14 @@ def moving_scene(
     mean = pictures.unflatten(0, (frames, instants)).mean(1)
     times_s, frame_index = subframe_times_s(frames, instants, 0.03, 0.03 * instants / (instants - 1))
     motion = SampledMotion(
-        poses.flatten(1).double().numpy(), translations.double().numpy(), betas.double().numpy(),
-        posed.joints.double().numpy(), times_s, frame_index, camera.matrix().double().numpy(),
-    )  # fmt: skip
+        poses.flatten(1).double().numpy(),
+        translations.double().numpy(),
+        betas.double().numpy(),
+        posed.joints.double().numpy(),
+        times_s,
+        frame_index,
+        camera.matrix().double().numpy(),
+    )
     observation = Observation(compose(mean, plate), plate, mean[..., 3], camera, 0.03, 0.03 * instants / (instants - 1))
     middle = range(instants // 2, len(u), instants)
     still = [FirstBody(poses[row], translations[row], betas, "middle of the truth") for row in middle]

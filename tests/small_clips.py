@@ -23,12 +23,37 @@ from tests.orchestration import made_for_run, mlflow_rows, orchestrated
 
 FRAMES = 12
 SMALL_OPTIONS = (
-    "--init.method", "matte", "--matting.method", "known-background", "--fit.subframes", "3", "--fit.texture-px", "16",
-    "--fit.stages", '[{"size_px": 32, "iterations": 3}]', "--fit.settle", "0", "--fit.weights.joints", "0",
-    "--fit.matte-scales", "1", "--fit.image-scales", "1", "--video.key-every", str(FRAMES),
-    "--export.report", "false", "--export.films", "none", "--video.person-windows", "1",
-    "--video.stages", '[{"size_px": 32, "iterations": 3}]', "--video.longest-fill", "1",
-)  # fmt: skip
+    "--init.method",
+    "matte",
+    "--matting.method",
+    "known-background",
+    "--fit.subframes",
+    "3",
+    "--fit.texture-px",
+    "16",
+    "--fit.stages",
+    '[{"size_px": 32, "iterations": 3}]',
+    "--fit.settle",
+    "0",
+    "--fit.weights.joints",
+    "0",
+    "--fit.matte-scales",
+    "1",
+    "--fit.image-scales",
+    "1",
+    "--video.key-every",
+    str(FRAMES),
+    "--export.report",
+    "false",
+    "--export.films",
+    "none",
+    "--video.person-windows",
+    "1",
+    "--video.stages",
+    '[{"size_px": 32, "iterations": 3}]',
+    "--video.longest-fill",
+    "1",
+)
 """One full search of a body at either end, three iterations of every window."""
 
 LONGER = ("--video.stages", '[{"size_px": 32, "iterations": 30}]')
@@ -106,11 +131,14 @@ def started(out: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
     words = ["video", str(made.truth.parent), "--truth", str(made.truth), "--out", str(out), "--workers", "2", "--json"]
     with shown(out).open("a") as messages:
         return subprocess.Popen(
-            [sys.executable, "-m", "hfb.flows.cli.cli", *words, *SMALL_OPTIONS, *more], stdout=subprocess.PIPE,
-            stderr=messages, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), **environment},
+            [sys.executable, "-m", "hfb.flows.cli.cli", *words, *SMALL_OPTIONS, *more],
+            stdout=subprocess.PIPE,
+            stderr=messages,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), **environment},
             # tests that run in the background of a shell would hand down that Ctrl-C is ignored
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )  # fmt: skip
+        )
 
 
 def shown(out: Path) -> Path:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hfb.report.batch_page import CLIPS_PER_PAGE, strip_thumbnail
+from hfb.report.pages.batch_page import CLIPS_PER_PAGE, strip_thumbnail
 from hfb.tasks.batch.batch_summary import BatchSummary
 from tests.browser import CHROMIUM, browser, opened
 

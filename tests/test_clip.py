@@ -105,11 +105,16 @@ def test_no_file_and_no_text(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "entry",
     [
-        'video = "../walk.mp4"', 'video = "/etc/passwd"', 'background = "../../plate.png"', 'video = "link.mp4"',
-        'video = "a\\u0000b"', '[camera]\ncalibration = "/etc/calib.toml"', '[person]\ntrack = "down/../../t.csv"',
+        'video = "../walk.mp4"',
+        'video = "/etc/passwd"',
+        'background = "../../plate.png"',
+        'video = "link.mp4"',
+        'video = "a\\u0000b"',
+        '[camera]\ncalibration = "/etc/calib.toml"',
+        '[person]\ntrack = "down/../../t.csv"',
         'video = "loop"',
     ],
-)  # fmt: skip
+)
 def test_files_that_lie_elsewhere_are_refused(tmp_path: Path, entry: str) -> None:
     folder = tmp_path / "clip"
     folder.mkdir()

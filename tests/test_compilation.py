@@ -83,14 +83,21 @@ def called(package: Path, before: str = "", **settings: str) -> tuple[str, str]:
     root = Path(__file__).parents[1]
     (package.parent / "file").touch()
     environment = {
-        "PATH": os.environ["PATH"], "PYTHONPATH": str(root), "HOME": str(package.parent / "file" / "home"),
-        "TMPDIR": str(package.parent), **settings,
-    }  # fmt: skip
+        "PATH": os.environ["PATH"],
+        "PYTHONPATH": str(root),
+        "HOME": str(package.parent / "file" / "home"),
+        "TMPDIR": str(package.parent),
+        **settings,
+    }
     as_user = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search"] if os.getuid() == 0 else []
     done = subprocess.run(
-        [*as_user, sys.executable, "-c", before + CALL, str(package)], capture_output=True, text=True, check=True,
-        env=environment, cwd=root,
-    )  # fmt: skip
+        [*as_user, sys.executable, "-c", before + CALL, str(package)],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+        cwd=root,
+    )
     return done.stdout.strip(), done.stderr
 
 
@@ -166,9 +173,13 @@ def test_a_full_disk_under_the_cache_costs_a_remark(package: Path) -> None:
 def computed(cache: Path) -> tuple[int, int, str]:
     """(kernels that were loaded, kernels that were compiled, hash of results) of a process with this cache."""
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1],
+        [sys.executable, "-c", SCRIPT],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parents[1],
         env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
-    )  # fmt: skip
+    )
     counts, result = done.stdout.splitlines()[-2:]
     loaded, compiled = map(int, counts.split())
     return loaded, compiled, result

@@ -17,11 +17,16 @@ def test_plain_content_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("", "is damaged"), ("{", "is damaged"), ("[" * 100_000, "without end"), ("[" * 40 + "]" * 40, "without end"),
-        ('{"a": NaN}', "NaN is not a finite number"), ("[1e999]", "1e999 is not a finite number"),
-        ("9" * 5000, "is damaged"), ("\xff", "is damaged"),
+        ("", "is damaged"),
+        ("{", "is damaged"),
+        ("[" * 100_000, "without end"),
+        ("[" * 40 + "]" * 40, "without end"),
+        ('{"a": NaN}', "NaN is not a finite number"),
+        ("[1e999]", "1e999 is not a finite number"),
+        ("9" * 5000, "is damaged"),
+        ("\xff", "is damaged"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_json_is_one_sentence(content: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(InputError, match=says) as raised:

@@ -122,9 +122,9 @@ def test_a_prefect_block_is_used_by_its_name(
     from prefect.blocks.notifications import CustomWebhookNotificationBlock
     from prefect.blocks.system import Secret
 
-    CustomWebhookNotificationBlock(
-        name="team", url=receiver.address, json_data={"said": "{{body}}"}, secrets={}
-    ).save("hfb-team", overwrite=True)  # fmt: skip
+    CustomWebhookNotificationBlock(name="team", url=receiver.address, json_data={"said": "{{body}}"}, secrets={}).save(
+        "hfb-team", overwrite=True
+    )
     Secret(value="x").save("hfb-none", overwrite=True)
     with enable_notifications(
         addresses_of(["block:custom-webhook/hfb-team", "block:custom-webhook/none", "block:secret/hfb-none"])
@@ -173,9 +173,14 @@ def test_mail_goes_by_apprise(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("trouble", ["refused", "500", "redirect", "nobody", "slow"])
 def test_a_receiver_that_fails_ends_nothing(
-    trouble: str, receiver: Receiver, clips: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    trouble: str,
+    receiver: Receiver,
+    clips: Path,
+    store: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
-) -> None:  # fmt: skip
+) -> None:
     caplog.set_level(logging.INFO)
     monkeypatch.setattr(notifications, "_PATIENCE_S", 1.0)
     address = receiver.address

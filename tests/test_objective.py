@@ -47,14 +47,28 @@ def problem(frames: int, warm_up: bool, way: float) -> tuple[Objective, Variable
     windows = tuple(Window.around(matte.numpy(), seen.camera) for matte in seen.mattes)
     middle, scale, path = (0.5 * random(frames, 24, 3, seed=seed) for seed in (3, 4, 5))
     claims = JointEvidence(
-        windows, middle, 0.1 + scale.abs(), path, torch.ones(frames), middle,
-        torch.tensor(0.5, dtype=torch.float64), torch.tensor(0.05, dtype=torch.float64),
-    )  # fmt: skip
+        windows,
+        middle,
+        0.1 + scale.abs(),
+        path,
+        torch.ones(frames),
+        middle,
+        torch.tensor(0.5, dtype=torch.float64),
+        torch.tensor(0.05, dtype=torch.float64),
+    )
     first = axis_angle_to_matrix(poses + 0.3 * random(frames, 24, 3, seed=6))
     objective = Objective(
-        seen, BODY, make_rasterizer(), AnatomicalPrior(), WEIGHTS, 5, first, evidence=claims, xy_weight=0.3,
+        seen,
+        BODY,
+        make_rasterizer(),
+        AnatomicalPrior(),
+        WEIGHTS,
+        5,
+        first,
+        evidence=claims,
+        xy_weight=0.3,
         warm_up=warm_up,
-    )  # fmt: skip
+    )
     betas = random(10, seed=7)
     return objective, Variables(
         trajectory.with_coefficients(rotation, translation), betas, torch.zeros(8, 8, 3), betas + random(10, seed=8)

@@ -34,9 +34,17 @@ OPERATIONS = 10
 def everything(left, right, results):
     a, b = load_lanes(left, 0), load_lanes(right, 0)
     values = (
-        a + b, a - b, a * b, 2.0 * a + (b - 1.0), if_less(a, b, a, 5.0), if_equal(a, b, 1.0, b), smaller(a, b),
-        lane_numbers(), lanes(3.5), lanes(7),
-    )  # fmt: skip
+        a + b,
+        a - b,
+        a * b,
+        2.0 * a + (b - 1.0),
+        if_less(a, b, a, 5.0),
+        if_equal(a, b, 1.0, b),
+        smaller(a, b),
+        lane_numbers(),
+        lanes(3.5),
+        lanes(7),
+    )
     for number, value in enumerate(values):
         store_lanes(results, number * LANES, value)
     return sum_lanes(lane_numbers() * lane_numbers())
@@ -48,10 +56,17 @@ def test_lanes_do_what_numpy_does() -> None:
     with np.errstate(invalid="ignore"):  # infinity from infinity
         difference = LEFT - RIGHT
     expected = [
-        LEFT + RIGHT, difference, LEFT * RIGHT, 2 * LEFT + (RIGHT - 1), np.where(LEFT < RIGHT, LEFT, 5.0),
-        np.where(LEFT == RIGHT, 1.0, RIGHT), np.where(LEFT < RIGHT, LEFT, RIGHT), np.arange(8.0), np.full(8, 3.5),
+        LEFT + RIGHT,
+        difference,
+        LEFT * RIGHT,
+        2 * LEFT + (RIGHT - 1),
+        np.where(LEFT < RIGHT, LEFT, 5.0),
+        np.where(LEFT == RIGHT, 1.0, RIGHT),
+        np.where(LEFT < RIGHT, LEFT, RIGHT),
+        np.arange(8.0),
+        np.full(8, 3.5),
         np.full(8, 7.0),
-    ]  # fmt: skip
+    ]
     np.testing.assert_array_equal(results.reshape(OPERATIONS, LANES), expected)
     assert total == (np.arange(8.0) ** 2).sum()
 

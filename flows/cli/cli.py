@@ -147,9 +147,13 @@ def command_line() -> argparse.ArgumentParser:
     training.add_program_flags(programs)
 
     train = _command(
-        commands, "train-prior", _train_prior, "learn from your motion capture how people move, or stand",
-        configured=False, out="FILE",
-    )  # fmt: skip
+        commands,
+        "train-prior",
+        _train_prior,
+        "learn from your motion capture how people move, or stand",
+        configured=False,
+        out="FILE",
+    )
     training.add_training_flags(train)
 
     models = _command(
@@ -168,21 +172,33 @@ def command_line() -> argparse.ArgumentParser:
     repeating.add_compare_flags(compare)
 
     exported = _command(
-        commands, "export", results.export, "a result for Blender, AMASS's tools, OpenSim ...", seeded=True,
+        commands,
+        "export",
+        results.export,
+        "a result for Blender, AMASS's tools, OpenSim ...",
+        seeded=True,
         configured=False,
-    )  # fmt: skip
+    )
     results.add_export_flags(exported)
 
     reported = _command(
-        commands, "report", results.report_result, "a result on one page that opens anywhere", seeded=True,
+        commands,
+        "report",
+        results.report_result,
+        "a result on one page that opens anywhere",
+        seeded=True,
         configured=False,
-    )  # fmt: skip
+    )
     results.add_report_flags(reported)
 
     recorded = _command(
-        commands, "record", results.record_result, "put a result into MLflow that could not be recorded when made",
-        seeded=True, configured=False,
-    )  # fmt: skip
+        commands,
+        "record",
+        results.record_result,
+        "put a result into MLflow that could not be recorded when made",
+        seeded=True,
+        configured=False,
+    )
     results.add_record_flags(recorded)
 
     runs = _command(commands, "runs", models_cli.runs, "show the recorded runs in a browser (MLflow)", seeded=True)

@@ -17,10 +17,25 @@ from hfb.tasks.inputs.out_place import check_batch_out, default_out
 from hfb.tasks.workers.engine import engine_of
 
 VIDEO_KEYS = (
-    "frames", "sub_frames", "gaps", "filled", "seconds", "total_seconds", "out", "strip", "report", "mlflow_run_id",
-    "resumed_frames", "matte_iou", "psnr_db", "mpjpe_mm", "worst_jump_mm", "worst_velocity_share", "workers_busy",
+    "frames",
+    "sub_frames",
+    "gaps",
+    "filled",
+    "seconds",
+    "total_seconds",
+    "out",
+    "strip",
+    "report",
+    "mlflow_run_id",
+    "resumed_frames",
+    "matte_iou",
+    "psnr_db",
+    "mpjpe_mm",
+    "worst_jump_mm",
+    "worst_velocity_share",
+    "workers_busy",
     "people",
-)  # fmt: skip
+)
 _OF_A_SYNTHETIC_CLIP = ("--mp4", "--frames", "--seed", "--size", "--out", "--json", "--quiet", "--verbose")
 _PLACES = (("strip", "strip"), ("report", "report"), ("result", "out"))
 
@@ -30,10 +45,11 @@ def add_video_flags(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("source", type=Path, metavar="CLIP", help="a video, a folder of its frames, or a folder with a clip.toml")
     add(
-        "--background", metavar="PLATE|median|still",
+        "--background",
+        metavar="PLATE|median|still",
         help="a picture of the view without the person, the median over time, or the longest stretch in which nobody "
         "moves [what clip.toml says, a background.png or plate.png beside the clip, median]",
-    )  # fmt: skip
+    )
     add("--clip", type=Path, metavar="clip.toml", help="camera, exposure, time range, person [the folder's own]")
     add("--everyone", action="store_true", help="each person who is seen, one after the other, into DIR/person-1 ...")
     add("--truth", type=Path, metavar="FILE", help="a motion file of what really happened: adds errors against it")
@@ -49,9 +65,12 @@ def add_batch_flags(parser: argparse.ArgumentParser) -> None:
     add("--watch", type=positive, metavar="S", help="keep looking for new clips, so often")
     add("--again", action="store_true", help="take clips that were set aside once more")
     add(
-        "--notify", action="append", default=[], metavar="URL",
+        "--notify",
+        action="append",
+        default=[],
+        metavar="URL",
         help=f"tell of clips that fail: {FORMS}; several times for several; also from the variable {VARIABLE}",
-    )  # fmt: skip
+    )
     _add_shared_flags(parser)
 
 
@@ -100,10 +119,17 @@ def batch(given: argparse.Namespace) -> int:
         options = config.model_dump(mode="json")
         return when_ready(
             lambda: every_clip(
-                given.folder, out, options, workers=given.workers, attempts=given.attempts, wait_s=given.wait,
-                watch_s=given.watch, again=given.again, store=given.store,
+                given.folder,
+                out,
+                options,
+                workers=given.workers,
+                attempts=given.attempts,
+                wait_s=given.wait,
+                watch_s=given.watch,
+                again=given.again,
+                store=given.store,
             )
-        )  # fmt: skip
+        )
 
     with enable_notifications(addresses):
         result = through_prefect(given, out, load)
@@ -132,7 +158,7 @@ def synth_clip(given: argparse.Namespace) -> None:
         with progress.step("frames"):
             made = make_clip(
                 out, given.frames, height, width, given.seed, video=given.mp4, on_progress=progress.advance
-            )  # fmt: skip
+            )
     result = {"frames": given.frames, "out": str(out.resolve()), "source": str(made.source), "truth": str(made.truth)}
     tell(given, result, f"{given.frames} frames with their truth in {out}: hfb video {out} --truth {made.truth}")
 

@@ -36,14 +36,19 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
     add("--backgrounds", type=Path, metavar="DIR", help="pictures to stand in front of [generated rooms]")
     add("--textures", type=Path, metavar="DIR", help="textures for the body's UV map [generated clothes]")
     add(
-        "--videos", type=Path, action="append", metavar="DIR",
+        "--videos",
+        type=Path,
+        action="append",
+        metavar="DIR",
         help="real, b-aist: videos of a static camera, with measured joints where there are any; may be repeated",
-    )  # fmt: skip
+    )
     add(
-        "--average", type=_averages, metavar="K,...",
+        "--average",
+        type=_averages,
+        metavar="K,...",
         help="real, b-aist: frames per exposure, 1 for sharp ones; the cases take turns [b-aist: 9; real: "
         f"{','.join(map(str, _REAL_AVERAGES))}]",
-    )  # fmt: skip
+    )
     add("--body", type=Path, metavar="FILE", help="your SMPL file, for the truth and the fit [the embedded body]")
     add("--fill", choices=("paper", "even", "natural"), default="paper", help="cases per blur-rate interval [paper]")
     add("--size", type=positive, metavar="PX", help="side of the pictures; real: the longer one [256; real: 384]")
@@ -54,9 +59,11 @@ def add_set_flags(parser: argparse.ArgumentParser, count: int | None = _DEFAULT_
 def add_worker_flags(parser: argparse.ArgumentParser) -> None:
     """Who computes."""
     parser.add_argument(
-        "--workers", default=str(cores()), metavar="N|dask:ADDRESS|ray:ADDRESS",
+        "--workers",
+        default=str(cores()),
+        metavar="N|dask:ADDRESS|ray:ADDRESS",
         help="processes, threads:N, or a cluster's workers; changes no digit [all cores]",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--store",
         metavar="URL",
@@ -76,10 +83,11 @@ def add_method_flags(parser: argparse.ArgumentParser, of_set: bool = True) -> No
     parser.add_argument("--methods", metavar="A,B,...", help=f"{known} [{shown}]")
     parser.add_argument("--chains", type=Path, metavar="FILE.toml", help="deblur-then-estimate chains, by name")
     parser.add_argument(
-        "--start", choices=("simulated", "estimated"),
+        "--start",
+        choices=("simulated", "estimated"),
         help="what all methods start from: simulated after the paper's METRO, or hfb's estimators "
         "[simulated; real: estimated]",
-    )  # fmt: skip
+    )
 
 
 def set_spec(given: argparse.Namespace, frames: int) -> SetSpec | RealSpec:
@@ -128,9 +136,13 @@ def plan_of(given: argparse.Namespace, frames: int) -> BenchmarkPlan:
 
     start = given.start or ("estimated" if given.set in _REAL else "simulated")
     return BenchmarkPlan(
-        spec=set_spec(given, frames), count=given.count, methods=methods_of(given),
-        start=start, init=InitConfig(), body=given.body,
-    )  # fmt: skip
+        spec=set_spec(given, frames),
+        count=given.count,
+        methods=methods_of(given),
+        start=start,
+        init=InitConfig(),
+        body=given.body,
+    )
 
 
 def benchmark_text(result: Mapping[str, Any]) -> str:

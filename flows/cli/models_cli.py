@@ -15,9 +15,15 @@ def add_models_flags(parser: argparse.ArgumentParser) -> None:
     """List or fetch, and from where."""
     parser.add_argument("action", nargs="?", choices=("list", "fetch"), default="list", help="[list]")
     parser.add_argument(
-        "--from", "--wheel", type=Path, action="append", default=[], metavar="FILE", dest="files",
+        "--from",
+        "--wheel",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        dest="files",
         help="take a network, MediaPipe's wheel or npm archive that already lies here; may be given again",
-    )  # fmt: skip
+    )
     parser.add_argument("--force", action="store_true", help="fetch again what is there")
 
 

@@ -44,17 +44,18 @@ def add_config_flags(parser: argparse.ArgumentParser) -> None:
             help=described if default is None else f"{described} [{_shown(default)}]".strip(),
         )
         if "_" in name:  # as the file writes it
-            group.add_argument(
-                f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS
-            )  # fmt: skip
+            group.add_argument(f"--{name}", dest=_PREFIX + name, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
         for old, new in RENAMED_FIT_OPTIONS.items():
             if name == f"fit.{new}" or name.startswith(f"fit.{new}."):
                 earlier = name.replace(new, old, 1)
                 spellings = sorted({f"--{earlier}", f"--{earlier.replace('_', '-')}"})
                 group.add_argument(
-                    *spellings, dest=_PREFIX + name, action=_EarlierName, default=argparse.SUPPRESS,
+                    *spellings,
+                    dest=_PREFIX + name,
+                    action=_EarlierName,
+                    default=argparse.SUPPRESS,
                     help=argparse.SUPPRESS,
-                )  # fmt: skip
+                )
 
 
 class _EarlierName(argparse.Action):
@@ -79,9 +80,11 @@ def _add_short_flags(group: argparse._ArgumentGroup) -> None:
     for name, metavar, described in short:
         group.add_argument(f"--{name}", metavar=metavar, action=_Short, default=argparse.SUPPRESS, help=described)
     group.add_argument(
-        "--weights", metavar="FILE", default=argparse.SUPPRESS,
+        "--weights",
+        metavar="FILE",
+        default=argparse.SUPPRESS,
         help="of the network that --matting or --init names, where only one of them needs a file",
-    )  # fmt: skip
+    )
 
 
 class _Short(argparse.Action):

@@ -31,9 +31,12 @@ def add_rerun_flags(parser: argparse.ArgumentParser) -> None:
         "--workers", type=positive, default=cores(), metavar="K", help="processes; changes no digit [all cores]"
     )
     parser.add_argument(
-        "--option", action="append", default=[], metavar="NAME=VALUE",
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
         help="an option that held a secret, which the record hides, as in init.person=VALUE; may be repeated",
-    )  # fmt: skip
+    )
 
 
 def add_compare_flags(parser: argparse.ArgumentParser) -> None:

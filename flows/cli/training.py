@@ -32,13 +32,19 @@ def add_training_flags(parser: argparse.ArgumentParser) -> None:
     add("--epochs", type=int, metavar="N", help=f"passes over the data [{epochs}]")
     add("--seed", type=int, default=0, metavar="S", help="of everything that is random [0]")
     add(
-        "--test", nargs="+", default=[], metavar="PATTERN",
+        "--test",
+        nargs="+",
+        default=[],
+        metavar="PATTERN",
         help="names of motions, such as 'cmu_09_*', that are only measured on, at the very end",
-    )  # fmt: skip
+    )
     add(
-        "--held-out", nargs="+", default=[], metavar="PATTERN",
+        "--held-out",
+        nargs="+",
+        default=[],
+        metavar="PATTERN",
         help="names that are measured on for choosing, a person or another studio [every fourth motion]",
-    )  # fmt: skip
+    )
 
 
 def add_program_flags(parser: argparse.ArgumentParser) -> None:

@@ -177,21 +177,23 @@ class PrefectServer:
 
 def _start_server(api: str, database: str, settings: dict[str, str], log_path: Path) -> subprocess.Popen[bytes]:
     temporary = {
-        "PREFECT_UI_ENABLED": "0", "PREFECT__SERVER_EPHEMERAL": "1", "PREFECT__SERVER_FINAL": "1",
-        "PREFECT_SERVER_DATABASE_CONNECTION_URL": database, "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
-    }  # fmt: skip
+        "PREFECT_UI_ENABLED": "0",
+        "PREFECT__SERVER_EPHEMERAL": "1",
+        "PREFECT__SERVER_FINAL": "1",
+        "PREFECT_SERVER_DATABASE_CONNECTION_URL": database,
+        "PREFECT_SERVER_DATABASE_MIGRATE_ON_START": "true",
+    }
+    command = [sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app"]
+    command += ["--host", "127.0.0.1", "--port", str(urlsplit(api).port), "--log-level", "error", "--lifespan", "on"]
     with log_path.open("wb") as log:
         process = subprocess.Popen(
-            [
-                sys.executable, "-m", "uvicorn", "--factory", "prefect.server.api.server:create_app",
-                "--host", "127.0.0.1", "--port", str(urlsplit(api).port), "--log-level", "error", "--lifespan", "on",
-            ],
+            command,
             env={**os.environ, **settings, **temporary},
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
             start_new_session=True,  # Ctrl-C is for this process, which still has to tell the server
-        )  # fmt: skip
+        )
     _end_with_this_process(process.pid)
     atexit.register(_end, process)
     return process

@@ -28,9 +28,19 @@ class Row(NamedTuple):
 _PLACES = ("out", "strip", "report", "mlflow_run_id")
 FIT_KEYS = ("matte_iou", "psnr_db", "fit_seconds", *_PLACES, "directions", "unknown", "warnings")
 DEMO_KEYS = (
-    "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
-    *_PLACES, "directions", "unknown", "warnings",
-)  # fmt: skip
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    "psnr_db",
+    "fit_seconds",
+    "total_seconds",
+    *_PLACES,
+    "directions",
+    "unknown",
+    "warnings",
+)
 FIT_ROWS = (Row("IoU with the matte", "matte_iou", ".3f"), Row("image PSNR [dB]", "psnr_db", ".1f"))
 DEMO_ROWS = (
     Row("MPJPE [mm]", "mpjpe_mm", ".1f"),

@@ -51,12 +51,20 @@ def _embedded() -> Body:
 
 
 def load_default_body(dtype: torch.dtype = torch.float32) -> Body:
-    """The embedded human body: SMPL's skeleton and poses, its own betas; see data/NOTICE.txt."""
+    """Load the embedded human body: SMPL's skeleton and poses, its own betas; see data/NOTICE.txt.
+
+    Args:
+        dtype: precision of the tensors.
+    """
     return _embedded().to(dtype)
 
 
 def load_body(path: Path | None, dtype: torch.dtype = torch.float32) -> Body:
-    """The user's SMPL file (.npz, or .pkl whose code is not run), or the embedded body for None.
+    """Load the user's SMPL file (.npz, or .pkl whose code is not run), or the embedded body for None.
+
+    Args:
+        path: the SMPL file, or None.
+        dtype: precision of the tensors.
 
     Raises:
         InputError: the file is missing, damaged, or not SMPL; the text names the fix.

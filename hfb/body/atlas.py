@@ -22,10 +22,12 @@ _PLANE = {0: (2, 1), 1: (0, 2), 2: (0, 1)}  # coordinates left when looking alon
 def make_atlas(
     vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], weights: Float[Array, "V 24"]
 ) -> tuple[Float[Array, "U 2"], Int[Array, "F 3"]]:
-    """(uv, uv_faces) in [0, 1], v = 0 at the top row.
+    """Return (uv, uv_faces) in [0, 1], v = 0 at the top row.
 
     Args:
-        vertices: T-pose [m]. weights: skinning weights, which tell the limb of each vertex.
+        vertices: T-pose [m].
+        faces: vertex numbers of each triangle.
+        weights: skinning weights, which tell the limb of each vertex.
     """
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
     edge_faces = edges_of(faces)[1]

@@ -11,7 +11,11 @@ from hfb.typing import Array, Int
 
 
 def boundary_loops(faces: Int[Array, "F 3"]) -> list[list[int]]:
-    """Closed chains of vertices around the holes, in the order in which faces that fill them must run."""
+    """Return closed chains of vertices around the holes, in the order of the faces that fill them.
+
+    Args:
+        faces: vertex numbers of each triangle.
+    """
     edge_vertices, edge_faces = edges_of(faces)
     follow: dict[int, list[int]] = {}
     # The mesh runs along its boundary as (a, b); what closes it runs from b to a.
@@ -41,13 +45,23 @@ def boundary_loops(faces: Int[Array, "F 3"]) -> list[list[int]]:
 
 
 def fans(loops: list[list[int]]) -> Int[Array, "N 3"]:
-    """Triangles that fill the loops, each fanned out from its first vertex."""
+    """Return triangles that fill the loops, each fanned out from its first vertex.
+
+    Args:
+        loops: by `boundary_loops`.
+    """
     triangles = [(loop[0], loop[k], loop[k + 1]) for loop in loops for k in range(1, len(loop) - 1)]
     return np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
 def fan_corners(filling: Int[Array, "N 3"], faces: Int[Array, "F 3"], uv_faces: Int[Array, "F 3"]) -> Int[Array, "N 3"]:
-    """Texture coordinates for the corners of new faces: those their vertices have on an old face."""
+    """Return texture coordinates for the corners of new faces: those of their vertices on an old face.
+
+    Args:
+        filling: new faces.
+        faces: old faces.
+        uv_faces: texture coordinates of the old faces' corners.
+    """
     of_vertex = np.full(int(faces.max()) + 1, -1, dtype=np.int64)
     of_vertex[faces.reshape(-1)] = uv_faces.reshape(-1)
     return of_vertex[filling]

@@ -7,13 +7,24 @@ from hfb.typing import Float, Tensor
 
 
 def height_m(body: Body, betas: Float[Tensor, "*n K"]) -> Float[Tensor, "*n"]:
-    """From the soles to the crown in the rest pose [m]: linear in the betas, between two vertices of the mean shape."""
+    """Return the height from soles to crown in the rest pose [m]: linear in the betas, between two fixed vertices.
+
+    Args:
+        body: the body model.
+        betas: shape coefficients.
+    """
     mean, per_beta = height_line(body)
     return mean + betas @ per_beta.to(betas)
 
 
 def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Tensor, "*n K"]:
-    """The likeliest shape of that height [m] as seen from these betas: the nearest, since they have unit variance."""
+    """Return the nearest shape of a given height: the likeliest, since betas have unit variance.
+
+    Args:
+        betas: shape coefficients.
+        body: the body model.
+        height: from soles to crown [m].
+    """
     _, per_beta = height_line(body)
     per_beta = per_beta.to(betas)
     return betas + ((height - height_m(body, betas)) / per_beta.square().sum())[..., None] * per_beta
@@ -21,7 +32,11 @@ def as_tall(betas: Float[Tensor, "*n K"], body: Body, height: float) -> Float[Te
 
 @lru_cache(maxsize=4)
 def height_line(body: Body) -> tuple[float, Float[Tensor, "K"]]:
-    """The height with betas of zero, and what a unit of each beta adds [m]."""
+    """Return the height with betas of zero, and its derivative by each beta [m].
+
+    Args:
+        body: the body model.
+    """
     top, bottom = int(body.template[:, 1].argmax()), int(body.template[:, 1].argmin())
     mean = float(body.template[top, 1] - body.template[bottom, 1])
     return mean, body.shape_directions[top, 1] - body.shape_directions[bottom, 1]

@@ -29,12 +29,20 @@ class Mesh:
     edge_faces: Int[Tensor, "E 2"]
 
     def to(self, dtype: torch.dtype) -> "Mesh":
-        """The same mesh with texture coordinates of another precision."""
+        """Return the mesh with texture coordinates of another precision.
+
+        Args:
+            dtype: precision of the texture coordinates.
+        """
         return Mesh(self.faces, self.uv.to(dtype), self.uv_faces, self.edge_vertices, self.edge_faces)
 
 
 def edges_of(faces: Int[Array, "F 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "E 2"]]:
-    """(edge_vertices, edge_faces) of a triangle list, as `Mesh` documents them."""
+    """Return (edge_vertices, edge_faces) of a triangle list; see `Mesh`.
+
+    Args:
+        faces: vertex numbers of each triangle.
+    """
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     owner = np.tile(np.arange(len(faces), dtype=np.int64), 3)
     key = directed.min(1) * (int(faces.max(initial=0)) + 1) + directed.max(1)
@@ -54,7 +62,14 @@ def edges_of(faces: Int[Array, "F 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "E
 def make_mesh(
     faces: Int[Array, "F 3"], uv: Float[Array, "U 2"], uv_faces: Int[Array, "F 3"], dtype: torch.dtype
 ) -> Mesh:
-    """A `Mesh` with its edges found."""
+    """Build a `Mesh` and find its edges.
+
+    Args:
+        faces: vertex numbers of each triangle.
+        uv: texture coordinates in [0, 1].
+        uv_faces: texture coordinates of each triangle's corners.
+        dtype: precision of the texture coordinates.
+    """
     edge_vertices, edge_faces = edges_of(faces)
     return Mesh(
         faces=torch.from_numpy(faces.astype(np.int64)),
@@ -66,7 +81,12 @@ def make_mesh(
 
 
 def vertex_normals(vertices: Float[Tensor, "S V 3"], mesh: Mesh) -> Float[Tensor, "S V 3"]:
-    """Unit normals, each the mean of its faces' weighted by their areas."""
+    """Return unit normals, each the mean of its faces' weighted by their areas.
+
+    Args:
+        vertices: of each instant [m].
+        mesh: their triangles.
+    """
     corners = vertices[:, mesh.faces]
     normals = torch.linalg.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     summed = torch.zeros_like(vertices)

@@ -95,11 +95,19 @@ class Body:
         return skinning.rounded(self.pose_rows[0])
 
     def to(self, dtype: torch.dtype) -> "Body":
-        """The same body in another precision."""
+        """Return the body in another precision.
+
+        Args:
+            dtype: precision of the tensors.
+        """
         return replace(self._with_tensors_to(dtype), mesh=self.mesh.to(dtype))
 
     def on(self, device: torch.device) -> "Body":
-        """The same body in a device's memory; its mesh, which a rasteriser copies for itself, stays where it is."""
+        """Return the body in a device's memory; its mesh, which a rasteriser copies for itself, is not moved.
+
+        Args:
+            device: where tensors are.
+        """
         return self._with_tensors_to(device)
 
     def _with_tensors_to(self, there: torch.dtype | torch.device) -> "Body":
@@ -108,11 +116,19 @@ class Body:
         return replace(self, **moved)
 
     def rest_joints(self, betas: Float[Tensor, "K"]) -> Float[Tensor, "24 3"]:
-        """Joints of the person with these betas in the rest pose [m]."""
+        """Return the joints of the person with these betas in the rest pose [m].
+
+        Args:
+            betas: shape coefficients, unit variance.
+        """
         return self.joint_template + _weighed(self.joint_shape_directions, betas)
 
     def shape(self, betas: Float[Tensor, "K"]) -> "ShapedBody":
-        """The person with these betas (unit variance each) in the rest pose."""
+        """Return the person with these betas in the rest pose.
+
+        Args:
+            betas: shape coefficients, unit variance.
+        """
         if compiled(betas):
             places = operators.add_shape(betas, self.template, self.joint_template, *self.shape_rows)
             return ShapedBody(self, *places)
@@ -121,7 +137,11 @@ class Body:
 
 
 def bone_length(joints: Float[Tensor, "24 3"]) -> Float[Tensor, ""]:
-    """Total length of the 23 bones [m]: a person's size, whatever the pose."""
+    """Return the total length of the 23 bones [m]: a person's size in any pose.
+
+    Args:
+        joints: of one pose [m].
+    """
     if compiled(joints):
         ends = joints.index_select(0, constant(_BONE_ENDS, torch.long, joints.device)).view(2, -1, 3)
     else:
@@ -155,7 +175,12 @@ class ShapedBody:
     def pose_frames(
         self, rotations: Float[Tensor, "T S1 24 3 3"], translations: Float[Tensor, "T S1 3"]
     ) -> tuple[Float[Tensor, "n V 3"], Float[Tensor, "T S1 24 3"]]:
-        """Vertices at all but the last instant of every frame, frame by frame, and joints at all [m]; see `pose`."""
+        """Return vertices at all but the last instant of every frame, and joints at all instants [m]; see `pose`.
+
+        Args:
+            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            translations: SMPL's [m], camera coordinates.
+        """
         size = rotations.shape[:2]
         T_world_rest, joints = self._placed(rotations.flatten(0, 1), translations.flatten(0, 1))
         shown = T_world_rest.unflatten(0, size)[:, :-1].flatten(0, 1)
@@ -164,7 +189,12 @@ class ShapedBody:
     def joints_of(
         self, rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"]
     ) -> Float[Tensor, "S 24 3"]:
-        """The posed joints alone, without skinning [m]; arguments as in `pose`."""
+        """Return the posed joints [m], without skinning.
+
+        Args:
+            rotations: of each joint in its parent's frame; the root's maps the rest body to the camera's frame.
+            translations: SMPL's [m], camera coordinates.
+        """
         return self._placed(rotations, translations)[1]
 
     def _placed(

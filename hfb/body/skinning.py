@@ -1,5 +1,7 @@
-"""Joints along their chains and linear blend skinning in readable torch: what the compiled operators are tested
-against, and what runs where tensors are not in the processor's memory."""
+"""Joints along their chains and linear blend skinning in readable torch.
+
+The compiled operators are tested against these functions, which also run where tensors are not in the CPU's memory.
+"""
 
 from functools import lru_cache
 
@@ -13,18 +15,24 @@ from hfb.typing import Float, Int, Shaped, Tensor
 
 @lru_cache
 def chosen(rows: tuple[int, ...], count: int) -> tuple[tuple[float, ...], ...]:
-    """The matrix that takes these rows of `count`: on a GPU the gradient of an index adds up in no fixed order."""
+    """Return the matrix that selects rows of `count`: on a GPU the gradient of an index has no fixed summation order.
+
+    Args:
+        rows: numbers of the selected rows.
+        count: number of rows.
+    """
     return tuple(tuple(float(row == column) for column in range(count)) for row in rows)
 
 
 def place_joints(
     rotations: Float[Tensor, "S 24 3 3"], translations: Float[Tensor, "S 3"], rest_joints: Float[Tensor, "24 3"]
 ) -> tuple[Float[Tensor, "S 24 3 4"], Float[Tensor, "S 24 3"]]:
-    """Transforms of the rest body to the world, and the joints: products along every joint's chain (SMPL's eq. 4).
+    """Return transforms of the rest body to the world, and the joints: products along the chains (SMPL's eq. 4).
 
     Args:
         rotations: of each joint in its parent's frame; the root's maps the rest body into the target frame.
         translations: added to everything [m]; the root turns about its own joint, as in SMPL.
+        rest_joints: of the person [m].
     """
     count = rotations.shape[0]
     parents = constant(chosen(PARENT_OR_SELF, JOINT_COUNT), rest_joints.dtype, rest_joints.device)
@@ -46,27 +54,40 @@ def place_joints(
 
 
 def _product(left: Float[Tensor, "*n r k"], right: Float[Tensor, "*n k c"]) -> Float[Tensor, "*n r c"]:
-    """left @ right, of small matrices: a device's matrix products are made for large ones."""
+    """Return left @ right for small matrices: a device's matrix products are made for large ones."""
     return (left[..., :, :, None] * right[..., None, :, :]).sum(-2)
 
 
 def blend(feature: Float[Tensor, "S n"], directions: Float[Tensor, "V 3 n"]) -> Float[Tensor, "S V 3"]:
-    """Pose blend shapes (SMPL's eq. 9) [m] of poses that differ so from the rest pose."""
+    """Return pose blend shapes (SMPL's eq. 9) [m].
+
+    Args:
+        feature: difference of each pose's rotation matrices from the rest pose's.
+        directions: displacement of each vertex by each feature [m].
+    """
     return (feature @ directions.flatten(0, 1).T).unflatten(1, (-1, 3))
 
 
 def padded(directions: Float[Tensor, "V 3 n"]) -> tuple[Float[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
-    """(numbers, steps) of pose blend shapes as they are: steps of one, and zeros up to the number of features that the
-    kernels know."""
+    """Return (numbers, steps) of pose blend shapes without rounding.
+
+    Steps are one; zeros fill up to the number of features that the kernels expect.
+
+    Args:
+        directions: displacement of each vertex by each feature [m].
+    """
     rows = torch.nn.functional.pad(directions, (0, FEATURES - directions.shape[-1]))
     return rows, rows.new_ones(rows.shape[:-1])
 
 
 def rounded(directions: Float[Tensor, "V 3 n"]) -> tuple[Shaped[Tensor, "V 3 208"], Float[Tensor, "V 3"]]:
-    """As `padded`, in whole numbers of 16 bits: 32,767 of its row's steps where a row is largest.
+    """Return `padded` in whole numbers of 16 bits: 32,767 of its row's steps where a row is largest.
 
-    Half a step, the most that a number is off, is 1.5e-5 of its row's largest: below a micrometre for displacements of
-    5 cm. float64, for who wants to know exactly, stays as it is.
+    Half a step, the largest error, is 1.5e-5 of its row's largest: below a micrometre for displacements of 5 cm.
+    float64, which is for exact comparisons, is not rounded.
+
+    Args:
+        directions: displacement of each vertex by each feature [m].
     """
     rows, ones = padded(directions)
     if directions.dtype == torch.float64:
@@ -82,7 +103,14 @@ def skin(
     offsets: Float[Tensor, "S V 3"] | None,
     weights: Float[Tensor, "V 24"],
 ) -> Float[Tensor, "S V 3"]:
-    """Linear blend skinning (SMPL's eq. 2) of the rest vertices and their pose offsets [m]."""
+    """Apply linear blend skinning (SMPL's eq. 2) to the rest vertices and their pose offsets [m].
+
+    Args:
+        T_world_rest: transform of each joint.
+        rest: rest vertices [m].
+        offsets: pose blend shapes [m].
+        weights: skinning weights of each vertex.
+    """
     blended = torch.einsum("vj,sjrc->svrc", weights, T_world_rest)
     points = rest.expand(T_world_rest.shape[0], -1, -1) if offsets is None else rest + offsets
     return (blended[..., :3] * points[..., None, :]).sum(-1) + blended[..., 3]
@@ -91,7 +119,11 @@ def skin(
 def sparse_weights(
     weights: Float[Tensor, "V 24"],
 ) -> tuple[Int[Tensor, "V1"], Int[Tensor, "n"], Float[Tensor, "n"]]:
-    """(starts, joints, weights): vertex v is held by joints[starts[v]:starts[v + 1]] with these shares."""
+    """Return (starts, joints, weights): vertex v has the joints joints[starts[v]:starts[v + 1]] with these weights.
+
+    Args:
+        weights: skinning weights of each vertex.
+    """
     vertices, joints = weights.nonzero(as_tuple=True)
     starts = torch.zeros(len(weights) + 1, dtype=torch.int64)
     starts[1:] = torch.bincount(vertices, minlength=len(weights)).cumsum(0)

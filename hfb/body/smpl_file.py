@@ -29,7 +29,10 @@ Arrays = dict[str, Shaped[Array, "..."]]
 
 
 def read_smpl(path: Path) -> Body:
-    """A user's SMPL file in float64; the first ten betas; holes closed; with a texture atlas where it has none.
+    """Read a user's SMPL file in float64; the first ten betas; holes closed; with a texture atlas where it has none.
+
+    Args:
+        path: .npz or .pkl file.
 
     Raises:
         InputError: the file is missing, damaged, not a body model, or a model other than SMPL.

@@ -19,13 +19,16 @@ _STEEPEST = 0.2
 
 
 def subdivide(body: Body) -> Body:
-    """The body with a vertex more in the middle of every edge; old vertices and all joints stay where they are.
+    """Return the body with a new vertex in the middle of every edge; old vertices and all joints stay where they are.
 
     New vertices follow the butterfly scheme (Dyn, Levin & Gregory, A butterfly subdivision scheme for surface
     interpolation with tension control, 1990): 1/2 of both ends, 1/8 of the two vertices across, -1/16 of the four
     beyond; where the surface has a border they are midpoints. The same linear rule makes their shape and pose
     directions; skinning weights and texture coordinates are those of midpoints, so weights stay within [0, 1] and
     texture seams stay seams.
+
+    Args:
+        body: to subdivide.
     """
     faces = body.mesh.faces.numpy()
     edge_of_side = _edges_of_sides(body.mesh)

@@ -29,7 +29,12 @@ REAL_BINS: tuple[Interval, ...] = ((0.0, 0.05), (0.05, 0.15), (0.15, 0.3), (0.3,
 
 
 def bins_of(name: SetName, frames: int) -> tuple[Interval, ...]:
-    """The intervals by which a set is sorted."""
+    """Return the intervals by which a set is sorted.
+
+    Args:
+        name: of the set.
+        frames: blurred frames per case.
+    """
     if name == "real":
         return REAL_BINS
     if name != "bc-cape":
@@ -38,17 +43,26 @@ def bins_of(name: SetName, frames: int) -> tuple[Interval, ...]:
 
 
 def paper_counts(name: Literal["bt-amass", "bc-cape"], frames: int) -> tuple[int, ...]:
-    """The paper's cases per interval; it gives none for BC-CAPE: equally many there."""
+    """Return the paper's cases per interval; it gives none for BC-CAPE: equally many there.
+
+    Args:
+        name: of the set.
+        frames: blurred frames per case.
+    """
     if name == "bt-amass":
         return SINGLE_COUNTS if frames == 1 else PAIR_COUNTS
     return (1,) * len(bins_of(name, frames))
 
 
 def bin_of_case(number: int, counts: Sequence[int]) -> int:
-    """The interval of case ``number`` (from 1) where cases are dealt in the proportion of the counts.
+    """Return the interval of case ``number`` (from 1) where cases are dealt in the proportion of the counts.
 
     Each goes to the interval that lacks most so far, so every beginning of a set is proportional to within about one
     case per interval, and does not depend on how many follow.
+
+    Args:
+        number: of the case, from 1.
+        counts: proportion of the intervals.
     """
     total, dealt, chosen = sum(counts), [0] * len(counts), 0
     # After sum(counts) cases everything is dealt exactly, and the deal begins anew.
@@ -62,7 +76,14 @@ def bin_of_case(number: int, counts: Sequence[int]) -> int:
 def wanted_interval(
     name: Literal["bt-amass", "bc-cape"], frames: int, fill: Literal["paper", "even", "natural"], number: int
 ) -> Interval:
-    """The blur rates that case ``number`` may have; the whole range of the set for ``"natural"``."""
+    """Return the blur rates that case ``number`` may have; the whole range of the set for ``"natural"``.
+
+    Args:
+        name: of the set.
+        frames: blurred frames per case.
+        fill: proportions of the intervals: the paper's, even, or whatever the motions give.
+        number: of the case, from 1.
+    """
     bins = bins_of(name, frames)
     if fill == "natural":
         return bins[0][0], bins[-1][1]
@@ -71,7 +92,12 @@ def wanted_interval(
 
 
 def interval_of(blur_rate: float, bins: Sequence[Interval]) -> int | None:
-    """The interval that holds a blur rate, its lower end included; None outside of all."""
+    """Return the interval that contains a blur rate, its lower end included; None outside of all.
+
+    Args:
+        blur_rate: of the case.
+        bins: intervals, ascending.
+    """
     for index, (low, high) in enumerate(bins):
         if low <= blur_rate < high:
             return index

@@ -6,7 +6,7 @@ from hfb.typing import Array, Float, Shaped
 
 
 def blur_rates(silhouettes: Shaped[Array, "T S H W"]) -> Float[Array, "T"]:
-    """|union of R_S(i)| / |R_S(1)| - 1 of every frame, the union being the pixelwise maximum; 0 where nothing is seen.
+    """Return |union of R_S(i)| / |R_S(1)| - 1 of every frame, the union pixelwise; 0 where nothing is seen.
 
     Args:
         silhouettes: boolean, or shares of pixels.

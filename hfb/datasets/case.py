@@ -34,7 +34,7 @@ class Case:
     facts: dict[str, Any]
 
     def frame_paths(self) -> list[Path]:
-        """The blurred pictures, in time."""
+        """Return the files of the blurred frames, in time."""
         return [self.folder / f"frame_{index}.png" for index in range(self.frames)]
 
     @property
@@ -53,11 +53,11 @@ class Case:
         return self.folder / "truth.npz"
 
     def start_paths(self) -> list[Path]:
-        """The static estimates, one per frame; they need not be there."""
+        """Return the files of the static estimates, one per frame; they need not exist."""
         return [self.folder / f"start_{index}.npz" for index in range(self.frames)]
 
     def true_matte_paths(self) -> list[Path]:
-        """The exact mattes."""
+        """Return the files of the exact mattes."""
         return [self.folder / f"matte_{index}.png" for index in range(self.frames)]
 
     def middle_paths(self) -> list[Path]:
@@ -65,17 +65,24 @@ class Case:
         return [self.folder / f"middle_{index}.png" for index in range(self.frames)]
 
     def sharp_paths(self) -> list[Path]:
-        """Per frame, its true sub-frames side by side (straight alpha)."""
+        """Return per frame the file of its true sub-frames, side by side (straight alpha)."""
         return [self.folder / f"sharp_{index}.png" for index in range(self.frames)]
 
 
 def case_name(number: int) -> str:
-    """The folder's name of a case."""
+    """Return the folder's name of a case.
+
+    Args:
+        number: of the case, from 1.
+    """
     return f"case_{number:04d}"
 
 
 def load_case(folder: Path) -> Case:
     """Open a case folder.
+
+    Args:
+        folder: of the case.
 
     Raises:
         InputError: no case lies there.

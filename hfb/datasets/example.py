@@ -64,10 +64,14 @@ class ExamplePaths:
 
 
 def write_example(folder: Path, seed: int = 0) -> ExamplePaths:
-    """Make the example in a folder: ``frame_0.png``, ``background.png`` and ``truth.npz``.
+    """Write the example into a folder: ``frame_0.png``, ``background.png`` and ``truth.npz``.
 
-    The picture is the mean of 57 sub-frames in linear light, with sensor noise, stored in 8 bits. The seed
-    chooses shape, clothes, room and noise; the motion stays the same.
+    The frame is the mean of 57 sub-frames in linear light, with sensor noise, stored in 8 bits. The motion is the
+    same for every seed.
+
+    Args:
+        folder: written to; created where missing.
+        seed: of shape, clothes, room and noise.
     """
     rng = np.random.default_rng(seed + _FIRST_DRAW)
     body = load_default_body()

@@ -59,7 +59,11 @@ class PoseErrors:
     turns: Float[Tensor, "T 24 3"]
 
     def poses_at(self, amplitudes: Float[Tensor, "A"]) -> Float[Tensor, "A T 24 3"]:
-        """The erring poses at rising amplitudes; a joint at the end of its range of motion turns no further."""
+        """Return the erroneous poses at rising amplitudes; a joint at the end of its range of motion turns no further.
+
+        Args:
+            amplitudes: sizes of the error, rising.
+        """
         turned = _turned(self.poses, amplitudes[:, None, None, None] * self.turns)
         allowed = _excess_of_joints(self.poses).clamp_min(_ALLOWED_EXCESS)
         within = _excess_of_joints(turned.flatten(0, 1)).unflatten(0, turned.shape[:2]) <= allowed
@@ -73,19 +77,24 @@ class PoseErrors:
 
 
 def draw_pose_errors(poses: Float[Tensor, "T 24 3"], rng: np.random.Generator) -> PoseErrors:
-    """Errors of one network on the frames of one clip.
+    """Draw the errors of one network on the frames of one clip.
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
+        rng: of the errors.
     """
     return pose_errors(poses, draw_turns(len(poses), rng))
 
 
 def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
-    """By how much a network turns each bone in the frames of one clip, in camera axes, unit size for the shoulder.
+    """Draw how far a network turns each bone in the frames of one clip, in camera axes, unit size for the shoulder.
 
     A share of each bone's turn is common to its limb or the torso, a share of everything to all frames (the same
     person, clothes and network).
+
+    Args:
+        frames: number of frames.
+        rng: of the errors.
     """
     common = _draw_turns(rng)
     turns = [
@@ -95,13 +104,14 @@ def draw_turns(frames: int, rng: np.random.Generator) -> Float[Array, "T 24 3"]:
 
 
 def pose_errors(poses: Float[Tensor, "T 24 3"], turns: Float[Array, "T 24 3"]) -> PoseErrors:
-    """Drawn turns as errors of these poses, of one clip or of many.
+    """Convert drawn turns to errors of these poses, of one clip or of many.
 
     What would move the bone across the view is damped, and more so the more the bone points at the camera, where no
     turn is hidden. The root's turn is small: the torso is what a network sees best.
 
     Args:
         poses: the true ones, whose root turns the body into the camera's frame.
+        turns: by `draw_turns`.
     """
     drawn = torch.from_numpy(turns).to(poses)
     hidden = torch.linalg.cross(_directions(poses), drawn.new_tensor([0.0, 0.0, 1.0]).expand_as(drawn))

@@ -46,15 +46,18 @@ _INSTANTS = 8
 def simulated_starts(
     truth: Truth, frames: int, blur_rate: float, body: Body, camera: PinholeCamera, rng: np.random.Generator
 ) -> list[FirstBody]:
-    """One still body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
+    """Draw one static body per frame with METRO's error: MPJPE over all instants of the case, and silhouette IoU.
 
     The body is the mean one (a network does not know the shape), as it was at some instant around the middle of the
     exposure, with errors of `hfb.datasets.network_errors` that grow until the case has the MPJPE drawn for it, and
     misplaced until it has the IoU. Where motion and shape alone are further off than that, the error is larger.
 
     Args:
-        truth: its betas count in the body's own space. frames: rows of the truth belong to frames 0 .. frames - 1.
-        blur_rate: of the case. body: what the fit will use. camera: of the truth's silhouettes.
+        truth: its betas count in the body's own space.
+        frames: rows of the truth belong to frames 0 .. frames - 1.
+        blur_rate: of the case.
+        body: what the fit will use.
+        camera: of the truth's silhouettes.
         rng: the only source of chance; the same state gives the same bodies.
     """
     wanted = _draw_wanted(blur_rate, frames, rng)
@@ -266,7 +269,7 @@ def _lognormal_above(mean: float, spread: float, floor: float, draw: float) -> f
 
 
 def _normal_below(mean: float, spread: float, ceiling: float, draw: float) -> float:
-    """mu + spread * draw or the ceiling if that is lower, mu such that the mean over all draws is the given one.
+    """Return mu + spread * draw or the ceiling if that is lower, mu such that the mean over all draws is the given one.
 
     E min(c, X) = mu - s (d Phi(d) + phi(d)) with d = (mu - c) / s.
     """

@@ -45,7 +45,12 @@ class JointTruth:
 
 
 def save_truth(path: Path, truth: Truth) -> None:
-    """Write a truth file whole or not at all: a motion file with one more member, silhouettes packed to bits."""
+    """Write a truth file whole or not at all: a motion file with one more member, silhouettes packed to bits.
+
+    Args:
+        path: of the .npz.
+        truth: of one case.
+    """
     silhouettes = {
         "silhouettes": np.packbits(truth.silhouettes, axis=-1),
         "silhouette_width": np.array(truth.silhouettes.shape[-1]),
@@ -55,6 +60,9 @@ def save_truth(path: Path, truth: Truth) -> None:
 
 def load_truth(path: Path) -> Truth:
     """Read a truth file.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: not a truth file.
@@ -71,7 +79,12 @@ def load_truth(path: Path) -> Truth:
 
 
 def save_joint_truth(path: Path, truth: JointTruth) -> None:
-    """Write known joints whole or not at all (.npz, no pickle)."""
+    """Write known joints whole or not at all (.npz, no pickle).
+
+    Args:
+        path: of the .npz.
+        truth: of one case.
+    """
     write_arrays(
         path,
         {
@@ -86,6 +99,9 @@ def save_joint_truth(path: Path, truth: JointTruth) -> None:
 
 def load_joint_truth(path: Path) -> JointTruth:
     """Read the known joints of a real video.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: missing, damaged, or its members do not fit each other.
@@ -111,6 +127,9 @@ def load_joint_truth(path: Path) -> JointTruth:
 
 def load_truth_of(path: Path) -> Truth | JointTruth:
     """Read either kind of truth file.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: neither kind.

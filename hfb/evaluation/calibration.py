@@ -55,10 +55,12 @@ def fit_confidence(
     exponent: float | None = None,
     prior: ConfidenceModel | None = None,
 ) -> ConfidenceModel:
-    """The likeliest coefficients of the log-linear radius and exponent of the Weibull law, with a weak pull.
+    """Fit the coefficients of the log-linear radius and the Weibull law's exponent by weakly regularised likelihood.
 
     Args:
-        names: the features to use. exponent: of the law, where it is known already.
+        cases: fits whose errors are known.
+        names: the features to use.
+        exponent: of the law, where it is known already.
         prior: whose coefficients they are pulled to, and keep where the cases say nothing; zero without one.
     """
     tables = [np.stack([case.features[name][:, 1:].ravel() for name in names], 1) for case in cases]
@@ -95,10 +97,17 @@ def held_out_reliability(
     exponent: float | None = None,
     prior: ConfidenceModel | None = None,
 ) -> dict[str, float]:
-    """How honest and how sharp the radii are on recordings that the coefficients were not fitted to.
+    """Measure how calibrated and how sharp the radii are on recordings that the coefficients were not fitted to.
 
     ``within_p50`` and its like: share of joints within the radius; ``off``: mean distance from what was said;
     ``rank``: Spearman's correlation of radius and error over all joints; ``rank_in_case``: its mean within the cases.
+
+    Args:
+        cases: fits whose errors are known.
+        names: the features to use.
+        folds: parts into which the recordings are split.
+        exponent: of the law, where it is known already.
+        prior: whose coefficients regularise the fit; zero without one.
     """
     shares, ranks, radii, errors = [], [], [], []
     for part in _folds([case.recording for case in cases], folds):
@@ -119,11 +128,14 @@ def held_out_reliability(
 
 
 def fit_direction_odds(cases: Sequence[DirectionCase]) -> dict[str, float]:
-    """Coefficients of `EVIDENCE`, none below zero, from pairs of hypotheses of which one is nearer to the truth.
+    """Fit coefficients of `EVIDENCE`, none below zero, to pairs of hypotheses of which one is nearer to the truth.
 
     Logistic regression, each pair weighing as much as depends on it. Of one frame the picture's evidence is fitted on
     hypotheses whose arrow of time does not count (the better of a motion and its reverse), what knows time's
     arrow on each motion and its reverse; of several frames there is the first kind alone.
+
+    Args:
+        cases: fits whose errors are known.
     """
     place = {name: index for index, name in enumerate(EVIDENCE)}
     excess, arrow = [place["excess"]], [place[name] for name in EVIDENCE if name.endswith("_backwards")]
@@ -164,7 +176,12 @@ def _logistic(pairs: Sequence[Pairs], columns: Sequence[int]) -> Float[Array, "_
 
 
 def reliability_of(model: ConfidenceModel, cases: Sequence[JointCase]) -> dict[str, float]:
-    """Share of joints within a given model's radius for every level, as `held_out_reliability` counts them."""
+    """Return the share of joints within a given model's radius for every level, as in `held_out_reliability`.
+
+    Args:
+        model: radii and exponent to test.
+        cases: fits whose errors are known.
+    """
     shares = [
         [(case.errors_mm[:, 1:] <= radius * radius_factor(level, model.exponent)).mean() for level in LEVELS]
         for case, radius in ((case, model.radius_mm(case.features)[:, 1:]) for case in cases)

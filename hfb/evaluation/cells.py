@@ -42,9 +42,19 @@ _MEANS = {
 """Entry of a cell -> column of the rows of which it is the mean over the cases that know it."""
 
 _COLUMNS = (
-    "blur_rate", "initial_mpjpe_mm", "mpjpe_mm", "initial_pa_mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou",
-    *_MEANS.values(), "better_motion_mm", "path_mm", "true_path_mm", *RELIABILITY_COLUMNS,
-)  # fmt: skip
+    "blur_rate",
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "initial_pa_mpjpe_mm",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    *_MEANS.values(),
+    "better_motion_mm",
+    "path_mm",
+    "true_path_mm",
+    *RELIABILITY_COLUMNS,
+)
 
 
 RECORDED = ("recording", "source", "average")
@@ -87,24 +97,37 @@ def by_method(rows: Any, order: Collection[str] = ()) -> dict[str, DataFrame]:
 
 
 def within(cases: DataFrame, bins: Sequence[tuple[float, float]], index: int) -> DataFrame:
-    """Return the cases whose blur rate lies in a bin: its lower edge included, its upper one only in the last bin."""
+    """Return the cases whose blur rate lies in a bin: its lower edge included, its upper one only in the last bin.
+
+    Args:
+        cases: rows of cases.parquet.
+        bins: intervals of blur rates, ascending.
+        index: of the bin.
+    """
     return cases[cases["blur_rate"].between(*bins[index], inclusive="both" if index == len(bins) - 1 else "left")]
 
 
 def known_joints(cases: DataFrame) -> Float[Array, "C 24"]:
-    """Return the errors per joint [mm] of the cases that know all of them."""
+    """Return the errors per joint [mm] of the cases that know all of them.
+
+    Args:
+        cases: rows of cases.parquet.
+    """
     tables = [np.asarray(errors, float) for errors in cases["joint_errors_mm"] if np.ndim(errors) == 1]
     return np.array([one for one in tables if len(one) == 24 and np.isfinite(one).all()]).reshape(-1, 24)
 
 
 def make_cell(cases: DataFrame) -> Cell:
-    """One cell of a results table.
+    """Return one cell of a results table.
 
     ``n`` counts the answered cases; ``n_pose``, ``n_pa`` and ``n_iou`` those behind MPJPE, PA-MPJPE and IoU with their
     intervals. ``ratio`` is mean fitted / mean initial MPJPE over the cases that know both, as are these two means then.
-    Shares of cases are strict: an equal error is neither
-    better nor worse. ``motion_ratio`` is mean motion error over that of a still body, ``better_motion_ratio`` in the
-    better direction of time, ``path_share`` mean path length over the true one.
+    Shares of cases are strict: an equal error is neither better nor worse. ``motion_ratio`` is mean motion error over
+    that of a still body, ``better_motion_ratio`` in the better direction of time, ``path_share`` mean path length over
+    the true one.
+
+    Args:
+        cases: rows of one method.
     """
     answered = cases[~cases["failed"]]
     initial, fitted, known = _pair(answered, "initial_mpjpe_mm", "mpjpe_mm")
@@ -145,7 +168,11 @@ def make_cell(cases: DataFrame) -> Cell:
 
 
 def start_cases(methods: Iterable[DataFrame]) -> DataFrame:
-    """What every method started from, as if it were a method, over all cases that any method answered."""
+    """Return the start's errors as the rows of a method, over all cases that any method answered.
+
+    Args:
+        methods: rows of each method.
+    """
     every = concat([DataFrame(columns=["case", "failed", *_STARTS.values()]), *methods])
     answered = every[~every["failed"].astype(bool)]
     starts = answered.groupby("case")[[*_STARTS.values()]].first()  # of each column the first that is known
@@ -153,7 +180,11 @@ def start_cases(methods: Iterable[DataFrame]) -> DataFrame:
 
 
 def start_cell(starts: DataFrame) -> Cell:
-    """The start's row of a table."""
+    """Return the start's row of a table.
+
+    Args:
+        starts: by `start_cases`.
+    """
     mpjpe, pa_mpjpe, iou = (_known(starts[name]) for name in ("mpjpe_mm", "pa_mpjpe_mm", "iou"))
     return {
         "n": len(starts),
@@ -170,15 +201,23 @@ def start_cell(starts: DataFrame) -> Cell:
 
 
 def is_start(cell: Mapping[str, Any]) -> bool:
-    """Whether a method left the start's error as it was in every case: the static estimate itself."""
+    """Return whether a method left the start's error as it was in every case: the static estimate itself.
+
+    Args:
+        cell: of the method, by `make_cell`.
+    """
     return cell["ratio"] == 1 and cell["better_than_start"] == cell["worse_than_start"] == 0
 
 
 def compare(one: DataFrame, other: DataFrame) -> Cell:
-    """Two methods on the cases that both answered: what a claim "one is better" rests on.
+    """Compare two methods on the cases that both answered.
 
     ``difference_mm`` is mean(one - other), negative where `one` is better; ``ratio`` mean one / mean other; ``better``
     the share of cases in which `one` has the lower MPJPE.
+
+    Args:
+        one: rows of the first method.
+        other: rows of the second one.
     """
     first, second = (cases.loc[~cases["failed"], ["case", "mpjpe_mm"]].dropna() for cases in (one, other))
     ours, theirs = first.merge(second, on="case", sort=True)[["mpjpe_mm_x", "mpjpe_mm_y"]].to_numpy().T

@@ -56,9 +56,12 @@ class DirectionEvent:
 def direction_events(
     person: str, alternatives: Alternatives, features: Features, true: Float[Array, "R 24 3"]
 ) -> Iterator[DirectionEvent]:
-    """The events of one fit: in every frame the body, and each limb, that moved enough to have a direction.
+    """Yield the events of one fit: in every frame the body, and each limb, that moved enough to have a direction.
 
     Args:
+        person: name, by which events are grouped.
+        alternatives: of the fit.
+        features: of the result, by name.
         true: the true joints at the rows' instants [m].
     """
     joints, frames = alternatives.joints[alternatives.chosen], int(alternatives.frame_index.max()) + 1
@@ -113,9 +116,12 @@ class _Asked:
 
 
 def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[StartKind, Trust]:
-    """The likeliest doubts by kind of start: a constant each, drawn to a common one, and common slopes on the signs.
+    """Fit the doubts by kind of start: a constant each, pulled to a common one, and common slopes of the signs.
 
     Where little is known a kind's doubt stays near the common one.
+
+    Args:
+        events: of fits whose truth is known, by kind of start.
     """
     kinds = [kind for kind, known in events.items() if known]
     every = [one for kind in kinds for one in events[kind]]
@@ -142,7 +148,12 @@ def fit_trust(events: Mapping[StartKind, Sequence[DirectionEvent]]) -> dict[Star
 
 
 def said_and_right(events: Sequence[DirectionEvent], trust: Trust | None) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
-    """What was said of each event, and whether that was right; ``trust`` None: the odds as they are."""
+    """Return the predicted probability of each event, and whether the prediction was right.
+
+    Args:
+        events: of fits whose truth is known.
+        trust: corrects the odds; None leaves them as they are.
+    """
     if not events:
         return np.zeros(0), np.zeros(0, bool)
     asked = _Asked(events)
@@ -152,7 +163,13 @@ def said_and_right(events: Sequence[DirectionEvent], trust: Trust | None) -> tup
 def reliability_groups(
     said: Float[Array, "n"], right: Bool[Array, "n"], edges: Sequence[float] = DIRECTION_EDGES
 ) -> list[dict[str, float]]:
-    """Events by what was said: mean said, share right with Wilson's 95 % interval, and how many."""
+    """Group events by predicted probability: mean prediction, share right with Wilson's 95 % interval, and number.
+
+    Args:
+        said: predicted probabilities.
+        right: whether each prediction was right.
+        edges: of the groups, ascending.
+    """
     place = np.digitize(said, edges[1:-1])
     groups = [place == index for index in range(len(edges) - 1)]
     return [
@@ -164,7 +181,12 @@ def reliability_groups(
 
 
 def wilson_ci95(right: int, count: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
+    """Return Wilson's 95 % interval of a share.
+
+    Args:
+        right: number of successes.
+        count: number of trials.
+    """
     z = float(norm.ppf(0.975))
     share, extra = right / count, z * z / count
     middle, half = share + extra / 2, z * np.sqrt(share * (1 - share) / count + extra / count / 4)

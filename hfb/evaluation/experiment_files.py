@@ -16,6 +16,9 @@ def experiment_names() -> list[str]:
 def experiment_file(name: str) -> Traversable:
     """Return the file of one of the paper's tables or figures, such as ``table1``.
 
+    Args:
+        name: such as ``table1``.
+
     Raises:
         InputError: there is none of that name.
     """

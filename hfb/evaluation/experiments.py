@@ -47,7 +47,7 @@ class PaperRow(Record):
     iou: tuple[Share, ...] | None = None
 
     def metrics(self) -> list[Metric]:
-        """What the paper gives."""
+        """Return the metrics that the paper gives."""
         return [metric for metric in _TITLES if getattr(self, metric) is not None]
 
 
@@ -105,22 +105,29 @@ class Experiment(Record):
         return self
 
     def bins(self) -> list[tuple[float, float]]:
-        """Our intervals of blur rates, a column each."""
+        """Return our intervals of blur rates, one per column."""
         return [column.blur for column in self.columns]
 
     def mean(self, values: Sequence[float]) -> float:
-        """A paper's row over all cases: weighted by its cases, or the plain mean of columns where it names none."""
+        """Return the mean of a paper's row: weighted by its cases, or plain where it gives none.
+
+        Args:
+            values: one per column.
+        """
         weights = [column.n or 0 for column in self.columns]
         weights = weights if all(weights) else [1] * len(weights)
         return sum(w * value for w, value in zip(weights, values, strict=True)) / sum(weights)
 
     def start_row(self) -> PaperRow | None:
-        """The row that HfB starts from."""
+        """Return the row that HfB starts from."""
         return next((row for row in self.rows if row.name == self.start), None)
 
 
 def find_experiment(name: str) -> Experiment:
     """Read one of the paper's tables or figures by its name, such as ``table1``.
+
+    Args:
+        name: such as ``table1``.
 
     Raises:
         InputError: there is none of that name.
@@ -132,6 +139,9 @@ def find_experiment(name: str) -> Experiment:
 def load_experiment(path: Path) -> Experiment:
     """Read an experiment's file.
 
+    Args:
+        path: TOML file.
+
     Raises:
         InputError: the file is missing, no TOML, or its entries do not fit together.
     """
@@ -139,9 +149,10 @@ def load_experiment(path: Path) -> Experiment:
 
 
 def beside_paper(experiment: Experiment, summary: Mapping[str, Any]) -> str:
-    """Ours beside the paper's numbers, as markdown, with a line for every difference of the two experiments.
+    """Return our numbers beside the paper's as markdown, with a line for every difference of the two experiments.
 
     Args:
+        experiment: the paper's table or figure.
         summary: of a run of this experiment, as `summarize` returns it; its intervals need not be the columns.
     """
     parts = [
@@ -170,7 +181,12 @@ def beside_paper(experiment: Experiment, summary: Mapping[str, Any]) -> str:
 
 
 def papers_ratios(experiment: Experiment, summary: Mapping[str, Any]) -> list[float] | None:
-    """MPJPE of the paper's HfB over its start's, per column and in all; None where the summary has other intervals."""
+    """Return the paper's HfB MPJPE over its start's, per column and in all; None where the summary's bins differ.
+
+    Args:
+        experiment: the paper's table or figure.
+        summary: of our run, by `summarize`.
+    """
     rows = [row for row in experiment.rows if "best" in row.ours and row.mpjpe_mm and row.name != experiment.start]
     start = _start_values(experiment, "mpjpe_mm")
     if not rows or not start or [tuple(cell["blur"]) for cell in summary["start"]["bins"]] != experiment.bins():

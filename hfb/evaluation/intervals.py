@@ -28,14 +28,22 @@ def _quantile(freedom: int) -> float:
 
 
 def mean_ci95(values: Float[Array, "C"]) -> tuple[float, float] | None:
-    """95 % interval of the mean over the cases; None for fewer than `FEWEST_CASES`."""
+    """Return the 95 % interval of the mean over the cases; None for fewer than `FEWEST_CASES`.
+
+    Args:
+        values: one per case.
+    """
     return ratio_ci95(values, np.ones_like(values))
 
 
 def ratio_ci95(above: Float[Array, "C"], below: Float[Array, "C"]) -> tuple[float, float] | None:
-    """95 % interval of mean(above) / mean(below), both of the same cases.
+    """Return the 95 % interval of mean(above) / mean(below), both of the same cases.
 
     None for fewer than `FEWEST_CASES`, and where the mean below is zero without some case.
+
+    Args:
+        above: numerators, one per case.
+        below: denominators, one per case.
     """
     cases = len(above)
     if cases < FEWEST_CASES:

@@ -48,9 +48,12 @@ def judge(
     body: Body,
     sharp: Float[Array, "T 8 H W 4"] | None,
 ) -> Scores:
-    """Errors against the truth at the nearest instants, and how well the pictures are explained.
+    """Score a prediction against the truth at the nearest instants and against the images.
 
     Args:
+        prediction: of one method.
+        observation: the blurred frames with their mattes and clock.
+        truth: of the case.
         body: the model in which the prediction's poses are given.
         sharp: the true sub-frames at u = i / 7, for the pictures' scores.
 
@@ -84,14 +87,26 @@ def judge(
 
 
 def judge_start(starts: Sequence[FirstBody], observation: Observation, truth: Truth | JointTruth, body: Body) -> Scores:
-    """The scores of the start held still, named ``initial_*``."""
+    """Return the scores of the static start, named ``initial_*``.
+
+    Args:
+        starts: first body of each frame.
+        observation: the blurred frames with their mattes and clock.
+        truth: of the case.
+        body: model of the starts.
+    """
     frames = observation.mattes.shape[0]
     times_s, index = subframe_times_s(frames, SHARP_SUBFRAMES, observation.exposure_s, observation.interval_s)
     rows = len(times_s)
     blank = SampledMotion(
-        np.zeros((rows, 72)), np.zeros((rows, 3)), np.zeros(10), np.zeros((rows, 24, 3)), times_s, index,
+        np.zeros((rows, 72)),
+        np.zeros((rows, 3)),
+        np.zeros(10),
+        np.zeros((rows, 24, 3)),
+        times_s,
+        index,
         observation.camera.matrix().double().numpy(),
-    )  # fmt: skip
+    )
     still = at_rest(starts, blank, body)
     found = judge(Prediction(still, None, None, 0.0), observation, truth, body, None)
     kept = ("mpjpe_mm", "pa_mpjpe_mm", "iou", "in_plane_mm", "depth_mm")

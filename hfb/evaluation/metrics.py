@@ -26,12 +26,14 @@ Metric = Callable[[Array, Array], float]
 def mpjpe_mm(
     predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
 ) -> float:
-    """Mean per joint position error [mm], the pelvis (joint 0) centred, after one rotation of the whole sequence.
+    """Return the mean joint position error [mm], pelvis (joint 0) centred, after one rotation of the whole sequence.
 
     The one rotation (Kabsch, no scale, over all joints of all sub-frames) aligns the predicted sequence's axes with
     the truth's, as the paper does; it is no rotation per sub-frame, so a wrong turn within the sequence counts.
 
     Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
         joints: over which the mean is taken (the alignment uses all); every joint when not given.
     """
     return _mean_mm(_aligned_residual(predicted, truth), joints)
@@ -40,25 +42,46 @@ def mpjpe_mm(
 def pa_mpjpe_mm(
     predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], joints: Sequence[int] | None = None
 ) -> float:
-    """MPJPE [mm] after a similarity (rotation, translation, scale) per sub-frame, of the chosen joints."""
+    """Return MPJPE [mm] after a similarity (rotation, translation, scale) per sub-frame, of the chosen joints.
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+        joints: over which is aligned and averaged; every joint when not given.
+    """
     chosen = slice(None) if joints is None else list(joints)
     source, target = _float64(predicted)[:, chosen], _float64(truth)[:, chosen]
     return _mean_mm(align_similarity(source, target) - target, None)
 
 
 def in_plane_depth_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> tuple[float, float]:
-    """MPJPE's residuals split along the camera's axes: mean length across the view (x, y), mean |z| along it [mm]."""
+    """Split MPJPE's residuals along the camera's axes: mean length across the view (x, y), mean |z| along it [mm].
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+    """
     residual = _aligned_residual(predicted, truth)
     return 1000 * float(np.linalg.norm(residual[..., :2], axis=-1).mean()), 1000 * float(abs(residual[..., 2]).mean())
 
 
 def joint_errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "J"]:
-    """`mpjpe_mm` joint by joint: each one's mean over the sub-frames [mm], after the same alignment of all of them."""
+    """Return `mpjpe_mm` per joint: each one's mean over the sub-frames [mm], after the same alignment of all of them.
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+    """
     return errors_mm(predicted, truth).mean(0)
 
 
 def errors_mm(predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"]) -> Float[Array, "R J"]:
-    """The distances whose mean is `mpjpe_mm`, joint by joint and sub-frame by sub-frame [mm]."""
+    """Return the distances whose mean is `mpjpe_mm`, per joint and sub-frame [mm].
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+    """
     return 1000 * np.linalg.norm(_aligned_residual(predicted, truth), axis=-1)
 
 
@@ -83,7 +106,7 @@ class SubsetErrors:
 def subset_errors(
     predicted: Float[Array, "R P 3"], truth: Float[Array, "R P 3"], centre: Sequence[int]
 ) -> SubsetErrors:
-    """Errors where only some joints are known, at some instants.
+    """Return errors where only some joints are known, at some instants.
 
     Args:
         predicted: the same joints as in the truth.
@@ -115,9 +138,13 @@ def subset_errors(
 
 
 def reverse_time(joints: Float[Array, "R *s"], frames: int = 1) -> Float[Array, "R *s"]:
-    """The same poses, or silhouettes, with the sub-frames of every frame in the opposite order.
+    """Reverse the order of the sub-frames within every frame.
 
-    A uniform exposure looks the same either way: this is what one frame cannot tell.
+    A uniform exposure looks the same either way: one frame cannot tell the direction of time.
+
+    Args:
+        joints: or silhouettes, or anything else with a row per sub-frame.
+        frames: number of frames that the rows divide into.
     """
     return joints.reshape(frames, -1, *joints.shape[1:])[:, ::-1].reshape(joints.shape)
 
@@ -125,13 +152,25 @@ def reverse_time(joints: Float[Array, "R *s"], frames: int = 1) -> Float[Array, 
 def wrong_direction(
     predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1, metric: Metric = mpjpe_mm
 ) -> Bool[Array, "T"]:
-    """Per frame: would the prediction be nearer to the truth, by this metric, with its time reversed?"""
+    """Return per frame whether the prediction would be nearer to the truth, by this metric, with its time reversed.
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+        frames: number of frames that the rows divide into.
+        metric: error of one frame's sub-frames.
+    """
     pairs = zip(np.split(predicted, frames), np.split(truth, frames), strict=True)
     return np.array([metric(one[::-1], other) < metric(one, other) for one, other in pairs])
 
 
 def turned_in_time(rows: Float[Array, "R *s"], wrong: Bool[Array, "T"]) -> Float[Array, "R *s"]:
-    """The same rows, with time reversed in the frames whose direction is wrong."""
+    """Reverse time in the frames whose direction is wrong.
+
+    Args:
+        rows: a row per sub-frame.
+        wrong: by `wrong_direction`.
+    """
     turned = np.repeat(wrong, len(rows) // len(wrong))
     return np.where(turned.reshape(-1, *[1] * (rows.ndim - 1)), reverse_time(rows, len(wrong)), rows)
 
@@ -139,7 +178,14 @@ def turned_in_time(rows: Float[Array, "R *s"], wrong: Bool[Array, "T"]) -> Float
 def better_of_both(
     metric: Metric, predicted: Float[Array, "R J 3"], truth: Float[Array, "R J 3"], frames: int = 1
 ) -> float:
-    """The metric of the prediction with every frame turned to the direction of time that suits it better."""
+    """Return the metric of the prediction with every frame in the direction of time that has the lower error.
+
+    Args:
+        metric: error of joints against the truth.
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+        frames: number of frames that the rows divide into.
+    """
     return metric(turned_in_time(predicted, wrong_direction(predicted, truth, frames, metric)), truth)
 
 
@@ -167,7 +213,13 @@ class MotionErrors:
 
 
 def motion_errors(predicted: Float[Array, "R 24 3"], truth: Float[Array, "R 24 3"], frames: int = 1) -> MotionErrors:
-    """All motion metrics of one clip of `frames` frames with R / frames sub-frames each."""
+    """Return all motion metrics of one clip of `frames` frames with R / frames sub-frames each.
+
+    Args:
+        predicted: joints [m].
+        truth: joints [m], at the same instants.
+        frames: number of frames that the rows divide into.
+    """
     in_plane, depth = in_plane_depth_mm(predicted, truth)
     return MotionErrors(
         mpjpe_mm=mpjpe_mm(predicted, truth),
@@ -183,9 +235,12 @@ def motion_errors(predicted: Float[Array, "R 24 3"], truth: Float[Array, "R 24 3
 
 
 def blur_rate(silhouettes: Float[Array, "S H W"]) -> float:
-    """|union of R_S(i)| / |R_S(1)| - 1, the union being the pixelwise maximum: 0 for a body at rest.
+    """Return |union of R_S(i)| / |R_S(1)| - 1, the union being the pixelwise maximum: 0 for a body at rest.
 
     Of one frame; the rate of a clip is the mean over its frames.
+
+    Args:
+        silhouettes: R_S of one frame's sub-frames, in [0, 1].
 
     Raises:
         ValueError: the first silhouette is empty.
@@ -197,22 +252,34 @@ def blur_rate(silhouettes: Float[Array, "S H W"]) -> float:
 
 
 def soft_iou(alpha: Float[Array, "H W"], matte: Float[Array, "H W"]) -> float:
-    """sum min / sum max of two mattes, the paper's IoU: 1 only where they agree. Two empty ones agree."""
+    """Return sum min / sum max of two mattes, the paper's IoU: 1 only where they agree. Two empty ones agree.
+
+    Args:
+        alpha: one matte.
+        matte: the other one.
+    """
     covered = _float64(np.maximum(alpha, matte)).sum()
     return float(_float64(np.minimum(alpha, matte)).sum() / covered) if covered > 0 else 1.0
 
 
 def silhouette_iou(predicted: Float[Array, "S H W"], truth: Float[Array, "S H W"]) -> float:
-    """IoU of rendered against true silhouettes, sub-frame by sub-frame; their mean."""
+    """Return the mean IoU of rendered and true silhouettes over the sub-frames.
+
+    Args:
+        predicted: rendered silhouettes.
+        truth: true silhouettes.
+    """
     return float(np.mean([soft_iou(one, other) for one, other in zip(predicted, truth, strict=True)]))
 
 
 def psnr_db(
     predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
 ) -> float:
-    """Peak signal-to-noise ratio [dB] of pictures in [0, 1]; infinite where they are equal.
+    """Return the peak signal-to-noise ratio [dB] of images in [0, 1]; infinite where they are equal.
 
     Args:
+        predicted: image in [0, 1].
+        truth: true image in [0, 1].
         mask: weight per pixel, such as the matte; the whole picture when not given, or when it is empty.
     """
     squared = ((_float64(predicted) - _float64(truth)) ** 2).mean(-1)
@@ -224,11 +291,13 @@ def psnr_db(
 def ssim(
     predicted: Float[Array, "H W 3"], truth: Float[Array, "H W 3"], mask: Float[Array, "H W"] | None = None
 ) -> float:
-    """Structural similarity of pictures in [0, 1], 1 where they are equal (Wang et al. 2004, eq. 13, mean of channels).
+    """Return the structural similarity of images in [0, 1] (Wang et al. 2004, eq. 13, mean of channels); 1 where equal.
 
     The paper's own settings: a Gaussian window of sigma 1.5 (11 pixels), biased covariances, K1 .01, K2 .03.
 
     Args:
+        predicted: image in [0, 1].
+        truth: true image in [0, 1].
         mask: weight per pixel of the map of similarities, such as the matte; when not given, or when it is empty, the
             mean is over the picture but for a rim of half a window.
 
@@ -262,7 +331,7 @@ def _float64(values: Array) -> Array:
 def _aligned_residual(
     predicted: Array, truth: Array, centre: Sequence[int] = (_PELVIS,), counted: Array | None = None
 ) -> Array:
-    """predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
+    """Return predicted - truth, both centred (on the pelvis), the prediction turned by one rotation.
 
     The rotation is the best one for the counted joints; the residual of others means nothing.
     """

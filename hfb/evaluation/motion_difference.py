@@ -31,6 +31,10 @@ def motion_difference(one: SampledMotion, other: SampledMotion) -> MotionDiffere
 
     A motion with other sub-frames is read between its own, along straight lines within each frame's exposure; both
     clocks run from the opening of a frame's shutter to its end.
+
+    Args:
+        one: the motion whose instants are used.
+        other: the motion that is compared with it.
     """
     frames = [int(frame) for frame in np.intersect1d(one.frame_index, other.frame_index)]
     chosen = np.concatenate([one.rows_of(frame) for frame in frames] or [np.zeros(0, np.int64)])
@@ -57,7 +61,7 @@ def _beside(one: SampledMotion, other: SampledMotion, frame: int) -> Float[Array
 
 
 def _shares(times_s: Float[Array, "S"]) -> Float[Array, "S"]:
-    """u in [0, 1] over the exposure."""
+    """Return u in [0, 1] over the exposure."""
     length_s = times_s[-1] - times_s[0]
     return (times_s - times_s[0]) / length_s if length_s > 0 else np.zeros(len(times_s))
 

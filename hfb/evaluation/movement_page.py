@@ -99,10 +99,20 @@ def _shown(name: str, starts: Collection[str], oracles: Collection[str]) -> str:
 
 def _columns(spins: bool) -> Sequence[str]:
     return [
-        "n", "MPJPE / PA [mm]", "in plane [px]", "depth [mm]", "lean [deg]", "front wrong",
-        *(["spin [deg]"] if spins else []), "motion [mm]", "still body's [mm]", "motion ratio",
-        "better way of time", "path", "matte IoU",
-    ]  # fmt: skip
+        "n",
+        "MPJPE / PA [mm]",
+        "in plane [px]",
+        "depth [mm]",
+        "lean [deg]",
+        "front wrong",
+        *(["spin [deg]"] if spins else []),
+        "motion [mm]",
+        "still body's [mm]",
+        "motion ratio",
+        "better way of time",
+        "path",
+        "matte IoU",
+    ]
 
 
 def _figures(cell: Cell, spins: bool) -> list[str]:

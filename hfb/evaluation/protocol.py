@@ -20,7 +20,13 @@ from hfb.typing import Array, Bool, Float, Int, Tensor
 
 
 def pose_rows(motion: SampledMotion, rows: Int[Array, "S"], body: Body) -> PosedBody:
-    """The body at some rows of a motion."""
+    """Pose the body at some rows of a motion.
+
+    Args:
+        motion: camera coordinates.
+        rows: numbers of rows.
+        body: model of the motion.
+    """
     dtype = body.template.dtype
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[rows]).to(dtype).unflatten(1, (24, 3)))
     shaped = body.shape(torch.from_numpy(motion.betas).to(dtype))
@@ -30,7 +36,15 @@ def pose_rows(motion: SampledMotion, rows: Int[Array, "S"], body: Body) -> Posed
 def reblur(
     motion: SampledMotion, texture: Float[Tensor, "A A 3"], observation: Observation, body: Body, rasterizer: Rasterizer
 ) -> Float[Tensor, "T H W 4"]:
-    """Mean over the sub-frames of colour and silhouette, per frame, as the observation's camera sees it."""
+    """Return the mean over the sub-frames of colour and silhouette, per frame, as the observation's camera sees it.
+
+    Args:
+        motion: camera coordinates.
+        texture: linear light.
+        observation: gives the camera and the number of frames.
+        body: model of the motion.
+        rasterizer: draws it.
+    """
     with torch.no_grad():
         return torch.stack(
             [
@@ -45,7 +59,7 @@ def reblur(
 def picture_scores(
     blurred: Float[Tensor, "T H W 4"], observation: Observation, region: tuple[int, int, int, int] | None = None
 ) -> dict[str, float]:
-    """How well re-blurred frames explain the observed ones.
+    """Score how well re-blurred frames explain the observed ones.
 
     ``matte_iou``: soft IoU of re-blurred alpha and matte. ``psnr_db``: of the sRGB pictures within the region of
     interest (the box of the mattes, widened), so that the size of the empty background does not count.
@@ -67,10 +81,16 @@ def picture_scores(
 
 
 def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Rasterizer) -> dict[str, float]:
-    """All motion errors [mm] and the silhouette IoU against the truth at the nearest instants.
+    """Return all motion errors [mm] and the silhouette IoU against the truth at the nearest instants.
 
     ``mpjpe_mm`` and ``iou`` keep the direction of time that the fit chose; ``better_mpjpe_mm`` and ``better_iou`` take
     the better of it and its reverse by MPJPE, which no single uniformly exposed picture can tell apart.
+
+    Args:
+        motion: camera coordinates.
+        truth: of the case.
+        body: model of the motion.
+        rasterizer: draws it.
     """
     nearest = np.abs(truth.motion.times_s[None, :] - motion.times_s[:, None]).argmin(1)
     height, width = truth.silhouettes.shape[1:]
@@ -88,13 +108,25 @@ def truth_scores(motion: SampledMotion, truth: Truth, body: Body, rasterizer: Ra
 def silhouette_scores(
     drawn: Float[Array, "R H W"], shown: Float[Array, "R H W"], wrong: Bool[Array, "T"]
 ) -> dict[str, float]:
-    """``iou`` in the direction of time that was claimed, ``better_iou`` with the wrong frames' time reversed."""
+    """Return ``iou`` in the direction of time of the result, and ``better_iou`` with the wrong frames' time reversed.
+
+    Args:
+        drawn: silhouettes of the result.
+        shown: true silhouettes.
+        wrong: frames whose direction of time is wrong.
+    """
     better = turned_in_time(drawn, wrong)
     return {"iou": silhouette_iou(drawn, shown), "better_iou": silhouette_iou(better, shown)}
 
 
 def at_rest(first_bodies: Sequence[FirstBody], like: SampledMotion, body: Body) -> SampledMotion:
-    """The start of a fit as a motion: each frame's first body, held still, on the same clock."""
+    """Return the start of a fit as a motion: each frame's first body, held still, on the same clock.
+
+    Args:
+        first_bodies: one per frame.
+        like: motion whose clock and camera are used.
+        body: model of the first bodies.
+    """
     return still_motion(
         torch.stack([first.pose for first in first_bodies]),
         torch.stack([first.translation for first in first_bodies]),

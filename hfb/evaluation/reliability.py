@@ -24,10 +24,12 @@ DIRECTION_EDGES: tuple[float, ...] = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 def joint_row(
     joints: Float[Array, "R 24 3"], radius_mm: Float[Array, "R 24"], exponent: float, true: Float[Array, "R 24 3"]
 ) -> dict[str, float]:
-    """What a row says of one case's radii, over all joints but the pelvis, about which all is measured.
+    """Return the entries of a case's row about its radii, over all joints but the pelvis (the origin).
 
     Args:
-        radius_mm: the radii that hold half of the errors. exponent: of the law that gives the other probabilities.
+        joints: of the result [m].
+        radius_mm: the radii that hold half of the errors.
+        exponent: of the law that gives the other probabilities.
         true: the true joints at the same instants [m].
     """
     errors, radii = errors_mm(joints, true)[:, 1:], radius_mm[:, 1:]
@@ -36,16 +38,23 @@ def joint_row(
 
 
 def direction_row(alternatives: Alternatives) -> dict[str, float | None]:
-    """P(direction right) as said, the mean over the frames; None where nothing moved enough to have one."""
+    """Return the mean predicted P(direction right) over the frames; None where nothing moved enough to have one.
+
+    Args:
+        alternatives: of the fit.
+    """
     said = alternatives.body_right()
     return {"direction_said": float(said.mean()) if np.isfinite(said).all() else None}
 
 
 def reliability_cell(cases: DataFrame) -> dict[str, Any]:
-    """Entries of a results cell: what happened at every level, and how far that is from what was said.
+    """Return a results cell's entries: the share of joints within each level's radius, and its distance from the level.
 
-    ``radius_error`` is the mean over the levels of |said - happened|, ``direction_error`` the expected calibration
-    error of the directions: the mean over the groups of |mean said - share right|, weighted by their cases.
+    ``radius_error`` is the mean over the levels of |level - share|, ``direction_error`` the expected calibration
+    error of the directions: the mean over the groups of |mean prediction - share right|, weighted by their cases.
+
+    Args:
+        cases: rows of one method.
     """
     sure = cases[cases["radius_mm"].notna()]
     shares = [float(sure[name].to_numpy().mean()) if len(sure) else None for name in WITHIN]
@@ -64,7 +73,11 @@ def reliability_cell(cases: DataFrame) -> dict[str, Any]:
 
 
 def direction_groups(cases: DataFrame) -> list[dict[str, Any]]:
-    """Cases grouped by P(direction right) as said: their number, the mean said, the share that was right."""
+    """Group cases by predicted P(direction right): their number, the mean prediction, the share that was right.
+
+    Args:
+        cases: rows of one method.
+    """
     known = cases[["direction_said", "wrong_direction"]].dropna()
     groups = known.groupby(np.digitize(known["direction_said"], DIRECTION_EDGES[1:-1]))
     return [

@@ -39,7 +39,7 @@ def table_markdown(
     metrics: Sequence[Metric] | None = None,
     oracles: Sequence[str] | None = None,
 ) -> str:
-    """A summary as a page: all cases, then per metric a column per interval of blur rates, then ratios with intervals.
+    """Format a summary as a page: all cases, per metric a column per interval of blur rates, ratios with intervals.
 
     Args:
         summary: what `summarize` returns (or summary.json holds).
@@ -78,12 +78,21 @@ def table_markdown(
 
 
 def ratio_text(cell: Cell, digits: int) -> str:
-    """A method's ratio to the start with its interval."""
+    """Format a method's ratio to the start with its interval.
+
+    Args:
+        cell: of the method, by `make_cell`.
+        digits: of the interval, after the point.
+    """
     return number(cell["ratio"], 3) + interval(cell["ratio_ci95"], digits, cell["n_pose"])
 
 
 def is_oracle(method: str) -> bool:
-    """Whether a method's name says that it sees the truth: "oracle-..." and "...@true-..."."""
+    """Return whether a method's name says that it uses the truth: "oracle-..." and "...@true-...".
+
+    Args:
+        method: its name.
+    """
     return method.startswith("oracle") or "@true-" in method
 
 

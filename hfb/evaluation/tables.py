@@ -24,14 +24,16 @@ def summarize(
     methods: Sequence[str] = (),
     pairs: Sequence[tuple[str, str]] | None = None,
 ) -> dict[str, Any]:
-    """The content of summary.json: plain numbers, None where nothing is known.
+    """Return the content of summary.json: plain numbers, None where nothing is known.
 
     Depends neither on the order of the rows nor on anything outside the arguments.
 
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as in cases.parquet.
+        set_name: of the set of cases.
         count: how many cases were asked for.
         skipped: what could not be used, and why.
+        seed: of the set.
         bins: intervals of blur rates, ascending; a rate on an edge belongs to the upper one, the last is closed.
         methods: their order; methods that are not named follow by name, named ones without rows have n = 0.
         pairs: which methods to compare on the same cases; `best` against each other one when not given.

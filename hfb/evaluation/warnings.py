@@ -72,35 +72,50 @@ def find_warnings(
     motion: SampledMotion,
     matte_iou: Mapping[int, float],
 ) -> tuple[ResultWarning, ...]:
-    """All checks on one result.
+    """Run all checks on one result.
 
     Args:
         looks: frames of it, a few spread over a long clip; a few hundred pixels are enough.
+        plate_srgb: background plate in the looks' size.
+        motion: of the result, camera coordinates.
         matte_iou: per frame, of the fitted body.
     """
     found = (
-        check_matte_iou(matte_iou), check_spin(motion), check_left_over(looks), check_light(looks, plate_srgb),
+        check_matte_iou(matte_iou),
+        check_spin(motion),
+        check_left_over(looks),
+        check_light(looks, plate_srgb),
         check_static(looks, plate_srgb),
-    )  # fmt: skip
+    )
     return tuple(one for one in found if one is not None)
 
 
 def check_matte_iou(matte_iou: Mapping[int, float]) -> ResultWarning | None:
-    """The body covers what the matte shows."""
+    """Check that the body covers the matte.
+
+    Args:
+        matte_iou: of the fitted body, by frame.
+    """
     low = {frame: value for frame, value in sorted(matte_iou.items()) if value < LEAST_MATTE_IOU}
     if not low:
         return None
     worst = min(low.values())
     return _warning(
-        "matte_iou", worst, low,
+        "matte_iou",
+        worst,
+        low,
         f"the body does not cover what the matte shows (IoU {worst:.2f}, below {LEAST_MATTE_IOU}) in {_frames(low)}, "
         "so its pose there is unreliable; look at strip.png: where the matte is wrong give a better background plate, "
         "where it is right a better start (`hfb models fetch`, or another system's result with --init FILE)",
-    )  # fmt: skip
+    )
 
 
 def check_spin(motion: SampledMotion) -> ResultWarning | None:
-    """The trunk does not turn farther between neighbouring frames than a person can."""
+    """Check that the trunk does not turn faster between neighbouring frames than a person can.
+
+    Args:
+        motion: of the result, camera coordinates.
+    """
     numbers = np.unique(motion.frame_index)
     middles = [motion.rows_of(int(number)) for number in numbers]
     rows = np.array([one[len(one) // 2] for one in middles])
@@ -114,29 +129,42 @@ def check_spin(motion: SampledMotion) -> ResultWarning | None:
     worst = float(angle[spins].max())
     where = tuple(int(number) for number in numbers[1:][spins])
     return _warning(
-        "trunk_spin", worst, where,
+        "trunk_spin",
+        worst,
+        where,
         f"the trunk turns by {worst:.0f} degrees from one frame to the next, faster than a person can, before "
         f"{_frames(where)}: front and back were probably mistaken; give a better start (`hfb models fetch`, or another "
         "system's result with --init FILE), or leave the frames out",
-    )  # fmt: skip
+    )
 
 
 def check_left_over(looks: Sequence[Look]) -> ResultWarning | None:
-    """No large piece of the matte is far from the fitted body."""
+    """Check that no large piece of the matte is far from the fitted body.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+    """
     shares = {look.number: _left_over_share(look.matte, look.alpha) for look in looks if look.alpha is not None}
     high = {frame: share for frame, share in shares.items() if share > _MOST_LEFT_OVER}
     if not high:
         return None
     worst = max(high.values())
     return _warning(
-        "matte_left_over", worst, high,
+        "matte_left_over",
+        worst,
+        high,
         f"a part of the matte ({worst:.0%} of it) is no part of the body in {_frames(high)}: something that was moved "
         "since the plate was taken, a shadow or another person; give a new plate, or a crop with the person alone",
-    )  # fmt: skip
+    )
 
 
 def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
-    """The scene is as bright as in its plate, but for where the person is."""
+    """Check that the scene is as bright as its plate, except where the person is.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+        plate_srgb: background plate in the looks' size.
+    """
     plate = _places(plate_srgb)
     shares: dict[int, float] = {}
     for look in looks:
@@ -153,15 +181,22 @@ def check_light(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Res
         return None
     worst = max(high.values())
     return _warning(
-        "light", worst, high,
+        "light",
+        worst,
+        high,
         f"the light is not the plate's in {_frames(high)} ({worst:.0%} of the scene is brighter or darker: shade, a "
         "lamp or automatic exposure), and the body follows such steps; lock the exposure, and give a plate taken in "
         "the same light",
-    )  # fmt: skip
+    )
 
 
 def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> ResultWarning | None:
-    """Nothing but the person differs from the plate in all frames without moving."""
+    """Check that nothing but the person differs from the plate in all frames without moving.
+
+    Args:
+        looks: some frames with their mattes and the fitted silhouettes.
+        plate_srgb: background plate in the looks' size.
+    """
     if len(looks) < _STATIC_LOOKS:
         return None
     empty = shrink(plate_srgb, _STATIC_PX)
@@ -178,15 +213,17 @@ def check_static(looks: Sequence[Look], plate_srgb: Float[Array, "H W 3"]) -> Re
     y, x = ((np.argwhere(largest) + 0.5) / empty.shape[:2]).mean(0).tolist()
     share = float(largest.sum()) / float(np.median(areas))
     return _warning(
-        "static_change", share, (),
+        "static_change",
+        share,
+        (),
         f"something (at {x:.0%} of the width, {y:.0%} of the height) differs from the plate in nearly all frames and "
         "does not move: a thing that was moved since the plate was taken becomes body where the person is near; give a "
         "new plate of the scene as it is, or --background median",
-    )  # fmt: skip
+    )
 
 
 def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning | None:
-    """Nobody stays in one place for half of a clip whose background is its own median.
+    """Check that the person does not stay in one place for half of a clip whose background is its own median.
 
     Args:
         boxes: left, top, right, bottom of the person per frame; None where they are not seen.
@@ -205,11 +242,13 @@ def check_never_left(boxes: Sequence[tuple[float, ...] | None]) -> ResultWarning
     if share <= _NEVER_LEFT_SHARE:
         return None
     return _warning(
-        "plate_holds_person", share, (),
+        "plate_holds_person",
+        share,
+        (),
         "the background is the median of a clip whose person stays in one place for more than half of it, so that it "
         "holds the person and the matte only what moves: give a plate of the empty scene (--background PLATE), or "
         "a longer range of the video in which the person walks away",
-    )  # fmt: skip
+    )
 
 
 def _warning(code: str, value: float, frames: Iterable[int], message: str) -> ResultWarning:

@@ -50,7 +50,7 @@ class DepthFusion(nn.Module):
         nn.init.zeros_(self.leave.bias)
 
     def forward(self, facts: Float[Tensor, "*n 24 f"]) -> Float[Tensor, "*n 24"]:
-        """Correction of the lifting network's depth [units].
+        """Return correction of the lifting network's depth [units].
 
         Args:
             facts: see `DepthCues.facts`.
@@ -86,11 +86,11 @@ class DepthCues:
     shown: Float[Tensor, "T 24 3"]
 
     def lifted(self) -> Float[Tensor, "T 24"]:
-        """Depth by the lifting network."""
+        """Return depth by the lifting network."""
         return lift_depth(self.fitted, self.start, self.lengths, self.perspective)
 
     def mirrored(self) -> "DepthCues":
-        """The cues of the mirror images."""
+        """Return the cues of the mirror images."""
         mirror, turned = list(MIRROR), self.fitted.new_tensor([-1.0, 1.0, 1.0])
         fitted, start, claimed, shown = (
             one[:, mirror] * turned for one in (self.fitted, self.start, self.claimed, self.shown)
@@ -100,7 +100,7 @@ class DepthCues:
         )
 
     def facts(self, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "T 24 f"]:
-        """Inputs of `DepthFusion`: differences between the cues, of the joints and of their bones.
+        """Return inputs of `DepthFusion`: differences between the cues, of the joints and of their bones.
 
         Args:
             lifted: depth by the lifting network, see `lifted`.
@@ -128,7 +128,7 @@ def _of_neighbours(values: Float[Tensor, "T *n"]) -> Float[Tensor, "T *n"]:
 
 
 def facts_both_ways(cues: DepthCues, lifted: Float[Tensor, "T 24"]) -> Float[Tensor, "2 T 24 f"]:
-    """Inputs for the frames and for their mirror images.
+    """Return inputs for the frames and for their mirror images.
 
     Args:
         cues: depth cues of T frames.
@@ -152,7 +152,7 @@ def fuse_depth(cues: DepthCues) -> Float[Tensor, "T 24"]:
 
 @lru_cache(maxsize=1)
 def shipped_depth_fusion() -> DepthFusion:
-    """With the weights of data/depth_fusion.safetensors; data/depth_fusion.json tells how they were made."""
+    """Load the network of data/depth_fusion.safetensors; data/depth_fusion.json tells how it was trained."""
     network = DepthFusion()
     with resources.as_file(resources.files("hfb.evidence") / "data" / "depth_fusion.safetensors") as path:
         network.load_state_dict(load_file(path))

@@ -68,7 +68,7 @@ class JointEvidence:
         return in_units(joints, lenses.view(-1, *(1,) * (joints.ndim - 2), lenses.shape[1]))
 
     def middle_loss(self, joints: Float[Tensor, "T S 24 3"], share: tuple[float, float, float]) -> Float[Tensor, ""]:
-        """Distance of the joints at each frame's last instant from the predicted ones of mid-exposure.
+        """Return the distance of the joints at each frame's last instant from the predicted ones of mid-exposure.
 
         Args:
             joints: camera coordinates [m].
@@ -81,7 +81,7 @@ class JointEvidence:
         return evidence_loss(off, constant(share, joints.dtype, joints.device))
 
     def path_loss(self, joints: Float[Tensor, "T S 24 3"], both_ways: bool) -> Float[Tensor, ""]:
-        """Distance of the joints' displacement, first instant to last but one, from the predicted path.
+        """Return the distance of the joints' displacement, first instant to last but one, from the predicted path.
 
         Args:
             joints: camera coordinates [m].
@@ -94,7 +94,7 @@ class JointEvidence:
         return torch.minimum(forth, evidence_loss((-way - self.path) / self.scale)) if both_ways else forth
 
     def height_loss(self, body: Body, betas: Float[Tensor, "10"]) -> Float[Tensor, ""]:
-        """Distance of the height from the predicted one.
+        """Return distance of the height from the predicted one.
 
         Args:
             body: the body model.
@@ -137,9 +137,15 @@ class JointEvidence:
         """
         perspective = self.lenses[:, 4].to(joints.dtype)
         cues = DepthCues(
-            self.units(joints), self.start, lengths_in_window(joints, perspective), perspective,
-            joints[:, 0, 2] * perspective, self.middle, self.scale, rendered.middle,
-        )  # fmt: skip
+            self.units(joints),
+            self.start,
+            lengths_in_window(joints, perspective),
+            perspective,
+            joints[:, 0, 2] * perspective,
+            self.middle,
+            self.scale,
+            rendered.middle,
+        )
         return self._with_depth(fuse_depth(cues))
 
     def _with_depth(self, depth: Float[Tensor, "T 24"]) -> "JointEvidence":
@@ -154,7 +160,7 @@ class JointEvidence:
         return _predict(observation, self.windows, self.start)
 
     def spread_m(self, joints: Float[Tensor, "T 24 3"]) -> Float[Tensor, "T 24"]:
-        """Expected error of the prediction [m], at the distance of these joints [m, camera].
+        """Return expected error of the prediction [m], at the distance of these joints [m, camera].
 
         Args:
             joints: a fit's at mid-exposure, camera coordinates [m].
@@ -188,9 +194,15 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
         image = picture_channels(frame.numpy(), plate, matte.numpy(), window.within(observation.camera))
         claim = _predict_mirrored(torch.from_numpy(image.astype(np.float32)) / 127.5 - 1, first)
         predictions.append(
-            (claim.joints[0], claim.log_scale[0].exp(), claim.path[0], claim.log_odds[0], claim.log_height[0],
-             claim.height_scale[0])
-        )  # fmt: skip
+            (
+                claim.joints[0],
+                claim.log_scale[0].exp(),
+                claim.path[0],
+                claim.log_odds[0],
+                claim.log_height[0],
+                claim.height_scale[0],
+            )
+        )
     # Copied: inference tensors must not enter a graph.
     middle, scale, path, odds, log_height, height_scale = (
         torch.stack(values).clone() for values in zip(*predictions, strict=True)
@@ -198,10 +210,16 @@ def _predict(observation: Observation, windows: tuple[Window, ...], start: Float
     forwards = odds >= 0 if len(windows) == 1 else _along_neighbours(windows, middle, path)
     sign = torch.where(forwards, 1.0, -1.0)
     return JointEvidence(
-        windows, middle, scale, sign[:, None, None] * path, sign * odds, start.to(middle),
+        windows,
+        middle,
+        scale,
+        sign[:, None, None] * path,
+        sign * odds,
+        start.to(middle),
         # The frames show the same proportions of the same person: their errors are alike, and no less for being many.
-        log_height.mean(), height_scale.mean(),
-    )  # fmt: skip
+        log_height.mean(),
+        height_scale.mean(),
+    )
 
 
 def _along_neighbours(
@@ -244,7 +262,7 @@ def _joints(first: FirstBody, body: Body) -> Float[Tensor, "24 3"]:
 
 @lru_cache(maxsize=1)
 def shipped_joint_network() -> JointNetwork:
-    """The network with the weights of data/joints.safetensors; data/joints.json tells how they were made."""
+    """Load the network of data/joints.safetensors; data/joints.json tells how it was trained."""
     network = JointNetwork()
     with resources.as_file(resources.files("hfb.evidence") / "data" / "joints.safetensors") as path:
         state = {name: weights.float() for name, weights in load_file(path).items()}

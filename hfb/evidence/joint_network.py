@@ -67,7 +67,7 @@ class Window:
 
     @staticmethod
     def around(matte: Float[Array, "H W"], camera: PinholeCamera, jitter: Float[Array, "3"] | None = None) -> "Window":
-        """The square around a matte's box, with a margin.
+        """Return the square around a matte's box, with a margin.
 
         Args:
             matte: the person's share of each pixel.
@@ -86,7 +86,7 @@ class Window:
         return Window(x - side / 2, y - side / 2, side, camera)
 
     def within(self, camera: PinholeCamera) -> "Window":
-        """The same lines of sight in a crop or another size of the image.
+        """Return the same lines of sight in a crop or another size of the image.
 
         Args:
             camera: of a crop or a resized image.
@@ -97,11 +97,11 @@ class Window:
         return Window(left, top, across * self.side, camera)
 
     def units_to_tangents(self) -> float:
-        """One unit of the window as a tangent of the line of sight: times a distance, metres."""
+        """Return the tangent of the line of sight that is one unit of the window: times a distance, metres."""
         return self.side / 2 / self.camera.fx
 
     def lens(self) -> tuple[float, float, float, float, float]:
-        """What `in_units` needs: factors and shifts of x and y from tangents to units, and `units_to_tangents`."""
+        """Return factors and shifts of x and y from tangents to units, and `units_to_tangents`, for `in_units`."""
         camera, per_px = self.camera, 2 / self.side
         shifts = (camera.cx - self.left) * per_px - 1, (camera.cy - self.top) * per_px - 1
         return camera.fx * per_px, camera.fy * per_px, *shifts, self.units_to_tangents()
@@ -150,7 +150,7 @@ def picture_channels(
     matte: Float[Array, "H W"],
     window: Window,
 ) -> Shaped[Array, "C h w"]:
-    """Input channels of the network: matte, frame, and difference from the plate; 8 bits.
+    """Return the network's input channels: matte, frame, and difference from the plate; 8 bits.
 
     Args:
         frame_linear: the frame.

@@ -40,13 +40,14 @@ class LiftingNetwork(nn.Module):
         lengths: Float[Tensor, "N 2 24"],
         perspective: Float[Tensor, "N 2"],
     ) -> tuple[Float[Tensor, "N 24 3"], Float[Tensor, "N 24 3"]]:
-        """Joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
+        """Return joints of the first of two frames, and the logarithm of the Laplace scale of each coordinate.
 
         Args:
-            across: x and y from the pelvis in the units of each frame's window
-                (`hfb.evidence.joint_network.Window`); where there is one frame alone it is its own neighbour.
+            across: x and y from the pelvis in the units of each frame's window (`hfb.evidence.joint_network.Window`);
+                where there is one frame alone it is its own neighbour.
             start: first guesses in the same units, which seem as large (`match_spread`).
-            lengths: of bones in the same units (`lengths_in_window`). perspective: `Window.units_to_tangents`.
+            lengths: of bones in the same units (`lengths_in_window`).
+            perspective: `Window.units_to_tangents`.
         """
         bones, deep = (one - one[:, :, list(PARENT_OR_SELF)] for one in (across, start))
         joints = torch.cat([across, bones, start, deep], -1)
@@ -64,10 +65,13 @@ def _left_for_depth(
     lengths: Float[Tensor, "N 2 24"],
     perspective: Float[Tensor, "N 2"],
 ) -> Float[Tensor, "N 2 24"]:
-    """Extent of each bone in depth; negative where it is longer across the view than in space.
+    """Return the extent of each bone in depth; negative where it is longer across the view than in space.
 
     Args:
+        bones: x and y of the bones' vectors, in window units.
         middle: depth of the bones' middles; bones beyond the pelvis look smaller.
+        lengths: of the bones, in window units.
+        perspective: `Window.units_to_tangents`.
     """
     seen = bones.norm(dim=-1) * (1 + perspective[..., None] * middle)
     square = lengths.square() - seen.square()
@@ -84,7 +88,7 @@ class _Block(nn.Module):
 
 
 def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
-    """Distance from every joint to its parent, in the unit of the joints; 0 for the pelvis.
+    """Return the distance from every joint to its parent, in the unit of the joints; 0 for the pelvis.
 
     Args:
         joints: camera coordinates [m].
@@ -93,10 +97,11 @@ def bone_lengths(joints: Float[Tensor, "*n 24 3"]) -> Float[Tensor, "*n 24"]:
 
 
 def lengths_in_window(joints: Float[Tensor, "*n 24 3"], perspective: Float[Tensor, "*n"]) -> Float[Tensor, "*n 24"]:
-    """Lengths of bones in units of windows, an input of `LiftingNetwork`.
+    """Return lengths of bones in units of windows, an input of `LiftingNetwork`.
 
     Args:
-        joints: camera coordinates [m]. perspective: `Window.units_to_tangents`.
+        joints: camera coordinates [m].
+        perspective: `Window.units_to_tangents`.
     """
     return bone_lengths(joints) / (joints[..., 0, 2] * perspective)[..., None]
 
@@ -123,8 +128,10 @@ def lift_depth(
     The mean of the predictions for each frame with the one before and the one after, and for their mirror images.
 
     Args:
-        joints: in the units of their windows; only x and y are looked at. start: what the fit began from.
-        lengths, perspective: as of `LiftingNetwork`.
+        joints: in the units of their windows; only x and y are looked at.
+        start: what the fit began from.
+        lengths: as of `LiftingNetwork`.
+        perspective: as of `LiftingNetwork`.
     """
     across, first = ((one - one[:, :1]).detach().float() for one in (joints[..., :2], start))
     first = match_spread(first, across)
@@ -149,7 +156,7 @@ def lift_depth(
 
 @lru_cache(maxsize=1)
 def shipped_lifting_network() -> LiftingNetwork:
-    """The network with the weights of data/lifting.safetensors; data/lifting.json tells how they were made."""
+    """Load the network of data/lifting.safetensors; data/lifting.json tells how it was trained."""
     network = LiftingNetwork()
     with resources.as_file(resources.files("hfb.evidence") / "data" / "lifting.safetensors") as path:
         network.load_state_dict({name: weights.float() for name, weights in load_file(path).items()})

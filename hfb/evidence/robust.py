@@ -4,7 +4,7 @@ from hfb.typing import Float, Tensor
 
 
 def evidence_loss(off: Float[Tensor, "*n"], share: Float[Tensor, "axes"] | None = None) -> Float[Tensor, ""]:
-    """Mean of sqrt(1 + x^2) - 1 over all coordinates: quadratic near the prediction, linear far from it.
+    """Return the mean of sqrt(1 + x^2) - 1 over all coordinates: quadratic near the prediction, linear far from it.
 
     Args:
         off: differences from the prediction, divided by its error scale.

@@ -46,36 +46,42 @@ class Alternatives:
     frame_index: Array
 
     def joint_right(self) -> Float[Array, "T 24"]:
-        """P(the joint moved the way the result says), camera coordinates; NaN for a joint that hardly moved."""
+        """Return P(the joint moved in the result's direction), camera coordinates; NaN for one that hardly moved."""
         return np.stack([self.agrees(self.joints, (joint,)) @ self.probability for joint in range(24)], 1)
 
     def limb_right(self) -> Float[Array, "T 5"]:
-        """The same of a limb's joints together, in the order of `LIMB_NAMES`; the torso carries the body's path."""
+        """Return `joint_right` of each limb's joints together, in the order of `LIMB_NAMES`."""
         return np.stack([self.agrees(self.joints, joints) @ self.probability for joints in LIMB_JOINTS], 1)
 
     def body_right(self) -> Float[Array, "T"]:
-        """P(direction right) of the whole body about its pelvis (`hfb.evaluation.metrics.wrong_direction`)."""
+        """Return P(direction right) of the whole body about its pelvis (`hfb.evaluation.metrics.wrong_direction`)."""
         return self.body_agrees() @ self.probability
 
     def limb_right_given_body(self) -> Float[Array, "T 5"]:
-        """P(limb's direction right) if the whole body's is: what is unknown beyond the arrow of time."""
+        """Return P(limb's direction right) if the whole body's is: the uncertainty beyond the arrow of time."""
         weights = np.nan_to_num(self.body_agrees(), nan=1.0) * self.probability
         limbs = np.stack([self.agrees(self.joints, joints) for joints in LIMB_JOINTS], 1)
         return np.einsum("tla,ta->tl", limbs, weights / weights.sum(1, keepdims=True))
 
     def spread_m(self) -> Float[Array, "R 24"]:
-        """Root mean square distance of the alternatives from the result, by probability, about the pelvis [m]."""
+        """Return the root mean square distance of the alternatives from the result, weighted, about the pelvis [m]."""
         centred = self.joints - self.joints[:, :, :1]
         squared = ((centred - centred[self.chosen]) ** 2).sum(-1)
         return np.sqrt(np.tensordot(self.probability, squared, 1))
 
     def body_agrees(self) -> Float[Array, "T A"]:
-        """`agrees` of the whole body about its pelvis."""
+        """Return `agrees` of the whole body about its pelvis."""
         return self.agrees(self.joints - self.joints[:, :, :1], tuple(range(24)))
 
     def agrees(self, joints: Float[Array, "A R 24 3"], chosen: tuple[int, ...]) -> Float[Array, "T A"]:
-        """Per frame the motions in which these joints' paths are nearer to the result's than to the result's run
-        backwards; a tie counts half. NaN where they hardly moved."""
+        """Return per frame and motion whether some joints follow the result's path rather than its reverse.
+
+        A tie counts half. NaN where the joints hardly moved.
+
+        Args:
+            joints: of every motion [m].
+            chosen: numbers of the joints to compare.
+        """
         out = np.full((int(self.frame_index.max()) + 1, len(joints)), np.nan)
         for frame in range(len(out)):
             paths = joints[:, self.frame_index == frame][:, :, list(chosen)]
@@ -91,7 +97,7 @@ Record = dict[str, dict[str, float | None]]
 
 
 def direction_record(alternatives: Alternatives) -> list[Record]:
-    """Per frame P(direction right) as plain numbers, None where hardly anything moved.
+    """Return P(direction right) per frame as plain numbers, None where hardly anything moved.
 
     ``right`` holds the whole body's and every limb's, ``given_body`` every limb's if the whole body's is right.
 
@@ -110,7 +116,7 @@ def direction_record(alternatives: Alternatives) -> list[Record]:
 
 
 def what_is_unknown(record: Sequence[Record]) -> str:
-    """A sentence or two on what the pictures do not tell of the directions in which the body and its limbs moved.
+    """Return one or two sentences on the directions of motion that the images do not determine.
 
     Args:
         record: per frame, see `direction_record`.
@@ -135,7 +141,7 @@ def what_is_unknown(record: Sequence[Record]) -> str:
 def save_alternatives(
     path: Path, alternatives: Alternatives, joint_features: Mapping[str, Float[Array, "R 24"]]
 ) -> None:
-    """alternatives.npz, whole or not at all; no pickled member. Places and angles are kept in single precision.
+    """Write alternatives.npz, whole or not at all, without a pickled member; positions and angles in single precision.
 
     Args:
         path: the file.
@@ -190,11 +196,18 @@ def _check(found: Mapping[str, Array]) -> None:
     frames = found["reversed_limbs"].shape[1] if found["reversed_limbs"].ndim == 3 else 0
     scores, features = (len(np.atleast_1d(found[name])) for name in ("score_names", "feature_names"))
     shapes = {
-        "poses": (several, rows, 72), "trans": (several, rows, 3), "joints": (several, rows, 24, 3),
-        "reversed_limbs": (several, frames, len(LIMB_NAMES)), "probability": (several,), "chosen": (),
-        "frame_index": (rows,), "scores": (several, scores), "features": (features, rows, 24),
-        "score_names": (scores,), "feature_names": (features,),
-    }  # fmt: skip
+        "poses": (several, rows, 72),
+        "trans": (several, rows, 3),
+        "joints": (several, rows, 24, 3),
+        "reversed_limbs": (several, frames, len(LIMB_NAMES)),
+        "probability": (several,),
+        "chosen": (),
+        "frame_index": (rows,),
+        "scores": (several, scores),
+        "features": (features, rows, 24),
+        "score_names": (scores,),
+        "feature_names": (features,),
+    }
     for name, shape in shapes.items():
         array = found[name]
         if array.shape != shape or array.dtype.kind not in _KINDS.get(name, "f"):

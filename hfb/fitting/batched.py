@@ -39,10 +39,11 @@ def ignore_graph_warning() -> Iterator[None]:
 
 
 def map_threads(function: Callable[..., R], *arguments: Sequence[Any]) -> list[R]:
-    """Map a function over fits in threads, for the steps that run on the processor alone.
+    """Map a function over fits in threads, for the steps that run on the CPU alone.
 
     Args:
-        function: of one fit.
+        function: takes the arguments of one fit.
+        *arguments: a sequence with an entry per fit, for each parameter.
     """
     with ThreadPoolExecutor(min(len(arguments[0]), os.cpu_count() or 1)) as pool:
         return list(pool.map(function, *arguments))
@@ -81,11 +82,11 @@ class Batch:
     size: int
 
     def stack(self) -> BatchedVariables:
-        """The variables on the device, padded."""
+        """Return the variables on the device, padded."""
         return BatchedVariables.stack(pad_batch(self.variables, self.size), self.rasterizer.device)
 
     def objective(self, objectives: Sequence[Objective], renders: bool = True) -> BatchedObjective:
-        """Some objectives of these fits as one, padded.
+        """Return some objectives of these fits as one, padded.
 
         Args:
             objectives: one per fit.

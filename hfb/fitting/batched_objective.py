@@ -71,7 +71,7 @@ class BatchedVariables:
                     place.copy_(value)
 
     def groups(self, config: FitConfig, rate: float) -> list[dict]:
-        """Parameter groups of Adam; `rate` is the learning rate of the motion.
+        """Return the parameter groups of Adam.
 
         Args:
             config: options of the fit.
@@ -105,7 +105,7 @@ class BatchedVariables:
                 self.betas.copy_(as_tall(self.betas, body, config.height_m))
 
     def copy(self) -> "BatchedVariables":
-        """A detached copy."""
+        """Return a detached copy."""
         return BatchedVariables(*(getattr(self, one.name).detach().clone() for one in fields(self)))
 
 
@@ -187,7 +187,7 @@ class BatchedObjective:
         self._comparison = _Graphed(self._all_compared)
 
     def terms(self, variables: BatchedVariables) -> dict[str, Float[Tensor, "N"]]:
-        """Unweighted terms of every fit; see `Objective.terms`.
+        """Return unweighted terms of every fit; see `Objective.terms`.
 
         Args:
             variables: of all fits, on the device.
@@ -199,7 +199,7 @@ class BatchedObjective:
             return terms | dict(zip(self._names["bodies"], of_bodies, strict=True))
 
     def body_terms(self, variables: BatchedVariables) -> dict[str, Float[Tensor, "N"]]:
-        """Terms of every fit that need no rendering; see `Objective.body_terms`.
+        """Return terms of every fit that need no rendering; see `Objective.body_terms`.
 
         Args:
             variables: of all fits, on the device.

@@ -28,8 +28,10 @@ StartKind = Literal["simulated", "network", "matte"]
 Features = Mapping[str, Float[Array, "R 24"]]
 _CALIBRATED = ("simulated", "truth", "mediapipe", "matte", "between")
 KIND_WORDS: Mapping[str, str] = {
-    "simulated": "simulated starts", "network": "starts by a pose network", "matte": "starts by the matte alone"
-}  # fmt: skip
+    "simulated": "simulated starts",
+    "network": "starts by a pose network",
+    "matte": "starts by the matte alone",
+}
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class ConfidenceModel:
     typical: Mapping[str, float]
 
     def radius_mm(self, features: Features) -> Float[Array, "R 24"]:
-        """The radius with P(error <= radius) = 0.5; zero for the pelvis, about which all is measured.
+        """Return the radius with P(error <= radius) = 0.5; zero for the pelvis, the origin of all errors.
 
         Args:
             features: one table per name, see `hfb.fitting.joint_features`.
@@ -62,7 +64,7 @@ class ConfidenceModel:
 
 
 def radius_factor(probability: float, exponent: float) -> float:
-    """How many radii hold the error with this probability: the law solved for x / radius.
+    """Return how many radii contain the error with this probability: the law solved for x / radius.
 
     Args:
         probability: P(error <= factor x radius).
@@ -72,7 +74,7 @@ def radius_factor(probability: float, exponent: float) -> float:
 
 
 def start_kind(source: str) -> StartKind:
-    """The kind of a first body by its ``source``; what other systems found, and neighbours' bodies, as a network's.
+    """Return the kind of a first body by its ``source``; other systems' and neighbours' bodies count as a network's.
 
     Args:
         source: of a first body.
@@ -89,7 +91,7 @@ def _shipped() -> dict[str, Any]:
 
 @lru_cache
 def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
-    """The model that comes with hfb for a kind of start; the exponent is the same for all.
+    """Load the shipped model of a kind of start; the exponent is the same for all.
 
     Args:
         kind: of start.
@@ -100,7 +102,7 @@ def shipped_confidence(kind: StartKind = "network") -> ConfidenceModel:
 
 
 def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources: Sequence[str]) -> Float[Array, "R 24"]:
-    """Every row's radius, by the source of its frame's first body.
+    """Return every row's radius, by the source of its frame's first body.
 
     Args:
         features: one table per name, see `hfb.fitting.joint_features`.
@@ -116,7 +118,7 @@ def shipped_radius_mm(features: Features, frame_index: Int[Array, "R"], sources:
 
 
 def radius_condition(sources: Sequence[str]) -> dict[str, Any]:
-    """What the radii of a result rest on: the kinds of its starts, how often radii held there, and a sentence.
+    """Return the basis of a result's radii: the kinds of its starts, how often radii held there, and a sentence.
 
     Args:
         sources: of the first bodies of all frames.

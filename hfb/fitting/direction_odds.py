@@ -25,7 +25,7 @@ LARGEST_EXCESS = 0.3
 def probabilities(
     evidence: Float[Array, "A E"], several: bool, calibration: Mapping[str, Any] | None = None
 ) -> Float[Array, "A"]:
-    """P(hypothesis) = softmax of minus the evidence (columns: `EVIDENCE`) times the calibration's coefficients.
+    """Return P(hypothesis) = softmax of minus the evidence (columns: `EVIDENCE`) times the coefficients.
 
     Args:
         evidence: one row per hypothesis, columns as `EVIDENCE`; the motion as fitted first.
@@ -40,5 +40,5 @@ def probabilities(
 
 @lru_cache
 def shipped_odds() -> dict[str, Any]:
-    """The coefficients that come with hfb, and what they were measured on (`hfb train confidence`)."""
+    """Load the shipped coefficients, and the cases that they were measured on (`hfb train confidence`)."""
     return json.loads(resources.files("hfb.fitting").joinpath("data/directions.json").read_text())

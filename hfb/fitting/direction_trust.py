@@ -45,13 +45,24 @@ class Trust:
     spread: Mapping[str, float]
 
     def doubt(self, signs: Mapping[str, float]) -> float:
-        """What evidence has to overcome in a frame with these signs, in log odds."""
+        """Return the log odds that evidence has to exceed in a frame with these signs.
+
+        Args:
+            signs: by name, see `signs_of`.
+        """
         scaled = {name: (signs[name] - self.typical[name]) / self.spread[name] for name in self.coefficients}
         return max(0.0, self.constant + sum(weight * scaled[name] for name, weight in self.coefficients.items()))
 
 
 def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """What odds are raised to where the body is right with these probabilities; of one that hardly moves (NaN) 1."""
+    """Return the power to which odds are raised, given the probabilities that the body's direction is right.
+
+    It is 1 for a body that hardly moves (NaN).
+
+    Args:
+        right: probability that the body's direction is right.
+        doubt: log odds to exceed, see `Trust.doubt`.
+    """
     surer = np.clip(np.maximum(right, 1 - right), 0.5, _SUREST)
     log_odds = np.log(surer / (1 - surer))
     known = np.maximum(0, 1 - np.divide(doubt, log_odds, out=np.ones_like(log_odds), where=log_odds > 0))
@@ -59,12 +70,17 @@ def power_of(right: Float[Array, "*n"], doubt: Float[Array, "*n"]) -> Float[Arra
 
 
 def signs_of(features: Features, rows: slice | Array) -> dict[str, float]:
-    """The signs of trouble in a frame, which is these rows of the features."""
+    """Return the signs of trouble in a frame: the mean of each feature over its rows and joints.
+
+    Args:
+        features: of the result, by name.
+        rows: of the frame.
+    """
     return {name: float(features[name][rows, 1:].mean()) for name in SIGNS}
 
 
 def group_probability(probability: Float[Array, "A"], agrees: Float[Array, "T A"]) -> Float[Array, "A"]:
-    """For each hypothesis, the probability of all by which the body moved in the same directions.
+    """Return for each hypothesis the probability of all with the same directions of the body.
 
     Args:
         probability: of the hypotheses.
@@ -89,10 +105,12 @@ def temper(
 
 
 def trusted(alternatives: Alternatives, features: Features, sources: Sequence[str]) -> Alternatives:
-    """The alternatives with probabilities that hold; of several frames the least trusted one counts.
+    """Return the alternatives with calibrated probabilities; of several frames the least trusted one counts.
 
     Args:
-        features: of the result. sources: of the frames' first bodies.
+        alternatives: of one fit.
+        features: of the result.
+        sources: of the frames' first bodies.
     """
     rows = (alternatives.frame_index == frame for frame in range(len(sources)))
     doubts = [
@@ -106,13 +124,17 @@ def trusted(alternatives: Alternatives, features: Features, sources: Sequence[st
 
 @lru_cache
 def shipped_trust(kind: StartKind) -> Trust:
-    """The coefficients that come with hfb for a kind of start."""
+    """Return the shipped coefficients of a kind of start.
+
+    Args:
+        kind: of the first body.
+    """
     content = shipped_odds()["trust"][kind]
     return Trust(**{name: content[name] for name in ("constant", "coefficients", "typical", "spread")})
 
 
 def direction_condition(sources: Sequence[str]) -> dict[str, Any]:
-    """What the odds of a result's directions rest on: how often they held from its kinds of start, and a sentence.
+    """Return the basis of a result's odds of directions: how often they held from its kinds of start, and a sentence.
 
     Args:
         sources: of the first bodies of all frames.

@@ -229,4 +229,4 @@ def _sampled(trajectory: Trajectory, found: Variables, objective: Objective, sha
     seen = objective.observation
     return sample_motion(
         trajectory, shaped, found.betas, objective.subframes, seen.exposure_s, seen.interval_s, seen.camera.matrix()
-    )  # fmt: skip
+    )

@@ -120,9 +120,7 @@ def fit(
         FloatingPointError: the loss is not finite; the message names the first such terms.
     """
     problem = Problem(observation, first_bodies, identity)
-    return fit_all(
-        [problem], body, config, seed, pose_prior, on_progress=on_progress, motion_prior=motion_prior
-    )[0]  # fmt: skip
+    return fit_all([problem], body, config, seed, pose_prior, on_progress=on_progress, motion_prior=motion_prior)[0]
 
 
 def fit_all(
@@ -198,9 +196,13 @@ def _fit_batch(
     with clock.stage("evidence"):
         starts = map_threads(schedule.start, problems)
     batch = Batch(
-        [one.variables for one in starts], [one.initial for one in starts], [one.objective for one in starts], config,
-        rasterizer, batch_size,
-    )  # fmt: skip
+        [one.variables for one in starts],
+        [one.initial for one in starts],
+        [one.objective for one in starts],
+        config,
+        rasterizer,
+        batch_size,
+    )
     try:
         with ignore_graph_warning():
             if config.settle > 0:
@@ -301,9 +303,11 @@ class _Schedule:
             best = replace(best, trajectory=trajectory)
             chosen = alternatives.chosen
             motion = replace(
-                result.motion, poses=alternatives.poses[chosen], trans=alternatives.trans[chosen],
+                result.motion,
+                poses=alternatives.poses[chosen],
+                trans=alternatives.trans[chosen],
                 joints=alternatives.joints[chosen],
-            )  # fmt: skip
+            )
             result = replace(result, motion=motion, trajectory=trajectory)
         features = joint_features(
             result.motion,
@@ -325,9 +329,14 @@ class _Schedule:
         with torch.no_grad():
             shaped = body.shape(best.betas)
         motion = sample_motion(
-            best.trajectory, shaped, best.betas, config.subframes, seen.exposure_s, seen.interval_s,
+            best.trajectory,
+            shaped,
+            best.betas,
+            config.subframes,
+            seen.exposure_s,
+            seen.interval_s,
             seen.camera.matrix(),
-        )  # fmt: skip
+        )
         texture = fill_texture_gutter(best.texture, texel_faces(body.mesh, config.texture_px))
         left, top, *_ = seen.region(square=self.batched)
         mattes = paste_mattes(seen.mattes, stages.observation.mattes, left, top)

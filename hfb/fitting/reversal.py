@@ -11,7 +11,7 @@ from hfb.typing import Bool, Float, Tensor
 
 
 def reverse_columns(trajectory: Trajectory, columns: Bool[Tensor, "T 25"]) -> Trajectory:
-    """c(u) -> c(1 - u) in the chosen columns of C, exactly; the others stay.
+    """Replace c(u) by c(1 - u) in the chosen columns of C, exactly; the others stay.
 
     With v = u - origin, (1 - u - origin)^d = (1 - 2 origin - v)^d is expanded by the binomial theorem: about the middle
     of the exposure (origin 0.5) the odd coefficients change their signs. All columns at once turn the motion around.
@@ -30,7 +30,7 @@ def reverse_columns(trajectory: Trajectory, columns: Bool[Tensor, "T 25"]) -> Tr
 
 
 def limb_columns(limbs: Bool[Tensor, "T 5"]) -> Bool[Tensor, "T 25"]:
-    """The columns of C that belong to the chosen limbs of every frame, in the order of `LIMBS`.
+    """Return the columns of C of the chosen limbs of every frame, in the order of `LIMBS`.
 
     Args:
         limbs: per frame.

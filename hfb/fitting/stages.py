@@ -84,7 +84,7 @@ def run_stages(
 
 
 def image_stages(config: FitConfig) -> list[Stage]:
-    """Stages that have iterations.
+    """Return the stages that have iterations.
 
     Args:
         config: options of the fit.
@@ -93,7 +93,7 @@ def image_stages(config: FitConfig) -> list[Stage]:
 
 
 def is_full_size(stage: Stage, config: FitConfig) -> bool:
-    """Whether a stage has the last one's image size.
+    """Return whether a stage has the last one's image size.
 
     Args:
         stage: a stage of the schedule.
@@ -103,7 +103,7 @@ def is_full_size(stage: Stage, config: FitConfig) -> bool:
 
 
 def stage_objective(objective: Objective, variables: Variables, config: FitConfig, stage: Stage) -> Objective:
-    """The objective at a stage's image size, with its weights and the texels that are visible at its beginning.
+    """Return the objective at a stage's image size, with its weights and the texels that are visible at its beginning.
 
     Args:
         objective: at full size.

@@ -39,7 +39,7 @@ class Variables:
     reference: Float[Tensor, "10"] | None = None
 
     def motion(self, body: Body) -> Trajectory:
-        """The trajectory in metres for the present betas; differentiable in both.
+        """Return the trajectory in metres for the current betas; differentiable in both.
 
         Args:
             body: the body model.
@@ -66,7 +66,7 @@ class Variables:
                 self.betas.copy_(as_tall(self.betas, body, config.height_m))
 
     def joints_at_middle(self, body: Body) -> Float[Tensor, "T 24 3"]:
-        """Joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
+        """Return joints of every frame at u = 1/2, camera coordinates [m]; no gradient.
 
         Args:
             body: the body model.
@@ -76,7 +76,7 @@ class Variables:
             return body.shape(self.betas).joints_of(rotations[:, 0], translations[:, 0])
 
     def vertices(self, body: Body, subframes: int) -> Float[Tensor, "T S V 3"]:
-        """Vertices of every sub-frame, camera coordinates [m]; no gradient.
+        """Return vertices of every sub-frame, camera coordinates [m]; no gradient.
 
         Args:
             body: the body model.
@@ -88,7 +88,7 @@ class Variables:
             return posed.vertices.unflatten(0, rotations.shape[:2])
 
     def in_metres(self, body: Body) -> "Variables":
-        """A copy whose trajectory is in metres, without a reference.
+        """Return a copy whose trajectory is in metres, without a reference.
 
         Args:
             body: the body model.
@@ -97,7 +97,7 @@ class Variables:
             return Variables(self.motion(body), self.betas, self.texture).copy()
 
     def leaves(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Rotation, translation, betas and texture."""
+        """Return rotation, translation, betas and texture."""
         return self.trajectory.rotation, self.trajectory.translation, self.betas, self.texture
 
     def copy_from_(self, other: "Variables") -> None:
@@ -111,7 +111,7 @@ class Variables:
                 mine.copy_(its)
 
     def copy(self) -> "Variables":
-        """A detached copy."""
+        """Return a detached copy."""
         trajectory = self.trajectory.with_coefficients(
             self.trajectory.rotation.detach().clone(), self.trajectory.translation.detach().clone()
         )
@@ -119,7 +119,7 @@ class Variables:
 
 
 def cosine_decay(iteration: int, iterations: int) -> float:
-    """Factor of the learning rate: from 1 to 1/20 along a half cosine.
+    """Return the factor of the learning rate: from 1 to 1/20 along a half cosine.
 
     Args:
         iteration: from 0 on.
@@ -129,7 +129,7 @@ def cosine_decay(iteration: int, iterations: int) -> float:
 
 
 def learning_rates(config: FitConfig, rate: float) -> tuple[float, float, float, float]:
-    """Learning rates of rotation, translation, betas and texture; `rate` is that of the motion.
+    """Return learning rates of rotation, translation, betas and texture.
 
     Args:
         config: options of the fit.
@@ -179,7 +179,7 @@ def start_variables(
 
 
 def mean_foreground(observation: Observation) -> Float[Tensor, "3"]:
-    """Mean colour of the person, linear light: eq. (1) solved for one colour, weighted by the mattes.
+    """Return the mean colour of the person, linear light: eq. (1) solved for one colour, weighted by the mattes.
 
     Args:
         observation: frames, plate and mattes.

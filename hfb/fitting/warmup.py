@@ -32,7 +32,7 @@ def fit_skeleton(variables: Variables, objective: Objective, config: FitConfig) 
 
 
 def warmup_rate(iteration: int, config: FitConfig) -> float:
-    """Learning rate of all variables of the skeleton.
+    """Return the learning rate of all variables of the skeleton.
 
     Args:
         iteration: from 0 on.
@@ -42,7 +42,7 @@ def warmup_rate(iteration: int, config: FitConfig) -> float:
 
 
 def warmup_objective(objective: Objective, config: FitConfig) -> Objective:
-    """The objective with the warm-up's weights.
+    """Return the objective with the warm-up's weights.
 
     Args:
         objective: at full size.

@@ -24,35 +24,72 @@ class PinholeCamera:
 
     @staticmethod
     def from_focal(focal_px: float, height: int, width: int) -> "PinholeCamera":
-        """Camera of one focal length [px] that looks through the middle of the picture."""
+        """Return the camera of one focal length whose optical axis passes through the image's middle.
+
+        Args:
+            focal_px: focal length.
+            height: of the image [px].
+            width: of the image [px].
+        """
         return PinholeCamera(float(focal_px), float(focal_px), width / 2, height / 2, int(height), int(width))
 
     @staticmethod
     def from_matrix(K: Float[Tensor, "3 3"], height: int, width: int) -> "PinholeCamera":
-        """Camera of a calibration matrix; its skew, if any, is left out."""
+        """Return the camera of a calibration matrix; its skew, if any, is ignored.
+
+        Args:
+            K: calibration matrix [px].
+            height: of the image [px].
+            width: of the image [px].
+        """
         fx, fy, cx, cy = (float(K[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return PinholeCamera(fx, fy, cx, cy, int(height), int(width))
 
     def matrix(self, dtype: torch.dtype = torch.float64) -> Float[Tensor, "3 3"]:
-        """K, which maps a direction (x, y, 1) to homogeneous pixels."""
+        """Return K, which maps a direction (x, y, 1) to homogeneous pixels.
+
+        Args:
+            dtype: precision of K.
+        """
         return torch.tensor([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]], dtype=dtype)
 
     def project(self, points: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 2"]:
-        """Pixels (x, y) of points [m] in camera coordinates, which must lie in front of the lens (z > 0)."""
+        """Return the pixels (x, y) of points in camera coordinates.
+
+        Args:
+            points: in front of the lens, z > 0 [m].
+        """
         xy = points[..., :2] / points[..., 2:]
         return torch.stack([xy[..., 0] * self.fx + self.cx, xy[..., 1] * self.fy + self.cy], -1)
 
     def unproject(self, pixels: Float[Tensor, "*n 2"], depth: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3"]:
-        """Points [m] in camera coordinates at the given depth z [m] behind the given pixels (x, y)."""
+        """Return the points [m] in camera coordinates at given pixels and depths.
+
+        Args:
+            pixels: (x, y) [px].
+            depth: z [m].
+        """
         x = (pixels[..., 0] - self.cx) / self.fx * depth
         y = (pixels[..., 1] - self.cy) / self.fy * depth
         return torch.stack([x, y, depth], -1)
 
     def crop(self, left: float, top: float, width: int, height: int) -> "PinholeCamera":
-        """The camera of a window of this picture; the window may reach outside it."""
+        """Return the camera of a window of this image; the window may reach outside it.
+
+        Args:
+            left: of the window [px].
+            top: of the window [px].
+            width: of the window [px].
+            height: of the window [px].
+        """
         return replace(self, cx=self.cx - left, cy=self.cy - top, height=int(height), width=int(width))
 
     def resize(self, height: int, width: int) -> "PinholeCamera":
-        """The camera of the same view with another number of pixels."""
+        """Return the camera of the same view with another number of pixels.
+
+        Args:
+            height: of the image [px].
+            width: of the image [px].
+        """
         down, right = height / self.height, width / self.width
         return PinholeCamera(self.fx * right, self.fy * down, self.cx * right, self.cy * down, int(height), int(width))

@@ -33,7 +33,12 @@ class Meeting:
 
     @staticmethod
     def of(rotations: Float[Tensor, "2 E 3 24 4"], paths: Float[Tensor, "2 E 3 3"]) -> "Meeting":
-        """From both motions one step before, at, and one step after the instant."""
+        """Compute the gap from both motions one step before, at, and one step after the instant.
+
+        Args:
+            rotations: unit quaternions of the earlier and the later motion.
+            paths: translations [m] of the earlier and the later motion.
+        """
         middle = blend_rotations(rotations[0, :, 1], rotations[1, :, 1], 0.5)
         turns = log_about(middle[None, :, None].expand_as(rotations), rotations)
         return Meeting(
@@ -47,10 +52,11 @@ class Meeting:
     def closing(
         self, away: Float[Tensor, "E S"], side: int, reach: float
     ) -> tuple[Float[Tensor, "E S 24 3"], Float[Tensor, "E S 3"]]:
-        """What to add on one side so that both meet half-way, in value and derivative.
+        """Return the correction of one side so that both meet half-way, in value and derivative.
 
         Args:
-            away: time to the meeting, in exposures. side: 0 for the earlier motion.
+            away: time to the meeting, in exposures.
+            side: 0 for the earlier motion.
             reach: from there on nothing is added.
         """
         s = (1 - away / reach).clamp(0, 1)
@@ -66,10 +72,11 @@ class Meeting:
     def bridge(
         self, share: Float[Tensor, "E S"], span: Float[Tensor, "E"]
     ) -> tuple[Float[Tensor, "E S 24 4"], Float[Tensor, "E S 3"]]:
-        """The cubic from the earlier motion's end to the later one's beginning.
+        """Return the cubic from the earlier motion's end to the later one's beginning.
 
         Args:
-            share: of the way in time, 0 to 1. span: how long it lasts, in exposures.
+            share: of the way in time, 0 to 1.
+            span: how long it lasts, in exposures.
         """
         s = share
         lasts = span[:, None]
@@ -86,16 +93,32 @@ class Meeting:
 def blend_rotations(
     one: Float[Tensor, "*n 4"], other: Float[Tensor, "*n 4"], share: Float[Tensor, "*m"] | float
 ) -> Float[Tensor, "*n 4"]:
-    """Along the shorter geodesic from one to the other; share 0 gives the first."""
+    """Interpolate along the shorter geodesic.
+
+    Args:
+        one: unit quaternion at share 0.
+        other: unit quaternion at share 1.
+        share: from 0 to 1.
+    """
     return turned_by(one, share * log_about(one, other))
 
 
 def log_about(origin: Float[Tensor, "*n 4"], rotation: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3"]:
-    """Axis-angle [rad] of the rotation as seen from another one; both unit quaternions."""
+    """Return the axis-angle [rad] of a rotation relative to another one.
+
+    Args:
+        origin: unit quaternion (w, x, y, z).
+        rotation: unit quaternion.
+    """
     inverse = origin * origin.new_tensor([1.0, -1.0, -1.0, -1.0])
     return quaternion_to_axis_angle(multiply_quaternions(inverse, rotation))
 
 
 def turned_by(origin: Float[Tensor, "*n 4"], turn: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 4"]:
-    """The inverse of `log_about`."""
+    """Invert `log_about`.
+
+    Args:
+        origin: unit quaternion (w, x, y, z).
+        turn: axis-angle [rad] relative to the origin.
+    """
     return multiply_quaternions(origin, axis_angle_to_quaternion(turn))

@@ -9,13 +9,21 @@ from hfb.typing import Array, Float
 
 
 def from_axis_angle(axis_angle: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """Rotation by |axis_angle| [rad] about its direction, safe at zero."""
+    """Return the rotation by |axis_angle| [rad] about its direction, safe at zero.
+
+    Args:
+        axis_angle: rotation vector [rad].
+    """
     half = np.sqrt((axis_angle * axis_angle).sum(-1, keepdims=True)) / 2
     return np.concatenate([np.cos(half), axis_angle * (np.sinc(half / np.pi) / 2)], -1)
 
 
 def to_axis_angle(quaternion: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    """Its logarithm, angle in [0, pi]; the quaternion need not have unit length, only not zero."""
+    """Return the logarithm, angle in [0, pi].
+
+    Args:
+        quaternion: (w, x, y, z) of any length but zero.
+    """
     w = quaternion[..., :1]
     xyz = quaternion[..., 1:] * np.where(w < 0, -1.0, 1.0)
     sine = np.sqrt((xyz * xyz).sum(-1, keepdims=True))
@@ -28,7 +36,12 @@ def to_axis_angle(quaternion: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
 
 
 def multiply(left: Float[Array, "*a 4"], right: Float[Array, "*b 4"]) -> Float[Array, "*c 4"]:
-    """Hamilton product, broadcast: the rotation `right` followed by `left`."""
+    """Return the Hamilton product, broadcast: the rotation `right` followed by `left`.
+
+    Args:
+        left: (w, x, y, z).
+        right: (w, x, y, z).
+    """
     a, b, c, d = (left[..., i] for i in range(4))
     e, f, g, h = (right[..., i] for i in range(4))
     parts = [
@@ -41,36 +54,63 @@ def multiply(left: Float[Array, "*a 4"], right: Float[Array, "*b 4"]) -> Float[A
 
 
 def conjugate(quaternion: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
-    """The opposite rotation of a unit quaternion."""
+    """Return the inverse rotation of a unit quaternion.
+
+    Args:
+        quaternion: (w, x, y, z).
+    """
     return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def rotate(quaternion: Float[Array, "*a 4"], vector: Float[Array, "*b 3"]) -> Float[Array, "*c 3"]:
-    """Turn vectors by unit quaternions, broadcast."""
+    """Rotate vectors by unit quaternions, broadcast.
+
+    Args:
+        quaternion: (w, x, y, z).
+        vector: to rotate.
+    """
     w, xyz = quaternion[..., :1], quaternion[..., 1:]
     across = 2 * np.cross(xyz, vector)
     return vector + w * across + np.cross(xyz, across)
 
 
 def align_signs(quaternion: Float[Array, "F *n 4"]) -> Float[Array, "F *n 4"]:
-    """The same rotations over time, each frame's quaternion in the hemisphere of the one before."""
+    """Return the same rotations over time, each frame's quaternion in the hemisphere of the one before.
+
+    Args:
+        quaternion: (w, x, y, z).
+    """
     turned = (quaternion[1:] * quaternion[:-1]).sum(-1, keepdims=True) < 0
     signs = np.where(np.logical_xor.accumulate(turned, axis=0), -1.0, 1.0)
     return np.concatenate([quaternion[:1], quaternion[1:] * signs])
 
 
 def unit(vector: Float[Array, "*n c"]) -> Float[Array, "*n c"]:
-    """The vector's direction; nearly zero vectors stay so."""
+    """Return the vector's direction; nearly zero vectors stay so.
+
+    Args:
+        vector: of any length.
+    """
     return vector / np.maximum(np.sqrt((vector * vector).sum(-1, keepdims=True)), 1e-12)
 
 
 def share_of(quaternion: Float[Array, "*n 4"], share: float) -> Float[Array, "*n 4"]:
-    """The same turn, that share of its angle (of the shorter way round)."""
+    """Return the rotation by a share of the angle (of the shorter way round).
+
+    Args:
+        quaternion: (w, x, y, z).
+        share: of the angle.
+    """
     return from_axis_angle(share * to_axis_angle(quaternion))
 
 
 def between(source: Float[Array, "*n 3"], target: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """The smallest rotation from one direction to another, both of unit length."""
+    """Return the smallest rotation from one direction to another.
+
+    Args:
+        source: unit vector.
+        target: unit vector.
+    """
     axis = np.cross(source, target)
     cosine = (source * target).sum(-1, keepdims=True)
     opposite = cosine < -1 + 1e-9  # any axis across will do
@@ -79,9 +119,14 @@ def between(source: Float[Array, "*n 3"], target: Float[Array, "*n 3"]) -> Float
 
 
 def from_axes(x: Float[Array, "*n 3"], y: Float[Array, "*n 3"], z: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
-    """The rotation that takes the coordinate axes to these (nearly) orthonormal ones.
+    """Return the rotation that takes the coordinate axes to these (nearly) orthonormal ones.
 
     Shepperd's method, as in `hfb.geometry.rotations.matrix_to_quaternion`.
+
+    Args:
+        x: image of the x axis.
+        y: image of the y axis.
+        z: image of the z axis.
     """
     (a, d, g), (b, e, h), (c, f, k) = (np.moveaxis(axis, -1, 0) for axis in (x, y, z))
     rows = [

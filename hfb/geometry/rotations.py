@@ -17,7 +17,11 @@ def _sinc(angle_squared: Tensor) -> Tensor:
 
 
 def axis_angle_to_quaternion(axis_angle: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 4"]:
-    """Exponential map: rotation by |axis_angle| [rad] about its direction."""
+    """Return the exponential map: the rotation by |axis_angle| [rad] about its direction.
+
+    Args:
+        axis_angle: rotation vector [rad].
+    """
     half_squared = (axis_angle * axis_angle).sum(-1, keepdim=True) / 4
     small = half_squared < 1e-8
     half = torch.where(small, torch.ones_like(half_squared), half_squared).sqrt()
@@ -26,7 +30,11 @@ def axis_angle_to_quaternion(axis_angle: Float[Tensor, "*n 3"]) -> Float[Tensor,
 
 
 def quaternion_to_axis_angle(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3"]:
-    """Logarithm of a unit quaternion; the angle is in [0, pi]. q and -q give the same vector."""
+    """Return the logarithm of a unit quaternion; the angle is in [0, pi]. q and -q give the same vector.
+
+    Args:
+        quaternion: (w, x, y, z), unit length.
+    """
     flip = torch.where(quaternion[..., :1] < 0, -1.0, 1.0).to(quaternion)
     w, xyz = quaternion[..., :1] * flip, quaternion[..., 1:] * flip
     sine_squared = (xyz * xyz).sum(-1, keepdim=True)
@@ -37,12 +45,20 @@ def quaternion_to_axis_angle(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor,
 
 
 def normalize_quaternion(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """Unit quaternion along the given one; a zero quaternion stays (nearly) zero instead of NaN."""
+    """Return the unit quaternion along the given one; a zero quaternion stays (nearly) zero instead of NaN.
+
+    Args:
+        quaternion: (w, x, y, z) of any length.
+    """
     return quaternion * ((quaternion * quaternion).sum(-1, keepdim=True) + 1e-24).rsqrt()
 
 
 def quaternion_to_matrix(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3 3"]:
-    """Rotation matrix of a unit quaternion."""
+    """Return the rotation matrix of a unit quaternion.
+
+    Args:
+        quaternion: (w, x, y, z), unit length.
+    """
     w, x, y, z = quaternion.unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z),
@@ -59,10 +75,13 @@ def quaternion_to_matrix(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n
 
 
 def matrix_to_quaternion(matrix: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 4"]:
-    """Unit quaternion of a rotation matrix, w >= 0.
+    """Return the unit quaternion of a rotation matrix, w >= 0.
 
     Shepperd's method: of four equivalent formulas take the one with the largest pivot, so that nothing
     small is divided by, at any angle.
+
+    Args:
+        matrix: rotation matrix.
     """
     (a, b, c), (d, e, f), (g, h, k) = (row.unbind(-1) for row in matrix.unbind(-2))
     rows = [
@@ -79,17 +98,30 @@ def matrix_to_quaternion(matrix: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 4
 
 
 def axis_angle_to_matrix(axis_angle: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
-    """Rodrigues' formula, through the quaternion."""
+    """Apply Rodrigues' formula, through the quaternion.
+
+    Args:
+        axis_angle: rotation vector [rad].
+    """
     return quaternion_to_matrix(axis_angle_to_quaternion(axis_angle))
 
 
 def matrix_to_axis_angle(matrix: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3"]:
-    """Logarithm of a rotation matrix; the angle is in [0, pi]."""
+    """Return the logarithm of a rotation matrix; the angle is in [0, pi].
+
+    Args:
+        matrix: rotation matrix.
+    """
     return quaternion_to_axis_angle(matrix_to_quaternion(matrix))
 
 
 def multiply_quaternions(left: Float[Tensor, "*n 4"], right: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """Hamilton product: the rotation `right` followed by `left`."""
+    """Return the Hamilton product: the rotation `right` followed by `left`.
+
+    Args:
+        left: (w, x, y, z).
+        right: (w, x, y, z).
+    """
     a, b, c, d = left.unbind(-1)
     e, f, g, h = right.unbind(-1)
     parts = [
@@ -102,7 +134,11 @@ def multiply_quaternions(left: Float[Tensor, "*n 4"], right: Float[Tensor, "*n 4
 
 
 def six_d_to_matrix(six_d: Float[Tensor, "*n 6"]) -> Float[Tensor, "*n 3 3"]:
-    """Zhou et al. 2019: the first two columns of the matrix, made orthonormal by Gram-Schmidt."""
+    """Return the rotation of a 6D vector (Zhou et al. 2019): two columns, made orthonormal by Gram-Schmidt.
+
+    Args:
+        six_d: the matrix's first two columns, one after the other.
+    """
     first = torch.nn.functional.normalize(six_d[..., :3], dim=-1)
     second = six_d[..., 3:] - (first * six_d[..., 3:]).sum(-1, keepdim=True) * first
     second = torch.nn.functional.normalize(second, dim=-1)
@@ -110,10 +146,20 @@ def six_d_to_matrix(six_d: Float[Tensor, "*n 6"]) -> Float[Tensor, "*n 3 3"]:
 
 
 def geodesic_angle(left: Float[Tensor, "*n 3 3"], right: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n"]:
-    """Angle [rad] of the rotation between two matrices, accurate at 0 and at pi. Not meant for gradients."""
+    """Return the angle [rad] of the rotation between two matrices, accurate at 0 and at pi. Not meant for gradients.
+
+    Args:
+        left: rotation matrix.
+        right: rotation matrix.
+    """
     return matrix_to_axis_angle(left.transpose(-1, -2) @ right).norm(dim=-1)
 
 
 def in_hemisphere_of(quaternion: Float[Tensor, "*n 4"], reference: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    """The one of q and -q (the same rotation) that lies nearer to the reference."""
+    """Return the one of q and -q (the same rotation) that is nearer to the reference.
+
+    Args:
+        quaternion: q, (w, x, y, z).
+        reference: (w, x, y, z).
+    """
     return torch.where((quaternion * reference).sum(-1, keepdim=True) < 0, -quaternion, quaternion)

@@ -51,7 +51,7 @@ class Initializer(Protocol):
 
 
 def make_initializer(config: InitConfig, rasterizer: Rasterizer | None = None) -> Initializer:
-    """The initialiser that the configuration names.
+    """Return the initialiser that the configuration names.
 
     Args:
         config: options of the first body.
@@ -102,7 +102,7 @@ class LandmarkInitializer:
         return self.body(found[0], alpha, camera, body)
 
     def landmarks(self, frame_linear: Picture, matte: Float[Array, "H W"]) -> tuple[Landmarks, float] | None:
-        """The person's landmarks and their agreement with the matte.
+        """Return the person's landmarks and their agreement with the matte.
 
         Args:
             frame_linear: the frame.

@@ -17,16 +17,26 @@ JOINT_COUNTS: tuple[int, ...] = (JOINT_COUNT, 17, 14)
 MHR70_AS_24: dict[int, int] = {
     JOINT_NAMES.index(name): keypoint
     for name, keypoint in {
-        "left_shoulder": 5, "right_shoulder": 6, "left_elbow": 7, "right_elbow": 8, "left_hip": 9, "right_hip": 10,
-        "left_knee": 11, "right_knee": 12, "left_ankle": 13, "right_ankle": 14, "right_wrist": 41, "left_wrist": 62,
+        "left_shoulder": 5,
+        "right_shoulder": 6,
+        "left_elbow": 7,
+        "right_elbow": 8,
+        "left_hip": 9,
+        "right_hip": 10,
+        "left_knee": 11,
+        "right_knee": 12,
+        "left_ankle": 13,
+        "right_ankle": 14,
+        "right_wrist": 41,
+        "left_wrist": 62,
         "neck": 69,
     }.items()
-}  # fmt: skip
+}
 """SMPL's joint -> the keypoint of SAM 3D Body's 70 that lies at it."""
 
 
 def joints_as_24(joints: Float[Array, "J 3"]) -> Float[Array, "24 3"]:
-    """SMPL's 24 joints out of 24, of Human3.6M's 17 or of the usual 14; unknown ones are NaN.
+    """Return SMPL's 24 joints from 24, from Human3.6M's 17 or from the usual 14; unknown ones are NaN.
 
     The pelvis of the 14 is the middle of the hips, of which the metrics need it as the centre.
 

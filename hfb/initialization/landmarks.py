@@ -18,12 +18,40 @@ from hfb.networks.mediapipe_files import LandmarkChoice, networks_in_use
 from hfb.typing import Array, Float
 
 LANDMARKS = (
-    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer",
-    "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_pinky", "right_pinky", "left_index", "right_index",
-    "left_thumb", "right_thumb", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-    "left_heel", "right_heel", "left_foot_index", "right_foot_index",
-)  # fmt: skip
+    "nose",
+    "left_eye_inner",
+    "left_eye",
+    "left_eye_outer",
+    "right_eye_inner",
+    "right_eye",
+    "right_eye_outer",
+    "left_ear",
+    "right_ear",
+    "mouth_left",
+    "mouth_right",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_pinky",
+    "right_pinky",
+    "left_index",
+    "right_index",
+    "left_thumb",
+    "right_thumb",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "left_heel",
+    "right_heel",
+    "left_foot_index",
+    "right_foot_index",
+)
 LANDMARK = {name: index for index, name in enumerate(LANDMARKS)}
 
 _DETECTOR_PX, _LANDMARK_PX = 224, 256
@@ -70,7 +98,7 @@ class Landmarks:
 
 
 def networks_ready(choice: LandmarkChoice = "auto") -> bool:
-    """Whether the files and the interpreter are there. Raises InputError as `networks_in_use`.
+    """Return whether the files and the interpreter are available. Raises InputError as `networks_in_use`.
 
     Args:
         choice: which landmark network.
@@ -96,7 +124,7 @@ class PoseNetworks:
         self._detector, self._landmarker = map(_load, files)
 
     def detect(self, picture_srgb: Float[Array, "H W 3"], least_score: float = 0.3, most: int = 3) -> list[Region]:
-        """People in a picture, best first, none overlapping another's centre.
+        """Detect people in an image, best first, none overlapping another's centre.
 
         Args:
             picture_srgb: the image.
@@ -127,7 +155,7 @@ class PoseNetworks:
         return regions
 
     def locate(self, picture_srgb: Float[Array, "H W 3"], region: Region) -> Landmarks:
-        """The landmarks of the person in a region.
+        """Return the landmarks of the person in a region.
 
         Args:
             picture_srgb: the image.
@@ -159,7 +187,7 @@ class PoseNetworks:
 
 
 def cut_region(picture_srgb: Float[Array, "H W 3"], region: Region, side_px: int) -> Float[Array, "s s 3"]:
-    """The turned square as an upright picture; black outside the frame.
+    """Resample the turned square as an upright image; black outside the frame.
 
     Args:
         picture_srgb: the image.

@@ -27,7 +27,7 @@ _BENT = 0.25
 def rotations_from_joints(
     joints: Float[Tensor, "S 24 3"], rest: Float[Tensor, "24 3"], natural: Float[Tensor, "24 3 3"]
 ) -> Float[Tensor, "S 24 3 3"]:
-    """Rotation of every joint in its parent's frame.
+    """Return the rotation of every joint in its parent's frame.
 
     Args:
         joints: [m], NaN where unknown, in the same rows for all instants or not.
@@ -51,7 +51,7 @@ def rotations_from_joints(
 def kabsch(
     rest: Float[Tensor, "S n 3"], seen: Float[Tensor, "S n 3"], weight: Float[Tensor, "S n"]
 ) -> Float[Tensor, "S 3 3"]:
-    """The rotations R that make sum w |R rest - seen|^2 least; the smallest such turn where several do.
+    """Return the rotations R that minimise sum w |R rest - seen|^2; the smallest one where several do.
 
     Args:
         rest: vectors of the rest pose.

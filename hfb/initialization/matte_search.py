@@ -63,7 +63,7 @@ class Moments:
 def search_by_matte(
     matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer
 ) -> tuple[FirstBody, float]:
-    """The body whose silhouette shares most with the matte, and its soft IoU. Deterministic; some two seconds.
+    """Return the body whose silhouette overlaps the matte most, and its soft IoU. Deterministic; some two seconds.
 
     Args:
         matte: the person's share of each pixel.
@@ -94,10 +94,12 @@ def _best_starts(
 ) -> list[FirstBody]:
     """Compare the matte, turned by each roll, with every template; the best ones that differ from each other."""
     moments = matte_moments(matte)
-    scores = np.stack([
-        _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
-        for roll in _ROLLS_DEG
-    ])  # fmt: skip
+    scores = np.stack(
+        [
+            _soft_ious(_normalised(matte, moments, -radians(roll)), templates.pictures) - _ROLL_COST * abs(roll) / 40
+            for roll in _ROLLS_DEG
+        ]
+    )
     scores -= _BACK_COST * (1 - templates.facing) / 2
     chosen: list[tuple[int, int]] = []
     for flat in np.argsort(-scores, axis=None, kind="stable"):
@@ -112,7 +114,7 @@ def _best_starts(
 
 
 def differ(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
-    """Another pose, or the same from a clearly different side.
+    """Return whether two poses differ, or are the same from a clearly different side.
 
     Args:
         one: number of the pose, and its turn about the vertical [rad].
@@ -123,14 +125,14 @@ def differ(one: Float[Array, "2"], other: Float[Array, "2"]) -> bool:
 
 
 def _soft_ious(picture: Float[Array, "s s"], pictures: Float[Array, "N s s"]) -> Float[Array, "N"]:
-    """sum min / sum max against each, through |a - b| = max - min."""
+    """Return sum min / sum max against each image, through |a - b| = max - min."""
     difference = np.abs(pictures - picture).sum((1, 2), dtype=np.float64)
     total = pictures.sum((1, 2), dtype=np.float64) + picture.sum(dtype=np.float64)
     return (total - difference) / np.maximum(total + difference, 1e-9)
 
 
 def matte_moments(picture: Float[Array, "H W"]) -> Moments:
-    """Of a silhouette or a matte.
+    """Return the moments of a silhouette or a matte.
 
     Args:
         picture: a silhouette or a matte.
@@ -217,7 +219,7 @@ def _draw(
 def body_from_template(
     templates: Templates, index: int, roll: float, moments: Moments, camera: PinholeCamera, body: Body
 ) -> FirstBody:
-    """The template's body where the matte is: as far away as its size says, turned towards its view ray.
+    """Place the template's body at the matte: distance by size, turned towards its view ray.
 
     Args:
         templates: silhouettes of the bank.

@@ -67,7 +67,7 @@ class MetroBody:
 
 
 def read_samplings(path: Path) -> tuple[Int[Array, "..."], ...]:
-    """Which vertices of the full mesh METRO's coarse ones keep, the finest first.
+    """Read which vertices of the full mesh METRO's coarse ones keep, the finest first.
 
     mesh_downsampling.npz holds under ``D`` a sparse matrix per step with a single one in every row (Ranjan et al. 2018,
     "Generating 3D faces using convolutional mesh autoencoders", section 3).
@@ -97,7 +97,7 @@ def read_samplings(path: Path) -> tuple[Int[Array, "..."], ...]:
 
 
 def registered(outputs: Outputs, body: Body, samplings: Sequence[Int[Array, "..."]] = ()) -> FirstBody:
-    """The body laid onto a network's mesh, where it is this body's, else onto its joints; about the network's origin.
+    """Fit the body to a network's mesh, where it is this body's, else to its joints; about the network's origin.
 
     Args:
         outputs: of the network.

@@ -10,7 +10,7 @@ from hfb.typing import Array, Float, Tensor
 
 
 def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 0.05) -> tuple[int, int, int]:
-    """left, top and side [px] of the square about the person's box; it may reach outside the picture.
+    """Return left, top and side [px] of the square about the person's box; it may reach outside the image.
 
     Args:
         matte: the person's share of each pixel.
@@ -35,7 +35,7 @@ def person_square(matte: Float[Array, "H W"], margin: float, threshold: float = 
 def cut_square(
     picture: Float[Array, "H W 3"], left: int, top: int, side: int, size_px: int
 ) -> Float[Array, "{size_px} {size_px} 3"]:
-    """A square window at another size; outside the picture it is black, as networks are trained.
+    """Return a square window at another size; black outside the image, as networks are trained.
 
     Args:
         picture: the image.
@@ -47,8 +47,11 @@ def cut_square(
     height, width = picture.shape[:2]
     inside = picture[max(top, 0) : max(top + side, 0), max(left, 0) : max(left + side, 0)]
     pads = (
-        max(-top, 0), max(top + side - height, 0), max(-left, 0), max(left + side - width, 0),
-    )  # fmt: skip
+        max(-top, 0),
+        max(top + side - height, 0),
+        max(-left, 0),
+        max(left + side - width, 0),
+    )
     window = cv2.copyMakeBorder(np.ascontiguousarray(inside), *pads, cv2.BORDER_CONSTANT, value=0)
     interpolation = cv2.INTER_AREA if side > size_px else cv2.INTER_LINEAR
     return cv2.resize(window, (size_px, size_px), interpolation=interpolation).astype(np.float32)
@@ -57,7 +60,7 @@ def cut_square(
 def weak_perspective_place(
     scale: float, x: float, y: float, centre_px: tuple[float, float], side_px: float, camera: PinholeCamera
 ) -> Float[Tensor, "3"]:
-    """Where a body [m] stands whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
+    """Return the position of a body [m] whose point X appears at scale (X + (x, y)), the crop spanning -1 to 1.
 
     The depth at which f / z pixels per metre are scale times half the crop's side, as Kanazawa et al. 2018 have it.
 

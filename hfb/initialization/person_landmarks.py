@@ -20,18 +20,27 @@ _LEAST_SCORE = 0.5
 _SURE_AGREEMENT = 0.55
 # Limbs as (from, to, radius relative to the trunk's length).
 _LIMBS = (
-    ("left_shoulder", "left_elbow", 0.10), ("left_elbow", "left_wrist", 0.08), ("left_wrist", "left_index", 0.07),
-    ("right_shoulder", "right_elbow", 0.10), ("right_elbow", "right_wrist", 0.08), ("right_wrist", "right_index", 0.07),
-    ("left_hip", "left_knee", 0.15), ("left_knee", "left_ankle", 0.10), ("left_heel", "left_foot_index", 0.07),
-    ("right_hip", "right_knee", 0.15), ("right_knee", "right_ankle", 0.10), ("right_heel", "right_foot_index", 0.07),
-    ("left_shoulder", "right_shoulder", 0.12), ("left_hip", "right_hip", 0.16),
-)  # fmt: skip
+    ("left_shoulder", "left_elbow", 0.10),
+    ("left_elbow", "left_wrist", 0.08),
+    ("left_wrist", "left_index", 0.07),
+    ("right_shoulder", "right_elbow", 0.10),
+    ("right_elbow", "right_wrist", 0.08),
+    ("right_wrist", "right_index", 0.07),
+    ("left_hip", "left_knee", 0.15),
+    ("left_knee", "left_ankle", 0.10),
+    ("left_heel", "left_foot_index", 0.07),
+    ("right_hip", "right_knee", 0.15),
+    ("right_knee", "right_ankle", 0.10),
+    ("right_heel", "right_foot_index", 0.07),
+    ("left_shoulder", "right_shoulder", 0.12),
+    ("left_hip", "right_hip", 0.16),
+)
 
 
 def find_landmarks(
     networks: PoseNetworks, frame_srgb: Float[Array, "H W 3"], matte: Float[Array, "H W"]
 ) -> tuple[Landmarks, float] | None:
-    """The best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
+    """Return the best landmarks with their agreement (see `stick_agreement`), or None where no region held a person.
 
     Args:
         networks: loaded pose networks.
@@ -93,7 +102,7 @@ def _near(region: Region, matte: Float[Array, "H W"]) -> bool:
 
 
 def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
-    """Soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
+    """Return the soft IoU (sum min / sum max) of the matte and a stick figure with typical limb widths.
 
     Args:
         landmarks: of a person.
@@ -109,7 +118,7 @@ def stick_agreement(landmarks: Landmarks, matte: Float[Array, "H W"]) -> float:
 
 
 def draw_stick_figure(pixels: Float[Array, "33 2"], shape: tuple[int, int]) -> Shaped[Array, "h w"]:
-    """A figure of 0 and 1: trunk, head and limbs as thick lines.
+    """Draw a figure of 0 and 1: trunk, head and limbs as thick lines.
 
     Args:
         pixels: places of the landmarks [px].

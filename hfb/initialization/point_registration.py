@@ -128,7 +128,7 @@ def register_vertices(
 
 
 def only_vertices(body: Body, chosen: Int[Tensor, "n"]) -> Body:
-    """The body with some of its vertices, which are enough to tell the pose; not to be drawn.
+    """Return the body with some of its vertices, which are enough to determine the pose; not to be drawn.
 
     Args:
         body: the body model.
@@ -191,10 +191,15 @@ def _shape_given_turns(
     points: Callable[[PosedBody], Tensor],
     spread_m: float,
 ) -> Float[Tensor, "K"]:
-    """Betas by least squares: with the rotations known, posed points are linear in betas and translation.
+    """Fit betas by least squares: with the rotations known, posed points are linear in betas and translation.
 
     Args:
-        points: which of a posed body's are meant.
+        body: to fit.
+        rotations: of each joint in its parent's frame.
+        goal: the points' targets [m].
+        known: which targets are known.
+        points: selects the points of a posed body.
+        spread_m: standard deviation of the targets.
     """
     nowhere = goal.new_zeros(len(goal), 3)
     weight = known.to(goal.dtype)[..., None]
@@ -253,7 +258,7 @@ def fit_points(
     iterations: int,
     rate: float,
 ) -> Registered:
-    """Adam on turns relative to the start (no wrap-around at pi), places and betas; deterministic.
+    """Run Adam on turns relative to the start (no wrap-around at pi), positions and betas; deterministic.
 
     Args:
         start: turns, places and betas.

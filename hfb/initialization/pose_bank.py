@@ -70,7 +70,7 @@ BANK: tuple[BankPose, ...] = (
 
 
 def bank_rotations(dtype: torch.dtype = torch.float32) -> tuple[list[str], Float[Tensor, "P 23 3"]]:
-    """Names and axis-angles below the root; poses that aren't symmetric are followed by their mirror image.
+    """Return names and axis-angles below the root; asymmetric poses are followed by their mirror image.
 
     Args:
         dtype: of the result.
@@ -102,8 +102,9 @@ def _rotations(entry: BankPose) -> Float[Tensor, "24 3"]:
         put(spine, (share * bend, share * turn, 0))
     put("neck", (-0.3 * bend, 0, 0))
     for side, sign, arm, leg in (
-        ("left", 1.0, entry.left_arm, entry.left_leg), ("right", -1.0, entry.right_arm, entry.right_leg),
-    ):  # fmt: skip
+        ("left", 1.0, entry.left_arm, entry.left_leg),
+        ("right", -1.0, entry.right_arm, entry.right_leg),
+    ):
         put(f"{side}_shoulder", *_arm(arm, sign))
         put(f"{side}_elbow", (0, -sign * arm[2], 0))
         put(f"{side}_hip", (-leg[0], 0, 0), (0, 0, sign * leg[1]))

@@ -19,19 +19,29 @@ from hfb.motion.static_pose import FirstBody
 from hfb.priors.anatomy import AnatomicalPrior
 from hfb.typing import Float, Int, Tensor
 
-_SAME_JOINTS = (
-    "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hip",
-    "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle",
-)  # fmt: skip
+_SAME_JOINTS = tuple(
+    f"{side}_{part}" for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
+)
 # Directions that are compared in 3D, with weights: long bones well seen by the network count more.
 _DIRECTIONS = (
-    ("left_hip", "right_hip", 1.0), ("left_shoulder", "right_shoulder", 1.0), ("left_hip", "left_shoulder", 1.0),
-    ("right_hip", "right_shoulder", 1.0), ("left_shoulder", "left_elbow", 1.0), ("left_elbow", "left_wrist", 1.0),
-    ("right_shoulder", "right_elbow", 1.0), ("right_elbow", "right_wrist", 1.0), ("left_hip", "left_knee", 1.0),
-    ("left_knee", "left_ankle", 1.0), ("right_hip", "right_knee", 1.0), ("right_knee", "right_ankle", 1.0),
-    ("left_heel", "left_foot_index", 0.4), ("right_heel", "right_foot_index", 0.4), ("left_ear", "nose", 0.3),
-    ("right_ear", "nose", 0.3), ("left_ear", "right_ear", 0.3),
-)  # fmt: skip
+    ("left_hip", "right_hip", 1.0),
+    ("left_shoulder", "right_shoulder", 1.0),
+    ("left_hip", "left_shoulder", 1.0),
+    ("right_hip", "right_shoulder", 1.0),
+    ("left_shoulder", "left_elbow", 1.0),
+    ("left_elbow", "left_wrist", 1.0),
+    ("right_shoulder", "right_elbow", 1.0),
+    ("right_elbow", "right_wrist", 1.0),
+    ("left_hip", "left_knee", 1.0),
+    ("left_knee", "left_ankle", 1.0),
+    ("right_hip", "right_knee", 1.0),
+    ("right_knee", "right_ankle", 1.0),
+    ("left_heel", "left_foot_index", 0.4),
+    ("right_heel", "right_foot_index", 0.4),
+    ("left_ear", "nose", 0.3),
+    ("right_ear", "nose", 0.3),
+    ("left_ear", "right_ear", 0.3),
+)
 _TRUNK = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
 _LEAST_DEPTH_M = 0.5
 
@@ -46,7 +56,7 @@ class Attachments:
     weights: Float[Tensor, "L"]
 
     def positions(self, joints: Float[Tensor, "24 3"], R_world_joint: Float[Tensor, "24 3 3"]) -> Float[Tensor, "L 3"]:
-        """The points [m] on a posed body.
+        """Return the points [m] on a posed body.
 
         Args:
             joints: of the posed body [m].
@@ -141,7 +151,7 @@ def register(
 
 
 def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.ndarray, "33 3"]:
-    """The metric landmarks turned from "along the region's view ray" to "along the optical axis".
+    """Rotate the metric landmarks from "along the region's view ray" to "along the optical axis".
 
     Args:
         landmarks: of the person.
@@ -157,7 +167,7 @@ def world_in_camera(landmarks: Landmarks, camera: PinholeCamera) -> Float[np.nda
 
 
 def natural_pose(dtype: torch.dtype) -> Float[Tensor, "23 3"]:
-    """Arms down, knees hardly bent: nearer to most poses than the rest pose T.
+    """Return a pose with arms down and knees hardly bent: nearer to most poses than the rest pose T.
 
     Args:
         dtype: of the result.
@@ -264,7 +274,7 @@ def _misfit(
 def follow_chain(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "24 3 3"], translation: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "24 3"], Float[Tensor, "24 3 3"]]:
-    """Posed joints [m] and each joint's rotation in camera coordinates, without skinning anything.
+    """Return posed joints [m] and each joint's rotation in camera coordinates, without skinning.
 
     Args:
         rest: joints of the rest pose [m].

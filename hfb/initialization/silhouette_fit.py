@@ -61,7 +61,7 @@ class Stay:
 
 
 def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int) -> Level:
-    """The region around the matte at `size_px` on the longer side.
+    """Return the region around the matte at `size_px` on the longer side.
 
     Args:
         matte: the person's share of each pixel.
@@ -78,7 +78,7 @@ def matte_level(matte: Float[Array, "H W"], camera: PinholeCamera, size_px: int)
 
 
 def silhouette(first: FirstBody, camera: PinholeCamera, body: Body, rasterizer: Rasterizer) -> Float[Tensor, "H W"]:
-    """The body's share of each pixel.
+    """Return the body's share of each pixel.
 
     Args:
         first: a static body.
@@ -94,7 +94,7 @@ def silhouette(first: FirstBody, camera: PinholeCamera, body: Body, rasterizer: 
 def overlap(
     first: FirstBody, level: Level, body: Body, rasterizer: Rasterizer, travel_m: Float[Tensor, "3"] | None = None
 ) -> float:
-    """Soft IoU of the matte and the body's silhouette.
+    """Return the soft IoU of the matte and the body's silhouette.
 
     Args:
         first: a static body.
@@ -119,7 +119,7 @@ def refine(
     stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> FirstBody:
-    """Adam on pose, translation and betas: 1 - soft IoU (eq. (4) with one sub-frame), anatomy, nearness to the start.
+    """Run Adam on pose, translation and betas: 1 - soft IoU (eq. (4), one sub-frame), anatomy, nearness to the start.
 
     Coarse to fine, because the silhouette's gradient reaches one pixel. Deterministic. Returns the best iterate
     of the last stage, the start included.
@@ -146,7 +146,7 @@ def refine_swept(
     stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> tuple[FirstBody, Float[Tensor, "3"]]:
-    """As `refine`, with the straight path of the whole body during the exposure besides: the middle, and the path.
+    """Apply `refine` with the straight path of the whole body during the exposure: return the middle, and the path.
 
     Args:
         first: a static body.
@@ -173,7 +173,7 @@ def refine_all(
     stages: Sequence[SilhouetteStage],
     stay: Stay,
 ) -> tuple[list[FirstBody], Float[Tensor, "N 3"] | None]:
-    """As `refine`, or with paths as `refine_swept`: each of several bodies by itself, in the time of few.
+    """Apply `refine` or `refine_swept` to several independent bodies at once.
 
     Args:
         firsts: bodies to start from.

@@ -47,7 +47,7 @@ class _Start:
 
 
 def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer) -> SweptBody:
-    """The body whose smear along a straight line shares most with the matte. Deterministic; some seconds.
+    """Return the body whose smear along a line overlaps the matte most. Deterministic; some seconds.
 
     Args:
         matte: the person's share of each pixel.
@@ -77,10 +77,15 @@ def search_swept(matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, 
 
 
 def carried_along(
-    first: FirstBody, path_m: Float[Tensor, "3"], matte: Float[Array, "H W"], camera: PinholeCamera, body: Body,
-    rasterizer: Rasterizer, stay: Stay,
-) -> SweptBody:  # fmt: skip
-    """A body that was found at rest, moved along a path: it knows the pose better, the path knows the size.
+    first: FirstBody,
+    path_m: Float[Tensor, "3"],
+    matte: Float[Array, "H W"],
+    camera: PinholeCamera,
+    body: Body,
+    rasterizer: Rasterizer,
+    stay: Stay,
+) -> SweptBody:
+    """Move a body that was found at rest along a path: its pose is more accurate, the path's size is.
 
     Args:
         first: a static body.
@@ -99,7 +104,7 @@ def carried_along(
 def refined_swept(
     swept: SweptBody, matte: Float[Array, "H W"], camera: PinholeCamera, body: Body, rasterizer: Rasterizer, stay: Stay
 ) -> SweptBody:
-    """Laid onto the matte once more, at a finer size, with the shape.
+    """Fit the body to the matte once more, at a finer size, with the shape.
 
     Args:
         swept: body and path to start from.

@@ -37,12 +37,14 @@ _STAY_UNPLACED = Stay(pose=0.05, root=0.02)
 
 
 def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> FirstBody | None:
-    """The first body of a frame; None where the system saw nobody.
+    """Return the first body of a frame; None where the system saw nobody.
 
     The translation is NaN where the system says nothing about a camera: see `on_matte`.
 
     Args:
-        track: with poses (`with_poses`). camera: of the clip.
+        track: with poses (`with_poses`).
+        frame: its number.
+        camera: of the clip.
         body: the model that is fitted; betas count only where they are this model's.
 
     Raises:
@@ -63,7 +65,11 @@ def body_at(track: PoseTrack, frame: int, camera: PinholeCamera, body: Body) -> 
 
 
 def with_poses(track: PoseTrack, body: Body) -> PoseTrack:
-    """The body laid onto the joints of a system that knows no poses; its shape by some frames, then held.
+    """Fit the body to the joints of a system that gives no poses; its shape by some frames, then held.
+
+    Args:
+        track: with joints or poses.
+        body: the model that is fitted.
 
     Raises:
         InputError: too few joints are known.
@@ -111,10 +117,18 @@ def on_matte(
     body: Body,
     rasterizer: Rasterizer,
 ) -> FirstBody:
-    """The body laid onto the matte without leaving its pose, kept only where it shares more with the matte.
+    """Fit the body to the matte while keeping its pose near; keep the result only where its overlap is larger.
 
     A body without a place is given one first: as high and in the middle of what the matte shows; where its turn is not
     known either, twelve are tried.
+
+    Args:
+        first: to start from.
+        turn_is_known: whether the root's rotation about the vertical is known.
+        matte: of the frame, in [0, 1].
+        camera: of the frame.
+        body: the model that is fitted.
+        rasterizer: draws silhouettes.
 
     Raises:
         InputError: the matte is empty, or the body stands elsewhere.
@@ -136,12 +150,15 @@ def on_matte(
 
 
 def share_on_matte(track: PoseTrack, frame: int, matte: Float[Array, "H W"], body: Body) -> float:
-    """Mean of a matte at a person's joints, where their system's camera shows them: tells whom of several it is of.
+    """Return the mean of a matte at a person's projected joints, which tells whose matte it is.
 
     0 where the system did not see them in that frame, or knows no camera.
 
     Args:
-        track: with poses or joints. frame: the system's number of the matte's picture.
+        track: with poses or joints.
+        frame: the system's number of the matte's picture.
+        matte: of the frame, in [0, 1].
+        body: model that gives the joints of poses.
     """
     row = np.flatnonzero(track.frames == frame)
     if not row.size or track.K is None:

@@ -27,10 +27,12 @@ def read_arrays(
     limit: int = UNPACKED_LIMIT,
     objects: Objects | None = None,
 ) -> dict[str, Any]:
-    """The arrays of numbers and texts in an .npz archive, on disk or in memory, by name.
+    """Read the arrays of numbers and texts in an .npz archive, by name.
 
     Args:
+        file: the archive, on disk or in memory.
         wanted: only these, as far as the file has them; all of them if not given.
+        limit: most bytes of the unpacked arrays.
         objects: reads the pickle of an array of objects; without it such an array is an error.
 
     Raises:
@@ -46,16 +48,23 @@ def read_arrays(
 
 
 def names_in(file: Path | bytes) -> tuple[str, ...]:
-    """What an .npz archive holds. Raises OSError or ValueError as `read_arrays`."""
+    """Return the names of an .npz archive's arrays. Raises OSError or ValueError as `read_arrays`.
+
+    Args:
+        file: the archive, on disk or in memory.
+    """
     with _opened(file) as archive:
         return tuple(_members(archive))
 
 
 def weights_file(path: Path) -> io.BytesIO:
-    """A file of torch.save, in memory, for torch.load: that inflates whatever is packed and never asks to how much.
+    """Copy a file of torch.save to memory for torch.load, which would inflate packed members without a limit.
 
     torch packs nothing. An archive is written anew from the members that were looked at, since two readers of
     archives may find different ones in the same bytes.
+
+    Args:
+        path: of the file.
 
     Raises:
         OSError: no file there, or it cannot be read.
@@ -115,9 +124,10 @@ def _content(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
 
 
 def parse_array(data: bytes, objects: Objects | None = None) -> Any:
-    """The array in the bytes of a .npy file; numpy's own reader would allocate what a header promises.
+    """Parse a .npy file; numpy's own reader would allocate what a header promises.
 
     Args:
+        data: content of a .npy file.
         objects: see `read_arrays`.
 
     Raises:

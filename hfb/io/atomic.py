@@ -9,22 +9,32 @@ _TEMPORARY = re.compile(r"\.(.+)\.\d+-[0-9a-f]+\.part(\.\w+)?", re.DOTALL)
 
 
 def temporary_beside(path: Path, suffix: str = "") -> Path:
-    """A name beside a file, for the time in which it is written.
+    """Return a temporary name in a file's folder, for the time in which it is written.
 
     Args:
+        path: the file to be written.
         suffix: of a file whose writer goes by the suffix; ``path`` is then given without it.
     """
     return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
 
 
 def leftover_of(name: str) -> str | None:
-    """The name of the file that a killed writer's temporary file was to become; None for any other file."""
+    """Return the target's name of a killed writer's temporary file; None for any other file.
+
+    Args:
+        name: of a file.
+    """
     found = _TEMPORARY.fullmatch(name)
     return found[1] + (found[2] or "") if found else None
 
 
 def write_bytes_atomic(path: Path, data: bytes) -> None:
-    """Put `data` at `path`; a reader (or a crash) sees the old file or the new one, never half of one."""
+    """Write `data` to `path`; a reader (or a crash) sees the old file or the new one, never half of one.
+
+    Args:
+        path: of the file; its folder is created.
+        data: content.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_beside(path)
@@ -40,7 +50,11 @@ def write_bytes_atomic(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the rename itself durable, where the system can (not on every network file system)."""
+    """Make a rename durable, where the system can (not on every network file system).
+
+    Args:
+        folder: of the renamed file.
+    """
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:

@@ -97,7 +97,11 @@ class ClipExposure(_ClipRecord):
         return self
 
     def exposure_s(self, interval_s: float) -> float | None:
-        """The exposure [s] for a frame interval [s]; None where the file does not say."""
+        """Return the exposure [s] for a frame interval; None where the file does not state one.
+
+        Args:
+            interval_s: from frame to frame.
+        """
         if self.shutter_fraction is not None:
             return self.shutter_fraction * interval_s
         if self.shutter_angle is not None:
@@ -163,6 +167,9 @@ class Clip(_ClipRecord):
 
 def read_clip(path: Path) -> Clip:
     """Read a clip.toml; its paths become relative to the working folder.
+
+    Args:
+        path: the clip.toml.
 
     Raises:
         InputError: the file is missing, no TOML, holds an entry that is unknown or impossible, or names a file that

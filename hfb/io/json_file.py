@@ -14,9 +14,10 @@ _DEEPEST = 32
 
 
 def read_json(path: Path, fix: str = "make the result again") -> Any:
-    """The content of a JSON file; every number in it is finite.
+    """Read a JSON file; every number in it is finite.
 
     Args:
+        path: of the file.
         fix: ends the sentence of an error.
 
     Raises:

@@ -2,7 +2,11 @@
 
 
 def is_text(name: object) -> bool:
-    """Whether a file's name is text in UTF-8; servers, records and pages take no other bytes."""
+    """Return whether a file's name is text in UTF-8; servers, records and pages accept no other bytes.
+
+    Args:
+        name: or path.
+    """
     try:
         str(name).encode()
     except UnicodeEncodeError:
@@ -11,5 +15,9 @@ def is_text(name: object) -> bool:
 
 
 def shown_name(name: str) -> str:
-    """A file's name for a line of text: control characters and bytes that are no text as escapes."""
+    """Return a file's name for a line of text: control characters and undecodable bytes as escapes.
+
+    Args:
+        name: of a file.
+    """
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in name)

@@ -30,7 +30,11 @@ class NotOrdinary(TemporaryError):
 
 
 def special_kind(path: Path) -> str | None:
-    """Name what a path is that is neither a regular file nor a folder; None for these two and for a missing one."""
+    """Name what a path is that is neither a regular file nor a folder; None for these two and for a missing one.
+
+    Args:
+        path: of the entry.
+    """
     try:
         return _KINDS.get(stat.S_IFMT(path.lstat().st_mode))
     except OSError:
@@ -38,7 +42,11 @@ def special_kind(path: Path) -> str | None:
 
 
 def is_regular(path: Path) -> bool:
-    """Return whether a regular file lies there, itself and not by way of a link."""
+    """Return whether `path` is a regular file, not a link to one.
+
+    Args:
+        path: of the entry.
+    """
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:
@@ -47,6 +55,10 @@ def is_regular(path: Path) -> bool:
 
 def check_ordinary(root: Path, *parts: str) -> None:
     """Check every component of a path below ``root``; a missing one ends the check.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
 
     Raises:
         NotOrdinary: one of them is a link or a special file.
@@ -59,7 +71,11 @@ def check_ordinary(root: Path, *parts: str) -> None:
 
 
 def check_tree(root: Path, *parts: str) -> None:
-    """Check a folder below ``root`` and everything in it; a missing folder is fine.
+    """Check a folder below ``root`` and everything in it; a missing folder passes.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
 
     Raises:
         NotOrdinary: a link or a special file, or folders nested more deeply than hfb nests any.
@@ -71,7 +87,10 @@ def check_tree(root: Path, *parts: str) -> None:
 
 
 def entries_below(folder: Path) -> Iterator[Path]:
-    """Everything in a folder and in the folders below it that is no folder itself; links are listed, not followed.
+    """Yield everything in a folder and in the folders below it that is no folder itself; links are not followed.
+
+    Args:
+        folder: to list.
 
     Raises:
         NotOrdinary: folders are nested more deeply than hfb nests any, or may not be read.
@@ -96,9 +115,11 @@ def entries_below(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def open_folder(root: Path, *parts: str, make: bool = False) -> Iterator[int]:
-    """Open a folder below ``root`` without following a link; yields its descriptor.
+    """Open a folder below ``root`` without following a link; yield its descriptor.
 
     Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
         make: create the folders below ``root`` that are missing.
 
     Raises:
@@ -120,7 +141,11 @@ def open_folder(root: Path, *parts: str, make: bool = False) -> Iterator[int]:
 
 
 def open_lock(root: Path, *parts: str) -> int:
-    """Open a lock file below ``root`` for appending, made where it is missing, so that no content is lost.
+    """Open a lock file below ``root`` for appending; create it where it is missing.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
 
     Raises:
         NotOrdinary: it, or a folder on the way, is a link or a special file.
@@ -136,6 +161,11 @@ def open_lock(root: Path, *parts: str) -> int:
 def read_file(root: Path, *parts: str, limit: int) -> bytes:
     """Read a regular file below ``root``.
 
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
+        limit: most bytes.
+
     Raises:
         NotOrdinary: it, or a folder on the way, is a link or a special file.
         FileNotFoundError: it is missing.
@@ -149,7 +179,13 @@ def read_file(root: Path, *parts: str, limit: int) -> bytes:
 
 
 def read_head(root: Path, *parts: str, size: int) -> bytes:
-    """Read the first ``size`` bytes of a regular file below ``root``, or all there are; raises as `read_file`."""
+    """Read the first ``size`` bytes of a regular file below ``root``, or all there are; raises as `read_file`.
+
+    Args:
+        root: trusted folder.
+        *parts: names of folders and of the file below ``root``.
+        size: number of bytes.
+    """
     *folders, name = parts
     check_ordinary(root, *parts)
     with open_folder(root, *folders) as folder:
@@ -159,7 +195,10 @@ def read_head(root: Path, *parts: str, size: int) -> bytes:
 
 
 def check_readable(path: Path) -> None:
-    """Check that a path that a user named, links followed, would not block or act when it is opened.
+    """Check that a path, links followed, neither blocks nor acts when it is opened.
+
+    Args:
+        path: that a user named.
 
     Raises:
         OSError: it is a named pipe, a device or a socket, or missing.

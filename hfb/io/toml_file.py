@@ -20,7 +20,10 @@ _SHOWN = 80
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
+    """Read a TOML file.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: the file is missing or no TOML.
@@ -47,7 +50,12 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> RecordT:
-    """Validate plain content; ``source`` says in the message where it came from.
+    """Validate plain content and build a record.
+
+    Args:
+        record: class of the result.
+        content: plain values.
+        source: of the content, for errors.
 
     Raises:
         InputError: an entry is unknown or impossible; the sentence names the first one.
@@ -59,7 +67,12 @@ def to_record(record: type[RecordT], content: dict[str, Any], source: str) -> Re
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain content with some entries, at any depth, replaced by others."""
+    """Replace entries of plain content, at any depth.
+
+    Args:
+        base: content.
+        over: entries that replace those of the base.
+    """
     content = dict(base)
     for key, value in over.items():
         old = content.get(key)

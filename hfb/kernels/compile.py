@@ -197,15 +197,27 @@ def _say_once(remark):
 
 
 def entry(function):
-    """Compile a function that Python calls, and keep the machine code for later processes."""
+    """Compile a function that Python calls, and cache the machine code for later processes.
+
+    Args:
+        function: to compile.
+    """
     return _cached(njit(**JIT)(function), function)
 
 
 def loop_entry(function):
-    """`entry` for a function that allocates nothing."""
+    """Apply `entry` to a function that allocates nothing.
+
+    Args:
+        function: to compile.
+    """
     return _cached(njit(**LOOP)(function), function)
 
 
 def sum_entry(function):
-    """`loop_entry` whose sums the compiler may add in another order than written."""
+    """Apply `loop_entry`, and let the compiler reorder sums.
+
+    Args:
+        function: to compile.
+    """
     return _cached(njit(**_SUM)(function), function)

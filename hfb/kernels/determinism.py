@@ -8,7 +8,7 @@ import torch
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """One thread of torch inside: faster beside other work, and sums do not depend on the machine's core count."""
+    """Use one thread of torch inside: faster beside other work, and sums do not depend on the number of cores."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -17,13 +17,17 @@ _readable = ContextVar("readable", default=False)
 
 
 def compiled(tensor: Shaped[Tensor, "..."]) -> bool:
-    """Whether the compiled kernels take this tensor."""
+    """Return whether the compiled kernels accept this tensor.
+
+    Args:
+        tensor: of a formula.
+    """
     return tensor.device.type == "cpu" and not _readable.get()
 
 
 @contextmanager
 def readable_formulas() -> Iterator[None]:
-    """Inside, in this thread, the readable form runs wherever there are two."""
+    """Use the readable torch formulas inside, in this thread."""
     before = _readable.set(True)
     try:
         yield
@@ -33,8 +37,13 @@ def readable_formulas() -> Iterator[None]:
 
 @lru_cache(maxsize=256)
 def constant(values: tuple | float, dtype: torch.dtype, device: torch.device) -> Shaped[Tensor, "..."]:
-    """A tensor of these numbers, or of one, made once: to copy them to a device makes the processor wait for it.
+    """Return a cached tensor of some numbers, since copying them to a device makes the CPU wait for it.
 
-    Not to be changed.
+    The caller must not change it.
+
+    Args:
+        values: number or nested tuples of numbers.
+        dtype: precision.
+        device: of the tensor.
     """
     return torch.tensor(values, dtype=dtype, device=device)

@@ -11,9 +11,16 @@ MEAN_DECAY, SQUARE_DECAY = 0.9, 0.999
 
 @loop_entry
 def step(values, gradient, mean, square, steps, rate, epsilon):
-    """Move `values` (n) against the running means of the gradient and of its square, which are moved on first.
+    """Update the running means of the gradient and of its square, then the values.
 
-    steps: how many this is, from 1 on.
+    Args:
+        values: (n), updated.
+        gradient: (n).
+        mean: (n), running mean of the gradient, updated.
+        square: (n), running mean of its square, updated.
+        steps: number of this step, from 1 on.
+        rate: learning rate.
+        epsilon: added to the root of the mean square.
     """
     kind = values.dtype.type
     of_mean, of_square, epsilon = kind(1.0 - MEAN_DECAY), kind(1.0 - SQUARE_DECAY), kind(epsilon)

@@ -40,9 +40,14 @@ def _add(to, share, a, b, c, d):
 
 @njit(**SUM_INLINE)
 def smear(layer, way, smeared):
-    """Fills smeared (H, W, 4) with the mean over the instants s of a layer (H, W, 4) at x - s way(x).
+    """Average a layer along its way: fill `smeared` with the mean over the instants s of the layer at x - s way(x).
 
-    Bilinear; -1/2 < s < 1/2; way (H, W, 2) [px]; H and W are 2 at least.
+    Bilinear; -1/2 < s < 1/2; H and W are 2 at least.
+
+    Args:
+        layer: (H, W, 4), alpha and premultiplied colours.
+        way: (H, W, 2), path of the layer's pixels during the exposure [px].
+        smeared: (H, W, 4), filled.
     """
     height, width, _ = layer.shape
     for y in range(height):
@@ -66,7 +71,15 @@ def smear(layer, way, smeared):
 
 @njit(**SUM_INLINE)
 def smear_gradient(layer, way, given, of_layer, of_way):
-    """From the smeared layer's gradient: fills of_layer and of_way."""
+    """Compute the gradients of `smear`.
+
+    Args:
+        layer: (H, W, 4), alpha and premultiplied colours.
+        way: (H, W, 2), path of the layer's pixels during the exposure [px].
+        given: (H, W, 4), gradient by the smeared layer.
+        of_layer: (H, W, 4), gradient, filled.
+        of_way: (H, W, 2), gradient, filled.
+    """
     height, width, _ = layer.shape
     right_end, low_end = np.float32(width - 1), np.float32(height - 1)
     of_layer[:] = _ZERO
@@ -107,7 +120,13 @@ def _cell(place, length, cells):
 
 @njit(**SUM_INLINE)
 def spread(base, bend, way):
-    """Fills way (H, W, 2) with a base and a grid (2, h, w) of what is added to it, all in px."""
+    """Add a coarse grid to the way, bilinearly.
+
+    Args:
+        base: (H, W, 2), way before the grid is added [px].
+        bend: (2, h, w), grid of what is added to the way [px].
+        way: (H, W, 2), filled.
+    """
     height, width, _ = base.shape
     _, rows, columns = bend.shape
     for y in range(height):
@@ -123,7 +142,12 @@ def spread(base, bend, way):
 
 @njit(**SUM_INLINE)
 def spread_gradient(of_way, of_bend):
-    """From the way's gradient: fills the grid's."""
+    """Compute the gradient of `spread` by the grid.
+
+    Args:
+        of_way: (H, W, 2), gradient by the way.
+        of_bend: (2, h, w), gradient, filled.
+    """
     height, width, _ = of_way.shape
     _, rows, columns = of_bend.shape
     of_bend[:] = _ZERO
@@ -142,7 +166,13 @@ def spread_gradient(of_way, of_bend):
 
 @njit(**SUM_INLINE)
 def colour(outline, roots, layer):
-    """Fills layer (H, W, 4) with an outline (H, W) and the light of colours, given by their roots (H, W, 3), in it."""
+    """Fill the layer with its outline and its premultiplied colours.
+
+    Args:
+        outline: (H, W), alpha of the layer in [0, 1].
+        roots: (H, W, 3), square roots of its linear colours.
+        layer: (H, W, 4), filled.
+    """
     height, width = outline.shape
     for y in range(height):
         for x in range(width):
@@ -153,13 +183,15 @@ def colour(outline, roots, layer):
 
 @njit(**SUM_INLINE)
 def unexplained(scene, weights, smeared, given):
-    """What a smeared layer (a, c) leaves of the picture and of the network's matte, and the gradient of that.
+    """Return how badly a smeared layer (a, c) explains the frame and the network's matte; fill the gradient.
 
     sum of R (sqrt(1 + |apart|^2 / R^2) - 1) + trust |a - alpha|, apart = (frame - c - (1 - a) plate) / noise.
 
     Args:
-        scene: frame, plate, 1 / noise (H, W, 3 each), alpha and trust, in (H, W, 11). weights: see `objective`.
-        smeared: (H, W, 4). given: (H, W, 4), filled.
+        scene: frame, plate, 1 / noise (H, W, 3 each), alpha and trust, in (H, W, 11).
+        weights: see `objective`.
+        smeared: (H, W, 4).
+        given: (H, W, 4), gradient by the smeared layer, filled.
     """
     height, width, _ = scene.shape
     robust = weights[0]
@@ -186,9 +218,16 @@ def unexplained(scene, weights, smeared, given):
 
 @njit(**SUM_INLINE)
 def oddness(outline, roots, weights, of_outline, of_roots):
-    """How odd an outline m (H, W) and roots of colours (H, W, 3) are: adds the gradient of that.
+    """Return how implausible an outline m and colours are; add the gradients.
 
-    sum of S m (1 - m) + C |difference of roots| + O |difference of m|, over neighbours.
+    It is the sum of S m (1 - m) + C |difference of roots| + O |difference of m|, over neighbours.
+
+    Args:
+        outline: (H, W), alpha of the layer in [0, 1].
+        roots: (H, W, 3), square roots of its linear colours.
+        weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
+        of_outline: gradient, added to.
+        of_roots: gradient, added to.
     """
     height, width = outline.shape
     _, soft, changes, edges, _ = weights
@@ -221,7 +260,13 @@ def oddness(outline, roots, weights, of_outline, of_roots):
 
 @njit(**SUM_INLINE)
 def bending(bend, weights, of_bend):
-    """Of a grid of ways (2, h, w), by the squares of its differences: adds the gradient."""
+    """Return the weighted squares of a grid's differences; add the gradient.
+
+    Args:
+        bend: (2, h, w), grid of what is added to the way [px].
+        weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
+        of_bend: gradient, added to.
+    """
     _, rows, columns = bend.shape
     weight = weights[4]
     loss = 0.0
@@ -239,12 +284,21 @@ def bending(bend, weights, of_bend):
 
 @njit(**SUM_INLINE)
 def objective(scene, weights, base, outline, roots, bend, way, layers, of_outline, of_roots, of_way, of_bend):
-    """How little a layer explains, and how odd it is: fills the gradients, and the way (H, W, 2).
+    """Return how badly a layer explains the frame, and how implausible it is; fill the gradients and the way.
 
     Args:
-        scene: see `unexplained`. base: (H, W, 2), to which the grid `bend` (2, h, w) adds.
+        scene: see `unexplained`.
         weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
-        layers: (4, H, W, 4): filled with the layer, its mean on its way, and their gradients.
+        base: (H, W, 2), to which the grid `bend` (2, h, w) adds.
+        outline: (H, W), alpha of the layer in [0, 1].
+        roots: (H, W, 3), square roots of its linear colours.
+        bend: (2, h, w), grid of what is added to the way [px].
+        way: (H, W, 2), filled.
+        layers: (4, H, W, 4), filled with the layer, its mean along the way, and their gradients.
+        of_outline: gradient, filled.
+        of_roots: gradient, filled.
+        of_way: (H, W, 2), gradient, filled.
+        of_bend: gradient, filled.
     """
     spread(base, bend, way)
     colour(outline, roots, layers[0])
@@ -278,12 +332,23 @@ def _adam(variables, gradient, rate, step, moments):
 
 @sum_entry
 def descend(scene, weights, base, rates, steps, logits, roots, bend, way, layers, planes, colours, ways, bends):
-    """Adam, in place, from rest: the last step's loss, of before that step.
+    """Run Adam, in place, from zero moments; return the last step's loss, before that step.
 
     Args:
-        rates: of the logits of the outline (H, W), the roots of the colours (H, W, 3) and the grid; 0 leaves it alone.
-        way, layers: as in `objective`. planes (4, H, W), colours (3, H, W, 3), ways (H, W, 2), bends (3, 2, h, w):
-            to work in.
+        scene: see `unexplained`.
+        weights: R, S, C and O of `unexplained` and `oddness`, and that of `bending`.
+        base: (H, W, 2), way before the grid is added [px].
+        rates: of the outline's logits, of the roots and of the grid; 0 keeps it fixed.
+        steps: number of steps.
+        logits: (H, W), of the outline, updated.
+        roots: (H, W, 3), square roots of its linear colours, updated.
+        bend: (2, h, w), grid of what is added to the way [px], updated.
+        way: as in `objective`.
+        layers: as in `objective`.
+        planes: (4, H, W), work space.
+        colours: (3, H, W, 3), work space.
+        ways: (H, W, 2), work space.
+        bends: (3, 2, h, w), work space.
     """
     outline, of_outline = planes[0], planes[1]
     planes[2:] = _ZERO

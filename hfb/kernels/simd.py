@@ -16,14 +16,32 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 
 def address(context, builder, array_type, array, position, count):
-    """Pointer to `count` numbers of an array, their type, and the bytes of one."""
+    """Return a pointer to `count` numbers of an array, their type, and the bytes of one.
+
+    Args:
+        context: numba's target context.
+        builder: llvmlite's builder.
+        array_type: numba's type of the array.
+        array: to access.
+        position: of the first number in the array.
+        count: number of numbers.
+    """
     data = context.make_array(array_type)(context, builder, array).data
     vector = ir.VectorType(context.get_value_type(array_type.dtype), count)
     return builder.bitcast(builder.gep(data, [position]), vector.as_pointer()), vector, array_type.dtype.bitwidth // 8
 
 
 def load(context, builder, array_type, array, position, count):
-    """So many numbers of an array from a position on."""
+    """Load `count` numbers of an array.
+
+    Args:
+        context: numba's target context.
+        builder: llvmlite's builder.
+        array_type: numba's type of the array.
+        array: to access.
+        position: of the first number in the array.
+        count: number of numbers.
+    """
     pointer, _, align = address(context, builder, array_type, array, position, count)
     value = builder.load(pointer)
     value.align = align
@@ -31,23 +49,51 @@ def load(context, builder, array_type, array, position, count):
 
 
 def splat(builder, scalar, vector):
-    """A number in every lane."""
+    """Return a vector with a number in every lane.
+
+    Args:
+        builder: llvmlite's builder.
+        scalar: the number.
+        vector: type of the result.
+    """
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
     return shuffle(builder, first, first, [0] * vector.count)
 
 
 def shuffle(builder, left, right, order):
-    """Lanes of two vectors, numbered through, in another order."""
+    """Return lanes of two vectors, numbered consecutively, in another order.
+
+    Args:
+        builder: llvmlite's builder.
+        left: first vector.
+        right: second vector.
+        order: numbers of the lanes.
+    """
     return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(ir.IntType(32), len(order)), list(order)))
 
 
 def fma(builder, a, b, c):
-    """a b + c, rounded once where the processor can."""
+    """Return a b + c, rounded once where the CPU can.
+
+    Args:
+        builder: llvmlite's builder.
+        a: factor.
+        b: factor.
+        c: summand.
+    """
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
 def positions(context, builder, signature, arguments, wanted):
-    """Some of the arguments as positions."""
+    """Convert some of the arguments to positions.
+
+    Args:
+        context: numba's target context.
+        builder: llvmlite's builder.
+        signature: of the function.
+        arguments: of the function.
+        wanted: numbers of the arguments.
+    """
     return [context.cast(builder, arguments[k], signature.args[k], types.intp) for k in wanted]
 
 
@@ -101,7 +147,12 @@ for _symbol, _operation in _ARITHMETIC:
 
 @intrinsic
 def lanes(typingctx, number):
-    """A number in every lane, of its own precision if that is single."""
+    """Return a number in every lane, in its own precision if that is single.
+
+    Args:
+        typingctx: numba's typing context.
+        number: to repeat.
+    """
     kind = _eight.get(number, _lanes)
 
     def codegen(context, builder, signature, arguments):
@@ -112,7 +163,11 @@ def lanes(typingctx, number):
 
 @intrinsic
 def lane_numbers(typingctx):
-    """0 to 7."""
+    """Return 0 to 7.
+
+    Args:
+        typingctx: numba's typing context.
+    """
 
     def codegen(context, builder, signature, arguments):
         return ir.Constant(_lanes.vector, [float(lane) for lane in range(LANES)])
@@ -142,7 +197,14 @@ load_four = intrinsic(_loading(_four.__getitem__))
 
 @intrinsic
 def store_lanes(typingctx, array, position, value):
-    """Write all lanes to an array of their precision."""
+    """Write all lanes to an array of their precision.
+
+    Args:
+        typingctx: numba's typing context.
+        array: to access.
+        position: of the first number in the array.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         (at,) = positions(context, builder, signature, arguments, (1,))
@@ -156,7 +218,14 @@ def store_lanes(typingctx, array, position, value):
 
 @intrinsic
 def load_apart(typingctx, array, position, stride):
-    """Eight numbers of an array, `stride` apart from a position on, of either precision."""
+    """Load eight numbers of an array of either precision, `stride` apart.
+
+    Args:
+        typingctx: numba's typing context.
+        array: to access.
+        position: of the first number in the array.
+        stride: numbers from one lane to the next.
+    """
     kind = _eight[array.dtype]
 
     def codegen(context, builder, signature, arguments):
@@ -174,7 +243,15 @@ def load_apart(typingctx, array, position, stride):
 
 @intrinsic
 def store_apart(typingctx, array, position, stride, value):
-    """Write all lanes to an array of their precision, `stride` apart."""
+    """Write all lanes to an array of their precision, `stride` apart.
+
+    Args:
+        typingctx: numba's typing context.
+        array: to access.
+        position: of the first number in the array.
+        stride: numbers from one lane to the next.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         at, stride = positions(context, builder, signature, arguments, (1, 2))
@@ -191,7 +268,12 @@ def store_apart(typingctx, array, position, stride, value):
 
 @intrinsic
 def widen_lanes(typingctx, value):
-    """Lanes in double precision."""
+    """Convert lanes to double precision.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         return arguments[0] if signature.args[0] is _lanes else builder.fpext(arguments[0], _lanes.vector)
@@ -201,7 +283,14 @@ def widen_lanes(typingctx, value):
 
 @intrinsic
 def multiply_add(typingctx, left, right, added):
-    """left times right plus added, in every lane: lanes, the second may be a number of their precision."""
+    """Return `left` times `right` plus `added`, in every lane.
+
+    Args:
+        typingctx: numba's typing context.
+        left: lanes.
+        right: lanes, or a number of their precision.
+        added: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         right = _widened(context, builder, signature.args[1], arguments[1], left)
@@ -212,7 +301,12 @@ def multiply_add(typingctx, left, right, added):
 
 @intrinsic
 def some_lane(typingctx, value):
-    """Whether any lane is not zero."""
+    """Return whether any lane is not zero.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         zero = ir.Constant(arguments[0].type, [0.0] * LANES)
@@ -224,7 +318,13 @@ def some_lane(typingctx, value):
 
 @intrinsic
 def with_last(typingctx, four, number):
-    """Four lanes with another number in the last one."""
+    """Return four lanes with another number in the last one.
+
+    Args:
+        typingctx: numba's typing context.
+        four: four lanes.
+        number: of the last lane.
+    """
 
     def codegen(context, builder, signature, arguments):
         return builder.insert_element(*arguments, ir.Constant(ir.IntType(32), 3))
@@ -234,7 +334,12 @@ def with_last(typingctx, four, number):
 
 @intrinsic
 def four(typingctx, number):
-    """A number in each of four lanes of double precision."""
+    """Return a number in each of four lanes of double precision.
+
+    Args:
+        typingctx: numba's typing context.
+        number: to repeat.
+    """
     kind = _four[types.float64]
 
     def codegen(context, builder, signature, arguments):
@@ -245,7 +350,12 @@ def four(typingctx, number):
 
 @intrinsic
 def widen_four(typingctx, value):
-    """Four lanes in double precision."""
+    """Convert four lanes to double precision.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
     kind = _four[types.float64]
 
     def codegen(context, builder, signature, arguments):
@@ -256,7 +366,12 @@ def widen_four(typingctx, value):
 
 @intrinsic
 def positive_part(typingctx, four):
-    """Every lane that is positive, zero in the others."""
+    """Return the positive lanes, zero in the others.
+
+    Args:
+        typingctx: numba's typing context.
+        four: four lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         zero = ir.Constant(arguments[0].type, [0.0] * 4)
@@ -267,7 +382,12 @@ def positive_part(typingctx, four):
 
 @intrinsic
 def last_of(typingctx, four):
-    """The number in the last of four lanes."""
+    """Return the last of four lanes.
+
+    Args:
+        typingctx: numba's typing context.
+        four: four lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), 3))
@@ -277,7 +397,12 @@ def last_of(typingctx, four):
 
 @intrinsic
 def sum_three(typingctx, four):
-    """Sum of the first three of four lanes."""
+    """Return the sum of the first three of four lanes.
+
+    Args:
+        typingctx: numba's typing context.
+        four: four lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         one, two, three = (
@@ -348,7 +473,12 @@ where_no_less = intrinsic(_bits(">="))
 
 @intrinsic
 def floor_lanes(typingctx, value):
-    """The largest whole number not above, in every lane."""
+    """Round every lane down.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         kind = ir.FunctionType(_lanes.vector, [_lanes.vector])
@@ -360,7 +490,12 @@ def floor_lanes(typingctx, value):
 
 @intrinsic
 def sum_lanes(typingctx, value):
-    """Sum of all lanes, in an order that is always the same."""
+    """Return the sum of all lanes, in a fixed order.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         total, count = arguments[0], LANES
@@ -375,7 +510,13 @@ def sum_lanes(typingctx, value):
 
 @intrinsic
 def insert_sorted(typingctx, sorted_lanes, number):
-    """Lanes that rise, with a number put where it belongs; the largest falls out."""
+    """Insert a number into ascending lanes; the largest falls out.
+
+    Args:
+        typingctx: numba's typing context.
+        sorted_lanes: ascending.
+        number: to insert.
+    """
 
     def codegen(context, builder, signature, arguments):
         held = arguments[0]
@@ -390,7 +531,12 @@ def insert_sorted(typingctx, sorted_lanes, number):
 
 @intrinsic
 def last_lane(typingctx, value):
-    """The number in the last lane."""
+    """Return the number in the last lane.
+
+    Args:
+        typingctx: numba's typing context.
+        value: lanes.
+    """
 
     def codegen(context, builder, signature, arguments):
         return builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), LANES - 1))
@@ -400,7 +546,13 @@ def last_lane(typingctx, value):
 
 @intrinsic
 def prefetch(typingctx, array, position):
-    """Ask for a number of an array, which will be needed soon."""
+    """Prefetch a number of an array.
+
+    Args:
+        typingctx: numba's typing context.
+        array: to access.
+        position: of the first number in the array.
+    """
 
     def codegen(context, builder, signature, arguments):
         (at,) = positions(context, builder, signature, arguments, (1,))

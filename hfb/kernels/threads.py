@@ -35,9 +35,14 @@ def _pool(workers: int) -> ThreadPoolExecutor:
 
 
 def run_tasks(task: Callable[[int], Result], tasks: int, threads: int) -> list[Result]:
-    """[task(0), ..., task(tasks - 1)] by the calling thread and at most `threads` - 1 others.
+    """Return [task(0), ..., task(tasks - 1)], run by the calling thread and at most `threads` - 1 others.
 
     Safe from several threads at once: whoever calls works through its own tasks, helped where workers are free.
+
+    Args:
+        task: called with its number.
+        tasks: number of tasks.
+        threads: most threads.
     """
     if threads <= 1 or tasks <= 1:
         return [task(i) for i in range(tasks)]

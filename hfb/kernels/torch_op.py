@@ -18,7 +18,11 @@ _PLAIN = (torch.Tensor, torch.nn.Parameter)
 
 
 def arrays(*tensors: Tensor) -> list[Array]:
-    """What kernels take: without gaps, in memory of the tensors' own where they have none."""
+    """Return contiguous arrays of tensors, in the tensors' own memory where they are contiguous.
+
+    Args:
+        *tensors: to convert.
+    """
     return [tensor.detach().contiguous().numpy() for tensor in tensors]
 
 
@@ -42,11 +46,15 @@ class Operator:
         return self._direct(*arguments)
 
     def register_fake(self, fake: Callable[..., Any]) -> None:
-        """Shapes and types of the results, for `torch.compile`."""
+        """Register a function that returns shapes and types of the results, for `torch.compile`.
+
+        Args:
+            fake: takes the operator's arguments.
+        """
         self.registered.register_fake(fake)
 
     def register_autograd(self, backward: Callable[..., Any], keep: Callable[..., None]) -> None:
-        """The way back.
+        """Register the backward pass.
 
         Args:
             backward: (ctx, gradients of the results) to the gradients of the arguments.
@@ -71,15 +79,23 @@ class Operator:
 
 
 def operator(name: str) -> Callable[[Callable[..., Any]], Operator]:
-    """Make an `Operator` of a function; its types are its schema, as `torch.library.custom_op` reads them."""
+    """Return a decorator that makes an `Operator`; types are the schema, as of `torch.library.custom_op`.
+
+    Args:
+        name: of the operator, such as ``hfb::skin``.
+    """
     return lambda function: Operator(name, function)
 
 
 def measure(name: str, moving: int) -> Callable[[Callable[..., Any]], Operator]:
-    """An `Operator` that finds one number, and its gradient along with it.
+    """Return a decorator that makes an `Operator` of one number and its gradient.
 
-    The function returns the number and its gradients by its first `moving` arguments; the others are constants. The way
-    back is a product.
+    The function returns the number and its gradients by its first `moving` arguments; the others are constants. The
+    backward pass is a product.
+
+    Args:
+        name: of the operator, such as ``hfb::skin``.
+        moving: number of differentiable arguments.
     """
 
     def made(function: Callable[..., Any]) -> Operator:

@@ -42,14 +42,24 @@ class Movement:
     turn: float
 
     def matrix(self, height: int, width: int) -> Float[Array, "2 3"]:
-        """Pixel indices of the frame to pixel indices of the plate."""
+        """Return the affine map from pixel indices of the frame to pixel indices of the plate.
+
+        Args:
+            height: of the image [px].
+            width: of the image [px].
+        """
         turned = np.array([[1 + self.scale, -self.turn], [self.turn, 1 + self.scale]])
         middle = np.array([(width - 1) / 2, (height - 1) / 2])
         offset = middle + self.shift * max(height, width) - turned @ middle
         return np.concatenate([turned, offset[:, None]], 1)
 
     def farthest_px(self, height: int, width: int) -> float:
-        """How far the picture's corners move."""
+        """Return how far the image's corners move [px].
+
+        Args:
+            height: of the image [px].
+            width: of the image [px].
+        """
         half = np.hypot(height, width) / 2
         return float(np.hypot(*self.shift) * max(height, width) + half * np.hypot(self.scale, self.turn))
 
@@ -58,13 +68,25 @@ _NONE = Movement(np.zeros(2), 0.0, 0.0)
 
 
 def aligned_plate(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """The plate moved onto the frame; itself where it already lies there, or where no small movement explains it."""
+    """Move the plate onto the frame.
+
+    The plate is returned as it is where it already lies there, or where no small movement explains the difference.
+
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], from the same camera in the same size.
+    """
     movement = find_movement(frame_linear, plate_linear)
     return plate_linear if movement is None else moved_plate(plate_linear, movement)
 
 
 def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Float[Array, "H W 3"]:
-    """The plate where the frame's pixels lie; its border is drawn out."""
+    """Resample the plate where the frame's pixels lie; its border is extended.
+
+    Args:
+        plate_linear: linear light in [0, 1], from the same camera in the same size.
+        movement: from frame to plate, by `find_movement`.
+    """
     # large pictures are shrunk before a matte is found, which removes what the higher degree keeps
     degree = _FINEST_DEGREE if max(plate_linear.shape[:2]) <= _LEVELS_PX[-1] else _DEGREE
     channels = np.moveaxis(plate_linear, -1, 0)
@@ -75,12 +97,14 @@ def moved_plate(plate_linear: Float[Array, "H W 3"], movement: Movement) -> Floa
 def find_movement(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], most_px: float = MOST_PX
 ) -> Movement | None:
-    """The small movement between frame and plate; None where there is none to speak of, or none that helps.
+    """Find the small movement between frame and plate; None where there is none to speak of, or none that helps.
 
-    Found to a hundredth of a pixel where the background has edges.
+    Accurate to a hundredth of a pixel where the background has edges.
 
     Args:
-        most_px: a larger one is none, in a picture of 640 px.
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], from the same camera in the same size.
+        most_px: largest displacement of a corner that counts as small, at the finest level of 640 px.
     """
     movement = _NONE
     frame, plate = _gray(frame_linear), _gray(plate_linear)

@@ -14,10 +14,15 @@ GAINS = (0.8, 1.25)  # a third of a stop: beyond, another light and another scen
 def exposure_gain(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], limits: tuple[float, float] = GAINS
 ) -> Float[Array, "3"]:
-    """Per channel, what the plate is multiplied with to match the frame's background (0.8 to 1.25).
+    """Estimate the factor per channel by which the plate is multiplied to match the frame's background.
 
-    The median ratio over the pixels that differ least, found again three times: the person and clipped
+    It is the median ratio over the pixels that differ least, found again three times: the person and clipped
     or black pixels stay out.
+
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1].
+        limits: smallest and largest gain.
     """
     usable = ((plate_linear > 0.01).all(-1) & (plate_linear < 0.9).all(-1) & (frame_linear < 0.95).all(-1)) & (
         frame_linear > 0.005
@@ -36,11 +41,13 @@ def exposure_gain(
 def noise_srgb(
     difference_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"], empty: Bool[Array, "H W"]
 ) -> Float[Array, "H W"]:
-    """Standard deviation of `frame - plate` in sRGB per pixel: a floor, and a share of the plate's local contrast.
+    """Estimate the standard deviation of `frame - plate` per pixel: a constant and a share of the local contrast.
 
     The second part is what tiny camera shake, resampling and compression do to edges and texture.
 
     Args:
+        difference_srgb: frame minus plate.
+        plate_srgb: in [0, 1].
         empty: where certainly nobody is (the fit's sample).
     """
     gray = cv2.GaussianBlur(plate_srgb.mean(-1), (0, 0), 0.7)
@@ -59,7 +66,12 @@ def noise_srgb(
 
 
 def noise_linear(sigma_srgb: Float[Array, "H W"], level_linear: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """The same noise in linear light: sigma times the slope of the sRGB curve at the pixel's level."""
+    """Convert a standard deviation to linear light: sigma times the slope of the sRGB curve at the pixel's level.
+
+    Args:
+        sigma_srgb: standard deviation in sRGB.
+        level_linear: linear light at which the sRGB curve's slope is taken.
+    """
     level = linear_to_srgb(np.maximum(level_linear, 0))
     slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
     return np.asarray(sigma_srgb[..., None] * slope, np.float32)

@@ -11,10 +11,15 @@ _NEIGHBOURS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32)
 def spread_colours(
     colours: Float[Array, "H W 3"], weights: Float[Array, "H W"], smallest_px: int
 ) -> Float[Array, "H W 3"]:
-    """A smooth picture that is the weighted local mean where weights are large and flows in where they are not.
+    """Fill in colours: the weighted local mean where weights are large, that of the surroundings elsewhere.
 
     Normalised convolution on a pyramid (push-pull, Gortler et al. 1996). Details below about `smallest_px`
     are averaged away, so that no pixel only confirms itself.
+
+    Args:
+        colours: of any light.
+        weights: trust in each pixel's colour, not negative.
+        smallest_px: size of the smallest details that are kept [px].
     """
     levels = [(colours * weights[..., None], weights)]
     while min(levels[-1][1].shape) > 2:
@@ -34,10 +39,16 @@ def spread_colours(
 def smooth_where_unsure(
     value: Float[Array, "H W"], precision: Float[Array, "H W"], stiffness: float, sweeps: int = 25
 ) -> Float[Array, "H W"]:
-    """argmin_a sum precision (a - value)^2 + stiffness |grad a|^2: a membrane held where the precision is high.
+    """Minimise sum precision (a - value)^2 + stiffness |grad a|^2 over a: a membrane held where the precision is high.
 
     Jacobi sweeps from coarse to fine. Where nothing is known the result is the harmonic interpolation of what
     surrounds it: an ambiguous hole in the body is filled, an ambiguous patch of background stays empty.
+
+    Args:
+        value: estimate per pixel.
+        precision: its inverse variance.
+        stiffness: weight of the squared gradient.
+        sweeps: Jacobi iterations on each level of the pyramid.
     """
     levels = [(value * precision, precision)]
     while min(levels[-1][1].shape) > 8:

@@ -53,9 +53,11 @@ class Evidence:
 def gather_evidence(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], empty: Bool[Array, "H W"] | None = None
 ) -> Evidence:
-    """Measure the noise, find what changed. The plate already has the frame's exposure.
+    """Measure the noise and find what changed.
 
     Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's exposure.
         empty: pixels that are known to show background only; the least changed 60 % when not given.
     """
     plate_srgb = linear_to_srgb(plate_linear)
@@ -76,11 +78,15 @@ def gather_evidence(
 
 
 def main_change(change: Float[Array, "H W"], threshold: float = 6.0) -> Bool[Array, "H W"]:
-    """The changed pixels of the largest thing that changed, with the pieces close to it.
+    """Return the changed pixels of the largest thing that changed, with the pieces close to it.
 
     Dark clothes in front of something dark cut a body into pieces: a piece nearer to the main one than a tenth
     of the main one's longer side belongs to it if it holds a hundredth of its energy. A second person, a waving
     tree and speckles do not.
+
+    Args:
+        change: squared difference of frame and plate, in variances of the noise.
+        threshold: change above which a pixel counts.
     """
     seen = cv2.morphologyEx((change > threshold).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     joined = cv2.dilate(seen, _disc(0.005 * max(seen.shape)))
@@ -106,7 +112,13 @@ def _disc(radius: float) -> Shaped[Array, "d d"]:
 def texture_evidence(
     frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """1 - slope of the frame over the plate in each window, and how precise that is."""
+    """Return alpha as 1 - slope of the frame over the plate in each window, and its precision.
+
+    Args:
+        frame: linear light.
+        plate: linear light, in the frame's exposure.
+        noise: standard deviation of `frame - plate`, linear light.
+    """
     side = 2 * _WINDOW_RADIUS_PX + 1
 
     def mean(x: np.ndarray) -> np.ndarray:
@@ -128,7 +140,16 @@ def texture_evidence(
 def shadow_evidence(
     frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], noise: Float[Array, "H W 3"]
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """How badly `k B` with 0.45 <= k <= 1.1 explains the pixel (squared, in noise), and how far that k is from 1."""
+    """Explain each pixel as a shadow `k B` with 0.45 <= k <= 1.1.
+
+    Args:
+        frame: linear light.
+        plate: linear light, in the frame's exposure.
+        noise: standard deviation of `frame - plate`, linear light.
+
+    Returns:
+        the squared misfit in variances of the noise, and how far k is from 1.
+    """
     i, b = frame / noise, plate / noise
     share = np.clip(dot(i, b) / np.maximum(dot(b, b), 1e-6), 0.45, 1.1)
     rest = i - share[..., None] * b
@@ -137,7 +158,11 @@ def shadow_evidence(
 
 
 def solve_matte(evidence: Evidence) -> Float[Array, "H W"]:
-    """Alternate between the body's smooth colours and the matte that they imply."""
+    """Alternate between the body's smooth colours and the matte that follows from them.
+
+    Args:
+        evidence: of one frame, by `gather_evidence`.
+    """
     seen = cv2.morphologyEx(evidence.body.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     inside = cv2.distanceTransform(seen, cv2.DIST_L2, 3)
     outside = _far_from(evidence.body)
@@ -170,7 +195,8 @@ def _without_small_holes(alpha: Float[Array, "H W"], trust: Float[Array, "H W"])
     """Fill gaps that the body encloses wholly, smaller than a hundredth of it: a white mask before a white wall.
 
     Args:
-        trust: how sure the texture is; a gap through which the background's texture is seen stays.
+        alpha: matte so far.
+        trust: certainty by texture; a gap through which the background's texture is seen stays.
     """
     opaque = alpha > 0.5
     _, labels, boxes, _ = cv2.connectedComponentsWithStats((~opaque).astype(np.uint8), connectivity=4)
@@ -226,7 +252,16 @@ def _two_colours(
 def colour_evidence(
     evidence: Evidence, colours: Float[Array, "H W 3"], alpha: Float[Array, "H W"]
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"], Float[Array, "H W"]]:
-    """For one body colour F: <I-B, F-B> / |F-B|^2 unclipped, alpha by it, its variance, what is left over, |F-B|^2."""
+    """Return alpha by one body colour F per pixel, and its terms.
+
+    Args:
+        evidence: of one frame, by `gather_evidence`.
+        colours: F, linear light.
+        alpha: matte so far: where it is small, F is less certain.
+
+    Returns:
+        <I-B, F-B> / |F-B|^2 unclipped, alpha by it, its variance, the squared rest, |F-B|^2.
+    """
     direction = (colours - evidence.plate) / evidence.noise
     length = np.maximum(dot(direction, direction), 1e-6)
     share = dot(evidence.difference, direction) / length
@@ -245,7 +280,12 @@ def colour_evidence(
 
 
 def dot(a: Float[Array, "H W 3"], b: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-    """Product over the colour channels (numpy's sum over a short last axis is ten times slower)."""
+    """Return the product over the colour channels (numpy's sum over a short last axis is ten times slower).
+
+    Args:
+        a: one image.
+        b: another one.
+    """
     return np.einsum("hwc,hwc->hw", a, b)
 
 

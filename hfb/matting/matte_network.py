@@ -24,10 +24,11 @@ _DARK = 0.01  # added to both lights before their ratio is taken
 
 
 def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "C H W"]:
-    """What the network sees: both pictures, their difference in units of the noise, their ratio, and texture.
+    """Return the network's input: both images, their difference in units of the noise, their ratio, and texture.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
 
     Returns:
         frame and plate in sRGB (6); signed logarithm of the difference over the noise (3); logarithm of the ratio of
@@ -52,7 +53,12 @@ def features(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H 
 
 
 def quiet_noise(frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """Standard deviation of frame - plate in linear light, by the pixels that differ least."""
+    """Estimate the standard deviation of frame - plate in linear light, from the pixels that differ least.
+
+    Args:
+        frame_srgb: in [0, 1].
+        plate_srgb: in [0, 1], in the frame's exposure.
+    """
     level = np.maximum(frame_srgb, plate_srgb)
     slope = np.where(level <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((level + 0.055) / 1.055) ** 1.4)
     return np.asarray(_quiet_sigma(frame_srgb, plate_srgb) * slope, np.float32)
@@ -94,7 +100,11 @@ class MatteNetwork(nn.Module):
         self.exit = nn.Conv2d(widths[0], 2, 3, padding=1)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> Float[Tensor, "B 2 H W"]:
-        """Logit of alpha, and the logarithm of how wrong it may be; any size from 16 px."""
+        """Return the logit of alpha, and the logarithm of its error scale; any size from 16 px.
+
+        Args:
+            picture: features of frame and plate.
+        """
         now = self.entry(picture)
         finer = [now]
         for down in self.down:

@@ -63,7 +63,15 @@ class KnownBackground:
 
 
 def check_sizes(frame: Float[Array, "..."], plate: Float[Array, "..."]) -> None:
-    """One sentence where the plate can't belong to the frame."""
+    """Check that the plate has the frame's size.
+
+    Args:
+        frame: (H, W, ...).
+        plate: (H, W, ...).
+
+    Raises:
+        InputError: it has another one.
+    """
     if frame.shape != plate.shape:
         (h, w), (ph, pw) = frame.shape[:2], plate.shape[:2]
         raise InputError(
@@ -73,9 +81,10 @@ def check_sizes(frame: Float[Array, "..."], plate: Float[Array, "..."]) -> None:
 
 
 def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: float = 0.1) -> tuple[int, int, int, int]:
-    """(top, left, bottom, right) of the box around the matte, ends exclusive, inside the picture.
+    """Return (top, left, bottom, right) of the box around the matte, ends exclusive, inside the image.
 
     Args:
+        matte: alpha in [0, 1].
         margin: added on each side, as a share of the box's longer side.
         threshold: alpha above which a pixel counts.
 
@@ -97,7 +106,11 @@ def matte_region(matte: Float[Array, "H W"], margin: float = 0.1, threshold: flo
 
 
 def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Drop specks and haze that hang apart from the body, and what is below 0.02."""
+    """Remove specks and haze apart from the body, and values below 0.02.
+
+    Args:
+        alpha: matte in [0, 1].
+    """
     keep = main_change(100 * alpha, threshold=_SEEN)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(keep.astype(np.uint8))
     if count > 2:
@@ -112,7 +125,12 @@ def clean(alpha: Float[Array, "H W"]) -> Float[Array, "H W"]:
 
 
 def shrink(picture: Float[Array, "H W *c"], longer_px: int) -> Float[Array, "h w *c"]:
-    """Area average to at most `longer_px` on the longer side; smaller pictures stay."""
+    """Reduce an image by area averaging to at most `longer_px` on the longer side; smaller images stay.
+
+    Args:
+        picture: of any light.
+        longer_px: largest length of the longer side [px].
+    """
     height, width = picture.shape[:2]
     scale = longer_px / max(height, width)
     if scale >= 1:
@@ -129,7 +147,7 @@ def _check_presence(found: Evidence) -> None:
 
 
 def another_scene() -> InputError:
-    """What to raise where nearly everything changed."""
+    """Build the error for a frame that differs from its plate nearly everywhere."""
     return InputError(
         "the frame differs from the background plate nearly everywhere; "
         "check that the plate is of the same scene, camera position and exposure."
@@ -137,7 +155,7 @@ def another_scene() -> InputError:
 
 
 def nobody_found() -> InputError:
-    """What to raise where frame and plate are the same but for noise."""
+    """Build the error for a frame that equals its plate but for noise."""
     return InputError(
         "no person was found: the frame does not differ from the background plate; "
         "give a plate without the person, and a frame with them."
@@ -147,7 +165,14 @@ def nobody_found() -> InputError:
 def scaled_box(
     box: tuple[int, int, int, int], scale: Float[Array, "2"], height: int, width: int
 ) -> tuple[int, int, int, int]:
-    """(top, left, bottom, right) in the picture of which the box is seen `scale` (down, across) times smaller."""
+    """Return a box of a reduced image, (top, left, bottom, right), in the full image.
+
+    Args:
+        box: (top, left, bottom, right) in the reduced image [px].
+        scale: of full to reduced size, down and across.
+        height: of the full image [px].
+        width: of the full image [px].
+    """
     top, left, bottom, right = box
     return (
         int(top * scale[0]),

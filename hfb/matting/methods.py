@@ -5,7 +5,11 @@ from hfb.matting.matting_protocol import KnownBackground, Matting
 
 
 def make_matting(config: MattingConfig) -> Matting:
-    """The matting method that the configuration names."""
+    """Return the matting method that the configuration names.
+
+    Args:
+        config: names the method, and the network's file where it needs one.
+    """
     if config.method == "known-background":
         return KnownBackground()
     if config.method == "network":

@@ -141,15 +141,17 @@ def explained_matte(
     alpha: Float[Array, "H W"],
     doubt: Float[Array, "H W"],
 ) -> Float[Array, "H W"]:
-    """The matte of the moving layer that explains the frame best, found from a network's.
+    """Return the matte of the moving layer that explains the frame best, starting from a network's.
 
     Many straight ways are tried at a small size; the best go on, may bend, and grow. Finer details than the last size
     stay the network's. No pixel goes further from its matte than its expected error, or than some times that where the
     way is long. About a second, the same on every run.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        alpha: a network's matte. doubt: the logarithm of its expected error.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        alpha: a network's matte.
+        doubt: the logarithm of its expected error.
     """
     given = frame_linear, plate_linear, alpha, doubt
     scene, area = _Scene.of(given, _SMALL), _SMALL

@@ -85,9 +85,11 @@ class NetworkMatting:
         return matte
 
     def look(self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-        """The first network's alpha at the pictures' own size, the mean of the picture and its mirror image.
+        """Return the first network's alpha at the images' own size, the mean over the image and its mirror image.
 
-        The plate already has the frame's exposure.
+        Args:
+            frame_linear: linear light.
+            plate_linear: linear light, in the frame's exposure.
         """
         frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1)
         return _answer(self._network, features(frame, plate))[0]
@@ -95,7 +97,12 @@ class NetworkMatting:
     def look_twice(
         self, frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]
     ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-        """The second network's alpha, which knows the colours that the first one's tells, and how wrong it may be."""
+        """Return the second network's alpha and its error scale; its input includes colours from the first alpha.
+
+        Args:
+            frame_linear: linear light.
+            plate_linear: linear light, in the frame's exposure.
+        """
         frame, plate = np.clip(frame_linear, 0, 1), np.clip(plate_linear, 0, 1)
         seen = features(frame, plate)
         alpha, doubt = _answer(self._network, seen)
@@ -125,7 +132,7 @@ class RenderConditionedMatting:
         self._pictures, self._seen = _seen_before_fit(frame, plate, self._before)
 
     def matte(self, fitted: Float[Array, "H W 4"], network: MatteNetwork | None = None) -> Float[Array, "H W"]:
-        """Alpha once a fit is known.
+        """Return alpha once a fit is known.
 
         Args:
             fitted: the fit's blurred picture, premultiplied linear light and alpha.
@@ -148,7 +155,14 @@ def seen_beside_fit(
     matte: Float[Array, "H W"],
     fitted: Float[Array, "H W 4"],
 ) -> Float[Array, "C H W"]:
-    """All that the third network sees; arguments as of `RenderConditionedMatting`."""
+    """Return the third network's input channels; see `RenderConditionedMatting`.
+
+    Args:
+        frame_linear: linear light.
+        plate_linear: linear light, in the frame's exposure.
+        matte: alpha that the fit started with.
+        fitted: the fit's render: mean colour (premultiplied, linear) and silhouette.
+    """
     pictures, seen = _seen_before_fit(frame_linear, plate_linear, matte)
     return np.concatenate([seen, fit_evidence(*pictures, fitted)])
 
@@ -187,19 +201,19 @@ def _answer(network: MatteNetwork, seen: Float[Array, "C H W"]) -> tuple[Float[A
 
 @lru_cache(maxsize=1)
 def shipped_network() -> MatteNetwork:
-    """The first network; data/matting.json tells how it was made."""
+    """Load the first network; data/matting.json tells how it was trained."""
     return _shipped("matting", CHANNELS)
 
 
 @lru_cache(maxsize=1)
 def shipped_second() -> MatteNetwork:
-    """The second network; data/second_look.json tells how it was made."""
+    """Load the second network; data/second_look.json tells how it was trained."""
     return _shipped("second_look", CHANNELS + EVIDENCE_CHANNELS)
 
 
 @lru_cache(maxsize=1)
 def shipped_third() -> MatteNetwork:
-    """The third network; data/third_look.json tells how it was made."""
+    """Load the third network; data/third_look.json tells how it was trained."""
     return _shipped("third_look", SHARED_CHANNELS + FIT_CHANNELS)
 
 

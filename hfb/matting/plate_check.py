@@ -28,9 +28,11 @@ _MOST_GAIN = 0.05
 
 
 def find_plate_mismatch(frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"]) -> str | None:
-    """What is wrong between a frame and its plate, one sentence; None where they belong together.
+    """Return what is wrong between a frame and its plate, one sentence; None where they belong together.
 
-    Pictures of one size, in [0, 1].
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's size.
     """
     frame, plate = (shrink(picture, _ALIGNED_AT_PX) for picture in (frame_linear, plate_linear))
     movement = find_movement(frame, plate, _FOUND_PX)

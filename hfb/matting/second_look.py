@@ -28,11 +28,13 @@ def colour_evidence(
     alpha: Float[Array, "H W"],
     doubt: Float[Array, "H W"] | None = None,
 ) -> Float[Array, "C H W"]:
-    """What the second network sees besides `matte_network.features`.
+    """Return the second network's inputs besides `matte_network.features`.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
-        alpha: the first matte. doubt: the logarithm of its expected error, where it is known.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        alpha: the first matte.
+        doubt: the logarithm of its expected error, where it is known.
 
     Returns:
         near and unmixed body colours in sRGB (6); for each of the near, far and unmixed colour: alpha by it, how far it
@@ -58,7 +60,14 @@ def explained_by(
     plate_linear: Float[Array, "H W 3"],
     noise: Float[Array, "H W 3"],
 ) -> list[Float[Array, "H W 1"]]:
-    """If the body had these colours: alpha by them, how far they are from the plate, and what is left unexplained."""
+    """Return alpha if the body had these colours, their distance from the plate, and the unexplained rest (all scaled).
+
+    Args:
+        colours: of the body, linear light.
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's exposure.
+        noise: standard deviation of frame - plate, linear light.
+    """
     direction, difference = (colours - plate_linear) / noise, (frame_linear - plate_linear) / noise
     length = dot(direction, direction)
     share = dot(difference, direction) / (length + 1)
@@ -70,7 +79,14 @@ def explained_by(
 def unmixed_colours(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], alpha: Float[Array, "H W"], power: int
 ) -> Float[Array, "H W 3"]:
-    """The body's colours by B + (I - B) / alpha, spread from where alpha is large: weights are alpha to a power."""
+    """Return the body's colours by B + (I - B) / alpha, spread from where alpha is large.
+
+    Args:
+        frame_linear: linear light in [0, 1].
+        plate_linear: linear light in [0, 1], in the frame's exposure.
+        alpha: matte in [0, 1].
+        power: of alpha in the weights with which colours are spread.
+    """
     unmixed = np.clip(plate_linear + (frame_linear - plate_linear) / np.maximum(alpha, _LEAST_SHARE)[..., None], 0, 1)
     partly = (np.where(alpha > _LEAST_SHARE, alpha, 0) ** power + 1e-6).astype(np.float32)
     return spread_colours(unmixed.astype(np.float32), partly, _UNMIXED_PX)

@@ -27,10 +27,11 @@ _SPREAD_PX = 6
 def fit_evidence(
     frame_linear: Float[Array, "H W 3"], plate_linear: Float[Array, "H W 3"], fitted: Float[Array, "H W 4"]
 ) -> Float[Array, "C H W"]:
-    """What the third network sees of a fit.
+    """Return the third network's inputs that depend on a fit.
 
     Args:
-        frame_linear, plate_linear: in [0, 1]; the plate already has the frame's exposure.
+        frame_linear: in [0, 1]; the plate already has the frame's exposure.
+        plate_linear: in [0, 1]; the plate already has the frame's exposure.
         fitted: the fit's blurred picture, premultiplied linear light and alpha.
 
     Returns:

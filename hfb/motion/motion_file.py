@@ -30,7 +30,12 @@ _SHORTEST_STEP_S = 1e-12
 
 
 def motion_arrays(motion: SampledMotion, betas_space: str) -> dict[str, Array]:
-    """The members of a motion file, by name."""
+    """Return the members of a motion file, by name.
+
+    Args:
+        motion: camera coordinates.
+        betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
+    """
     known = {name: getattr(motion, name) for name in (*_ARRAYS, *_OPTIONAL) if getattr(motion, name) is not None}
     return known | {"betas_space": np.array(betas_space)}
 
@@ -39,20 +44,30 @@ def save_motion(path: Path, motion: SampledMotion, betas_space: str) -> None:
     """Write the motion whole or not at all; no pickled member.
 
     Args:
+        path: of the .npz.
+        motion: camera coordinates.
         betas_space: whose shape coefficients these are: ``"smpl"`` or ``"hfb"`` (the embedded body's own).
     """
     write_arrays(path, motion_arrays(motion, betas_space))
 
 
 def write_arrays(path: Path, arrays: dict[str, Array]) -> None:
-    """A compressed .npz of plain arrays, whole or not at all."""
+    """Write a compressed .npz of plain arrays, whole or not at all.
+
+    Args:
+        path: of the .npz.
+        arrays: by name.
+    """
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # its stub confuses them with allow_pickle
     write_bytes_atomic(path, buffer.getvalue())
 
 
 def load_motion(path: Path) -> tuple[SampledMotion, str]:
-    """Read a motion file; returns the motion and whose betas it holds.
+    """Read a motion file; return the motion and the space of its betas.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: not a motion file, or a damaged one.

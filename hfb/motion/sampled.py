@@ -39,7 +39,11 @@ class SampledMotion:
     joint_radius_mm: Float[Array, "R 24"] | None = None
 
     def rows_of(self, frame: int) -> Int[Array, "S"]:
-        """Row numbers of one frame's sub-frames, in time."""
+        """Return the row numbers of one frame's sub-frames, in time.
+
+        Args:
+            frame: its number.
+        """
         if self._in_order:  # asked for frame by frame, a search of all rows each time would take their square
             first, last = np.searchsorted(self.frame_index, (frame, frame + 1)).tolist()
             return np.arange(first, last)
@@ -59,7 +63,17 @@ def sample_motion(
     interval_s: float,
     K: Float[Tensor, "3 3"],
 ) -> SampledMotion:
-    """Evaluate a trajectory at every sub-frame of every frame."""
+    """Evaluate a trajectory at every sub-frame of every frame.
+
+    Args:
+        trajectory: polynomials of the motion [m].
+        shaped: the body with its shape.
+        betas: shape coefficients, which the result records.
+        subframes: per exposure.
+        exposure_s: time that the shutter is open.
+        interval_s: time from one opening of the shutter to the next.
+        K: calibration matrix [px], which the result records.
+    """
     with torch.no_grad():
         rotations, translations = trajectory.at(subframe_clock(subframes, trajectory.rotation.dtype))
         rotations, translations = rotations.flatten(0, 1), translations.flatten(0, 1)
@@ -84,7 +98,15 @@ def still_motion(
     like: SampledMotion,
     body: Body,
 ) -> SampledMotion:
-    """One body per frame, held still through its exposure, at the instants of another motion."""
+    """Return one body per frame, held still through its exposure, at the instants of another motion.
+
+    Args:
+        poses: axis-angle [rad], camera coordinates.
+        translations: SMPL's [m], camera coordinates.
+        betas: shape coefficients.
+        like: motion whose instants and camera are used.
+        body: model of the poses.
+    """
     shaped = body.shape(betas.to(body.template))
     joints = shaped.joints_of(axis_angle_to_matrix(poses.to(body.template)), translations.to(body.template))
     frames = like.frame_index

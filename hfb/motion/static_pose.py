@@ -32,13 +32,21 @@ class FirstBody:
 
 
 def save_first_body(path: Path, first: FirstBody) -> None:
-    """Write a first body (.npz, no pickle) whole or not at all."""
+    """Write a first body (.npz, no pickle) whole or not at all.
+
+    Args:
+        path: of the .npz.
+        first: the body.
+    """
     numbers = {name: getattr(first, name).double().numpy() for name in _NUMBERS}
     write_arrays(path, numbers | {"source": np.array(first.source)})
 
 
 def load_first_body(path: Path) -> FirstBody:
     """Read a first body.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: missing, damaged, or of other shapes.

@@ -46,11 +46,20 @@ class Trajectory:
     def with_coefficients(
         self, rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor, "T D1 4"]
     ) -> "Trajectory":
-        """The same kind of motion with other coefficients."""
+        """Return the trajectory with other coefficients.
+
+        Args:
+            rotation: coefficients by degree.
+            translation: coefficients by degree [m].
+        """
         return replace(self, rotation=rotation, translation=translation)
 
     def at(self, u: Float[Tensor, "S"]) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
-        """Rotations (root: body to camera; joints: relative to their parents) and translations [m] at u."""
+        """Return rotations (root: body to camera; joints: relative to their parents) and translations [m] at u.
+
+        Args:
+            u: times in units of the exposure.
+        """
         if self.kind == "quaternion" and compiled(u):
             return move(self.rotation, self.translation, u, self.origin)
         powers = (u - self.origin)[:, None] ** torch.arange(self.rotation.shape[1], dtype=u.dtype, device=u.device)
@@ -64,10 +73,12 @@ class Trajectory:
     def enlarged(
         self, factor: Float[Tensor, ""], pelvis: Float[Tensor, "3"], new_pelvis: Float[Tensor, "3"]
     ) -> "Trajectory":
-        """The same motion as seen of a person `factor` times as large, and as far away; ``quaternion`` alone.
+        """Return the same image motion for a person `factor` times as large, and as far away; ``quaternion`` alone.
 
         Args:
-            pelvis, new_pelvis: in the rest pose of the person before and after: SMPL's root turns about it [m].
+            factor: of the person's size.
+            pelvis: rest pelvis of the person before [m]; SMPL's root turns about it.
+            new_pelvis: rest pelvis of the person after [m].
         """
         path = self.translation[..., :3] * factor
         constants = path[:, :1] + factor * pelvis - new_pelvis
@@ -86,11 +97,14 @@ def trajectory_at_rest(
     kind: RotationKind = "quaternion",
     origin: float = 0.0,
 ) -> Trajectory:
-    """The start of a fit: constants from a static body per frame, all other coefficients zero.
+    """Return the start of a fit: constants from a static body per frame, all other coefficients zero.
 
     Args:
         poses: axis-angle [rad], the root first.
         translations: SMPL's translation in camera coordinates [m].
+        degree: of the polynomials.
+        kind: how rotations are parametrised.
+        origin: time u at which powers are zero.
     """
     frames = poses.shape[0]
     rotation = poses.new_zeros(frames, degree + 1, 24, 4)
@@ -110,9 +124,10 @@ def trajectory_at_rest(
 
 
 def move_towards_neighbours(trajectory: Trajectory, interval_u: float) -> Trajectory:
-    """First velocities of several frames: central differences of the neighbouring frames' constants.
+    """Set first velocities of several frames: central differences of the neighbouring frames' constants.
 
     Args:
+        trajectory: one static body per frame.
         interval_u: time from one frame to the next in units of the exposure.
     """
     frames = trajectory.rotation.shape[0]

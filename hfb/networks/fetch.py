@@ -98,7 +98,11 @@ def fetch_networks(say: Say | None = None, files: Sequence[Path] = (), force: bo
 
 
 def take_file(path: Path, say: Say) -> None:
-    """Keep a network, or unpack an archive of them, that already lies here; it is told by its digest.
+    """Keep a network, or unpack an archive of them, from a local file, which is identified by its digest.
+
+    Args:
+        path: a network or an archive of them.
+        say: prints progress.
 
     Raises:
         InputError: it is none of those that are known.

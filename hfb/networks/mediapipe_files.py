@@ -72,12 +72,12 @@ class NetworkStatus:
     get: str
 
     def as_dict(self) -> dict[str, str | bool | int]:
-        """The row as plain values, for `--json`."""
+        """Return the row as plain values, for `--json`."""
         return asdict(self)
 
 
 def networks_folder() -> Path:
-    """HFB_MODELS_DIR, else hfb/models in the user's cache (XDG_CACHE_HOME, ~/.cache)."""
+    """Return HFB_MODELS_DIR, else hfb/models in the user's cache (XDG_CACHE_HOME, ~/.cache)."""
     own = os.environ.get("HFB_MODELS_DIR")
     if own:
         return Path(own).expanduser()
@@ -86,7 +86,11 @@ def networks_folder() -> Path:
 
 
 def network_path(network: NetworkFile) -> Path | None:
-    """The file if it lies there undamaged, else None."""
+    """Return the file's path if it is there undamaged, else None.
+
+    Args:
+        network: name, size and digest of the file.
+    """
     path = networks_folder() / network.name
     try:
         return path if path.stat().st_size == network.size and sha256_of(path) == network.sha256 else None
@@ -95,7 +99,7 @@ def network_path(network: NetworkFile) -> Path | None:
 
 
 def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
-    """The files that a first body is found with: the detector and one landmark network; none where one is missing.
+    """Return the detector's and the landmark network's files; none where one is missing.
 
     Args:
         choice: which landmark network; auto takes the heavy one where it is there, else the full one.
@@ -115,7 +119,7 @@ def networks_in_use(choice: LandmarkChoice = "auto") -> tuple[Path, ...]:
 
 
 def list_networks() -> list[NetworkStatus]:
-    """What there is, whose it is, and how to get the rest."""
+    """List the networks, their owners, and how to get missing ones."""
     return [
         NetworkStatus(
             name=network.name,
@@ -131,6 +135,10 @@ def list_networks() -> list[NetworkStatus]:
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file's content. Raises OSError."""
+    """Return the sha256 of a file's content. Raises OSError.
+
+    Args:
+        path: of the file.
+    """
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

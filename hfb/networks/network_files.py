@@ -11,14 +11,19 @@ _ONNX = b"\x08"  # the version of the format, an ONNX file's first field
 
 
 def is_onnx(path: Path) -> bool:
-    """Whether a file is named as an ONNX network."""
+    """Return whether a file is named like an ONNX network.
+
+    Args:
+        path: of the network's file.
+    """
     return path.suffix.lower() == ".onnx"
 
 
 def check_network_file(path: Path, weights_too: bool = False) -> None:
-    """Refuse what is certainly no network, without reading it whole.
+    """Refuse what is certainly no network, without reading all of it.
 
     Args:
+        path: of the network's file.
         weights_too: plain weights will do, since we know the network that they belong to.
 
     Raises:
@@ -35,7 +40,11 @@ def check_network_file(path: Path, weights_too: bool = False) -> None:
 
 
 def holds_weights(path: Path) -> bool:
-    """Whether a file of torch.save is no network that runs by itself: weights, or a pickled model."""
+    """Return whether a file of torch.save is no executable network: weights, or a pickled model.
+
+    Args:
+        path: of the network's file.
+    """
     if not path.is_file() or is_onnx(path):
         return False
     try:
@@ -47,7 +56,10 @@ def holds_weights(path: Path) -> bool:
 
 
 def check_torchscript(path: Path) -> None:
-    """TorchScript is an archive with code; a state dict or a whole pickled model has none.
+    """Check that a file is TorchScript: an archive with code, which a state dict or a pickled model lacks.
+
+    Args:
+        path: of the network's file.
 
     Raises:
         InputError: something else, or one that unpacks to more than it has: torch packs the code alone.

@@ -27,7 +27,7 @@ class KnownModel:
     present: bool | None
 
     def as_dict(self) -> dict[str, str | bool | None]:
-        """The row as plain values, for `--json`."""
+        """Return the row as plain values, for `--json`."""
         return asdict(self)
 
 
@@ -97,7 +97,7 @@ _BROUGHT = (
 
 
 def list_models() -> list[KnownModel]:
-    """What can be used, the shipped first."""
+    """List the usable models, the shipped ones first."""
     fetched = [
         KnownModel(f"MediaPipe {one.name}", "first body", "--init mediapipe", one.licence, one.get, one.present)
         for one in list_networks()

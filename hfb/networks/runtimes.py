@@ -49,7 +49,10 @@ class Outputs:
     arrays: tuple[Float[Array, "..."], ...]
 
     def get(self, key: int | str) -> Float[Array, "..."]:
-        """One of them.
+        """Return one output.
+
+        Args:
+            key: its number or name.
 
         Raises:
             InputError: there is no such output.
@@ -78,6 +81,7 @@ def load_network(path: Path, settings: Mapping[str, float | str] | None = None, 
     """Open a network file.
 
     Args:
+        path: .onnx or TorchScript.
         settings: attributes of a TorchScript network to set, as far as it has them; an ONNX one keeps its own.
         half: a TorchScript network computes in 16 bits; an ONNX one in its file's.
 
@@ -173,7 +177,13 @@ class OnnxNetwork:
 
 
 def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels: str) -> Float[Array, "1 3 H W"]:
-    """A picture as networks take it."""
+    """Convert an image to a network's input.
+
+    Args:
+        picture_srgb: in [0, 1].
+        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        channels: ``rgb`` or ``bgr``.
+    """
     planes = np.ascontiguousarray(picture_srgb.transpose(2, 0, 1), np.float32)
     if normalisation == "signed":
         planes = 2 * planes - 1
@@ -183,7 +193,13 @@ def normalised(picture_srgb: Float[Array, "H W 3"], normalisation: str, channels
 
 
 def denormalised(planes: Float[Array, "N 3 H W"], normalisation: str, channels: str) -> Float[Array, "N H W 3"]:
-    """The inverse of `normalised`, clipped to what a picture can be."""
+    """Invert `normalised` and clip to [0, 1].
+
+    Args:
+        planes: output of a network.
+        normalisation: of the values, such as ``signed`` or ``imagenet``.
+        channels: ``rgb`` or ``bgr``.
+    """
     rgb = planes[:, ::-1] if channels == "bgr" else planes
     if normalisation == "signed":
         rgb = (rgb + 1) / 2
@@ -212,7 +228,7 @@ def _roi_align_schema() -> torch.library.Library | None:
 
 
 def _declare_roi_align(path: Path) -> None:
-    """torch refuses a script that names an operator it does not know, even if it is never called."""
+    """Declare torchvision's operator: torch refuses a script that names an unknown one, even if it is never called."""
     with zipfile.ZipFile(path) as archive:
         codes = [info for info in archive.infolist() if info.filename.endswith(".py") and "code/" in info.filename]
         if any(b"torchvision.roi_align" in archive.read(info) for info in codes if info.file_size < MOST_CODE_BYTES):

@@ -14,7 +14,7 @@ _STEP = 0.02
 
 
 def boundary_loss(trajectory: Trajectory, shaped: ShapedBody, next_opening: float) -> Float[Tensor, ""]:
-    """L1 distance between the end of each frame and the start of the next, in value and first derivative.
+    """Return the L1 distance of the end of each frame from the start of the next, in value and first derivative.
 
     Compared are joint rotations as matrices (a quaternion and its negative are one rotation), joint and
     root positions [m], and their derivatives per exposure time; each kind enters as a mean over its

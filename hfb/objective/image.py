@@ -6,7 +6,7 @@ from hfb.typing import Float, Tensor
 def image_loss(
     predicted: Float[Tensor, "H W 3"], observed: Float[Tensor, "H W 3"], area_px: Float[Tensor, ""]
 ) -> Float[Tensor, ""]:
-    """L_I of eq. (3), L_I = |I - I^|_2, read as a squared error: sum over pixels, mean over channels, by area.
+    """Return L_I of eq. (3), |I - I^|_2 read as a squared error: sum over pixels, mean over channels, by area.
 
     Normalised by the matte's area, not by the picture's: else a person who fills a tenth of the picture would
     count a tenth as much, and cropping the picture would change the weight of every other term.
@@ -26,7 +26,7 @@ def robust_image_loss(
     area_px: Float[Tensor, ""],
     scale: float = 1e-2,
 ) -> Float[Tensor, ""]:
-    """L_I as an L1 over the region of interest: sqrt(d^2 + scale^2) - scale (Charbonnier), summed as `image_loss`.
+    """Return L_I as an L1 over the region of interest: sqrt(d^2 + scale^2) - scale (Charbonnier); see `image_loss`.
 
     Nearly |d| far above the scale, nearly d^2 / (2 scale) below it, so that it is smooth at d = 0 and
     zero for a perfect prediction.

@@ -9,7 +9,7 @@ _EMPTY_PX = 1e-6
 
 
 def matting_loss(predicted: Float[Tensor, "H W"], matte: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
-    """L_alpha = 1 - |min(alpha_in, alpha)|_1 / |max(alpha_in, alpha)|_1, eq. (4): one minus the soft IoU.
+    """Return L_alpha = 1 - |min(alpha_in, alpha)|_1 / |max(alpha_in, alpha)|_1, eq. (4): one minus the soft IoU.
 
     Zero exactly where the two agree (two empty ones agree), one where they share nothing. The gradient is
     finite everywhere; where both are equal it is the mean of the two one-sided ones.

@@ -66,7 +66,7 @@ class Objective:
     def terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"], texture: Float[Tensor, "A A 3"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms with a positive weight, named as in `Weights`.
+        """Return the unweighted terms with a positive weight, named as in `Weights`.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -82,7 +82,7 @@ class Objective:
     def vertices_and_terms(
         self, trajectory: Trajectory, betas: Float[Tensor, "10"]
     ) -> tuple[Float[Tensor, "T S V 3"], dict[str, Float[Tensor, ""]]]:
-        """Vertices to render, camera coordinates [m], and the terms of body and motion.
+        """Return vertices to render, camera coordinates [m], and the terms of body and motion.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -101,7 +101,7 @@ class Objective:
         return posed, self.body_terms(trajectory, betas, shaped, (*course, joints))
 
     def surface_terms(self, texture: Float[Tensor, "A A 3"]) -> dict[str, Float[Tensor, ""]]:
-        """The term of the texture, L_S.
+        """Return the term of the texture, L_S.
 
         Args:
             texture: linear light.
@@ -121,7 +121,7 @@ class Objective:
         shaped: ShapedBody,
         course: tuple[Float[Tensor, "T S1 24 3 3"], Float[Tensor, "T S1 3"], Float[Tensor, "T S1 24 3"]] | None = None,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Terms that need no rendering.
+        """Return terms that need no rendering.
 
         Args:
             trajectory: polynomials of the motion [m].
@@ -190,7 +190,7 @@ class Objective:
         return self.compare_mean(frame, torch.nn.functional.pad(alpha[..., None], (3, 0)))
 
     def compare_mean(self, frame: int, mean: Float[Tensor, "H W 4"]) -> dict[str, Float[Tensor, ""]]:
-        """Image and matting terms of a rendered frame: mean colour, premultiplied, and mean silhouette.
+        """Return image and matting terms of a rendered frame: mean colour, premultiplied, and mean silhouette.
 
         Args:
             frame: number of the frame.
@@ -227,7 +227,7 @@ class Objective:
     def for_stage(
         self, observation: Observation, weights: StageWeights, visible: Bool[Tensor, "A A"] | None = None
     ) -> "Objective":
-        """The objective of a stage: the observation at its size, and its weights.
+        """Return the objective of a stage: the observation at its size, and its weights.
 
         Args:
             observation: at the stage's size.
@@ -239,7 +239,7 @@ class Objective:
         )
 
     def total(self, terms: dict[str, Float[Tensor, "*n"]]) -> Float[Tensor, "*n"]:
-        """Weighted sum of the terms; one value per fit where the terms have a batch dimension.
+        """Return the weighted sum of the terms; one value per fit where the terms have a batch dimension.
 
         Args:
             terms: unweighted, by name.
@@ -249,7 +249,7 @@ class Objective:
         return (values * weights.view(-1, *[1] * (values.ndim - 1))).sum(0)
 
     def total_of_values(self, values: dict[str, float]) -> float:
-        """`total` of plain numbers.
+        """Return `total` of plain numbers.
 
         Args:
             values: unweighted terms by name.
@@ -274,7 +274,7 @@ def _instants(subframes: int, dtype: torch.dtype, device: torch.device) -> Float
 
 
 def mean_of_frames(per_frame: Sequence[dict[str, Float[Tensor, ""]]]) -> dict[str, Float[Tensor, ""]]:
-    """Mean of every term over the frames.
+    """Return the mean of every term over the frames.
 
     Args:
         per_frame: unweighted terms of every frame.

@@ -22,7 +22,7 @@ def mean_over_scales(
     matte: Float[Tensor, "H W"],
     scales: int,
 ) -> Float[Tensor, ""]:
-    """The mean of loss(predicted, seen, matte) at full size, half, a quarter ...
+    """Return the mean of loss(predicted, seen, matte) at full size, half, a quarter ...
 
     A coarse pixel is the mean of the four it covers, as a coarser sensor's would be.
 
@@ -51,7 +51,7 @@ def image_over_scales(
     matte: Float[Tensor, "H W"],
     scales: int,
 ) -> Float[Tensor, ""]:
-    """L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame.
+    """Return L_I, eq. (3), between the re-blurred picture, eq. (1), and the frame.
 
     Args:
         mean: mean premultiplied colour and silhouette of the sub-frames.
@@ -68,7 +68,7 @@ def image_over_scales(
 
 
 def matte_over_scales(alpha: Float[Tensor, "H W"], matte: Float[Tensor, "H W"], scales: int) -> Float[Tensor, ""]:
-    """L_alpha, eq. (4), between a mean silhouette and the matte.
+    """Return L_alpha, eq. (4), between a mean silhouette and the matte.
 
     Args:
         alpha: mean silhouette of the sub-frames.

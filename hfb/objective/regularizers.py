@@ -12,7 +12,7 @@ _EPSILON = 1e-6
 
 
 def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, ""]:
-    """L_P = 1/N sum_i prior(theta_i), eq. (6).
+    """Return L_P = 1/N sum_i prior(theta_i), eq. (6).
 
     Args:
         prior: how unlikely each pose is, >= 0; a `hfb.priors.pose.PosePrior`.
@@ -22,7 +22,7 @@ def pose_loss(prior: Callable[[Tensor], Tensor], axis_angle: Float[Tensor, "S 23
 
 
 def shape_loss(betas: Float[Tensor, "K"]) -> Float[Tensor, ""]:
-    """L_beta = |beta|_2^2, eq. (7).
+    """Return L_beta = |beta|_2^2, eq. (7).
 
     Args:
         betas: shape coefficients.
@@ -31,7 +31,7 @@ def shape_loss(betas: Float[Tensor, "K"]) -> Float[Tensor, ""]:
 
 
 def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = _EPSILON) -> Float[Tensor, ""]:
-    """L_C = |C|_1 + |C|_F, eq. (8), of the motion's coefficients WITHOUT the constants.
+    """Return L_C = |C|_1 + |C|_F, eq. (8), of the motion's coefficients WITHOUT the constants.
 
     The Frobenius norm is sqrt(sum c^2 + epsilon^2) - epsilon: its own gradient is NaN at C = 0, which is exactly
     where the fit starts. Here both gradients are zero there, and so is the loss.
@@ -46,7 +46,7 @@ def polynomial_loss(coefficients: Float[Tensor, "*n"], epsilon: float = _EPSILON
 
 
 def motion_loss(rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor, "T D1 4"]) -> Float[Tensor, ""]:
-    """L_C of a motion's coefficients: see `polynomial_loss`.
+    """Return L_C of a motion's coefficients: see `polynomial_loss`.
 
     Args:
         rotation: coefficients; the constants are left out.
@@ -60,7 +60,7 @@ def motion_loss(rotation: Float[Tensor, "T D1 24 4"], translation: Float[Tensor,
 def background_loss(
     background: Float[Tensor, "H W 3"], subframes: Float[Tensor, "S H W 4"], epsilon: float = 1e-6
 ) -> Float[Tensor, ""]:
-    """L_B = 1/N sum_i 1 / (|B - R_F|_1 + epsilon), eq. (9): appearance should differ from the background.
+    """Return L_B = 1/N sum_i 1 / (|B - R_F|_1 + epsilon), eq. (9): appearance should differ from the background.
 
     |B - R_F|_1 is read as one number per sub-frame, the mean over channels and over the pixels inside the
     silhouette (each with its covered share): a reciprocal per pixel explodes at the first pixel whose colour
@@ -80,7 +80,7 @@ def background_loss(
 
 
 def start_loss(rotations: Float[Tensor, "T S J 3 3"], first: Float[Tensor, "T J 3 3"]) -> Float[Tensor, ""]:
-    """Mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
+    """Return the mean over the joints of 2 - 2 cos(angle) [~ rad^2] between the middle pose and the first body's.
 
     Not in the paper. The estimator of the first body knows better what the image hardly shows, such as the depth of a
     limb; this term keeps its estimate where nothing contradicts it.

@@ -52,7 +52,7 @@ def texel_neighbours(mesh: Mesh, rest_vertices: Float[Tensor, "V 3"], faces: Int
 def texture_smoothness(
     texture: Float[Tensor, "A A 3"], neighbours: TexelNeighbours, visible: Bool[Tensor, "A A"] | None = None
 ) -> Float[Tensor, ""]:
-    """L_S = 1/(8|T|) sum_k sum_{j in N(k)} c_kj v_j cos(n_k, n_j) |p_k - p_j|_1, eq. (5).
+    """Return L_S = 1/(8|T|) sum_k sum_{j in N(k)} c_kj v_j cos(n_k, n_j) |p_k - p_j|_1, eq. (5).
 
     Args:
         texture: the colours p; |T| counts all its texels.
@@ -72,8 +72,11 @@ def texture_smoothness(
 
 
 class _Variation(torch.autograd.Function):
-    """sum_k sum_directions w |p_neighbour - p_k|_1. Its gradient, signs times weights, costs as little as its value:
-    taking both in one pass is three times as fast as autograd's own way. Where two colours are equal it is zero."""
+    """Weighted total variation, sum_k sum_directions w |p_neighbour - p_k|_1.
+
+    The gradient, signs times weights, is computed in the same pass, three times as fast as by autograd. Where two
+    colours are equal it is zero.
+    """
 
     @staticmethod
     def forward(ctx: Any, texture: Float[Tensor, "A A 3"], weights: Float[Tensor, "4 A A"]) -> Float[Tensor, ""]:

@@ -33,7 +33,7 @@ class StageWeights:
 
 
 def base_weights(config: FitConfig, n_frames: int) -> Weights:
-    """Weights of a problem of `n_frames` frames, before a stage's own factors.
+    """Return weights of a problem of `n_frames` frames, before a stage's own factors.
 
     The search for directions uses these in every case: its odds were calibrated with them.
 
@@ -51,7 +51,7 @@ def base_weights(config: FitConfig, n_frames: int) -> Weights:
 
 
 def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWeights:
-    """Weights of every term in one kind of stage.
+    """Return weights of every term in one kind of stage.
 
     Args:
         config: options of the fit.
@@ -70,7 +70,7 @@ def stage_weights(config: FitConfig, n_frames: int, kind: StageKind) -> StageWei
 
 
 def weights_table() -> str:
-    """Every weight of both presets, per kind of stage and number of frames, as a Markdown table."""
+    """Return every weight of both presets, per kind of stage and number of frames, as a Markdown table."""
     columns: list[tuple[Literal["paper", "best"], StageKind, int]] = [
         ("paper", "full", 1),
         ("paper", "full", 2),

@@ -30,8 +30,10 @@ _LIMIT_SCALE_DEG = 4.0
 
 
 class _Joint(NamedTuple):
-    """One joint in degrees. The axis of twist is the bone's own (0 x, 1 y, 2 z); per axis of the rest pose
-    (x to the person's left, y up, z forward): limits, mean, standard deviation."""
+    """Limits, mean and standard deviation of one joint in degrees, per axis of the rest pose.
+
+    The axes are x to the person's left, y up, z forward; `twist` is the bone's own (0 x, 1 y, 2 z).
+    """
 
     twist: int
     x: tuple[float, float]
@@ -95,7 +97,7 @@ def _tables(dtype: torch.dtype, device: torch.device) -> _Tables:
 def twist_swing(
     axis_angle: Float[Tensor, "*n J 3"], order: Int[Tensor, "J 3"], epsilon: float = 1e-12
 ) -> Float[Tensor, "*n J 3"]:
-    """A rotation as twist about the bone, then swing of the bone: the angles that joint limits are about.
+    """Split a rotation into twist about the bone, then swing of the bone: the angles of joint limits.
 
     Unlike the axis-angle vector itself this keeps "how far is the arm raised" apart from "how far is it turned" at
     large angles. It is undefined only for a swing by exactly pi, where gradients stay finite.
@@ -140,7 +142,7 @@ class AnatomicalPrior:
         return self.readable(axis_angle)
 
     def readable(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """The same in plain torch: what the compiled operator is tested against, and what other devices run.
+        """Evaluate the prior in plain torch: the reference of the compiled operator, and for other devices.
 
         Args:
             axis_angle: joints below the root [rad].
@@ -153,7 +155,7 @@ class AnatomicalPrior:
         return (distance * distance + excess * excess).sum((1, 2)) / 2
 
     def limit_penalty(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S"]:
-        """The limits' part alone: zero for every pose within the ranges of motion.
+        """Return the limits' part alone: zero for every pose within the ranges of motion.
 
         Args:
             axis_angle: joints below the root [rad].
@@ -162,7 +164,7 @@ class AnatomicalPrior:
         return (_excess(twist_swing(axis_angle, tables.order), tables) ** 2).sum((1, 2)) / 2
 
     def beyond_limits(self, axis_angle: Float[Tensor, "S 23 3"]) -> Float[Tensor, "S 23"]:
-        """How far each joint lies outside its range of motion [rad]: the worst of its three angles.
+        """Return how far each joint is outside its range of motion [rad]: the worst of its three angles.
 
         Args:
             axis_angle: joints below the root [rad].

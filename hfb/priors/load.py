@@ -31,7 +31,7 @@ _LEGACY_TORCH = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
 
 
 def load_pose_prior(path: Path | None, kind: Literal["anatomy", "mixture"] = "anatomy") -> PosePrior:
-    """A built-in prior, or the one in a user's file; what a file holds is told from its content, not its name.
+    """Load a built-in prior, or a user's file, whose kind is determined by its content.
 
     Args:
         path: SMPLify's mixture, a VPoser checkpoint, or a mixture of `hfb train-prior`.

@@ -53,7 +53,7 @@ def write_mixture(
 
 @lru_cache(maxsize=1)
 def shipped_mixture() -> MixturePrior:
-    """The mixture of data/pose_mixture.safetensors; data/pose_mixture.json tells how it was made."""
+    """Load the mixture of data/pose_mixture.safetensors; data/pose_mixture.json tells how it was fitted."""
     with resources.as_file(resources.files("hfb.priors") / "data" / "pose_mixture.safetensors") as path:
         arrays = {name: one.astype(np.float64) for name, one in load_file(path).items()}
     return MixturePrior(arrays["means"], arrays["covariances"], arrays["weights"], "the built-in pose mixture")

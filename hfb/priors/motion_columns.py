@@ -37,7 +37,7 @@ LIMBS: dict[str, tuple[int, ...]] = {
 
 
 def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
-    """C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin.
+    """Return C of every frame's motion; differentiable, for both kinds of polynomials and any degree and origin.
 
     Args:
         trajectory: polynomials of the motion.
@@ -48,7 +48,7 @@ def motion_columns(trajectory: Trajectory) -> Float[Tensor, "T 3 25 4"]:
 def columns_of(
     rotations: Float[Tensor, "T 5 24 3 3"], translations: Float[Tensor, "T 5 3"]
 ) -> Float[Tensor, "T 3 25 4"]:
-    """C of motions that are given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
+    """Return C of motions given at the instants of `CLOCK`: rotations as in `Trajectory.at`, translations [m].
 
     Args:
         rotations: of every joint at the instants of `CLOCK`.
@@ -68,7 +68,7 @@ def columns_of(
 def at_instants(
     columns: Float[Tensor, "T 3 25 4"], u: Float[Tensor, "S"]
 ) -> tuple[Float[Tensor, "T S 24 3 3"], Float[Tensor, "T S 3"]]:
-    """The motion that C describes, in the body's own frame at mid-exposure: rotations and translations [m] at u.
+    """Evaluate the motion of C in the body's own frame at mid-exposure: rotations and translations [m] at u.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -82,7 +82,7 @@ def at_instants(
 def joint_places(
     rest: Float[Tensor, "24 3"], rotations: Float[Tensor, "n 24 3 3"], translations: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 24 3"]:
-    """`ShapedBody.joints_of`, five times as fast for thousands of instants and without the person's surface.
+    """Return `ShapedBody.joints_of`, five times as fast for thousands of instants and without the surface.
 
     Args:
         rest: joints of the rest pose [m].
@@ -98,7 +98,7 @@ def joint_places(
 
 
 def reversed_columns(columns: Float[Tensor, "T 3 25 4"], which: Bool[Tensor, "T 25"]) -> Float[Tensor, "T 3 25 4"]:
-    """C with some columns running backwards in time.
+    """Return C with some columns running backwards in time.
 
     Args:
         columns: motion in the body's own frame, see `motion_columns`.
@@ -110,7 +110,7 @@ def reversed_columns(columns: Float[Tensor, "T 3 25 4"], which: Bool[Tensor, "T 
 
 @lru_cache(maxsize=1)
 def mean_rest_joints() -> Float[Tensor, "24 3"]:
-    """Joints of the embedded body's mean shape [m]: the person whom nothing is known about."""
+    """Return joints of the embedded body's mean shape [m], for a person of unknown shape."""
     return load_default_body().joint_template
 
 

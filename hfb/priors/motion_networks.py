@@ -16,7 +16,7 @@ _STILL_M, _STILL_RAD = 0.002, 0.01
 
 
 def motion_features(columns: Float[Tensor, "T 3 25 4"], rest: Float[Tensor, "24 3"]) -> Float[Tensor, "T 458"]:
-    """What D looks at: per joint its rotation at mid-exposure and its place and motion in the body's frame.
+    """Return the input of D: per joint its rotation at mid-exposure and its position and motion in the body's frame.
 
     First and second differences of rotations and of joint positions are divided by their root mean square over the
     body: how far things moved depends on how long the shutter was open. That scale comes as two features of its own.
@@ -162,7 +162,7 @@ class Corrector(nn.Module):
     def forward(
         self, columns: Float[Tensor, "T 3 25 4"], backwards: Float[Tensor, "T 25"], unrealistic: Float[Tensor, "T 25"]
     ) -> Float[Tensor, "T 3 25 4"]:
-        """The corrected C; the indicator comes as D's log odds.
+        """Return the corrected C; the indicator is given as D's log odds.
 
         Args:
             columns: motion in the body's own frame, see `motion_columns`.

@@ -34,6 +34,7 @@ class MotionPrior:
         """L_A = |G(D(C), C) - C|_1 as the mean over C's entries and the frames; for single frames.
 
         Args:
+            trajectory: polynomials of the motion.
             shaped: the person, whose bones the joints' places follow from. L_A is differentiable in the trajectory and
                 treats the shape as given.
         """
@@ -76,7 +77,7 @@ class MotionPrior:
 
 
 def load_motion_prior(path: Path | None) -> MotionPrior:
-    """The shipped prior for None, or one that `hfb train-prior` made.
+    """Load the shipped prior for None, or one that `hfb train-prior` made.
 
     Args:
         path: a file of `hfb train-prior`; the shipped one when None.

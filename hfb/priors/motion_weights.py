@@ -20,7 +20,7 @@ _AGAIN = "give a file that `hfb train-prior` made, or nothing for the shipped pr
 
 
 def make_networks(sizes: NetworkSizes, dropout: float = 0.0) -> tuple[Discriminator, Corrector]:
-    """Networks of these sizes with fresh weights from torch's generator.
+    """Build networks of these sizes with new weights from torch's generator.
 
     Args:
         sizes: widths and layers.

@@ -46,10 +46,12 @@ _LAYOUTS = {
             ("", "bodyprior_enc_mu", 1.0),
         ),
         decoder=(
-            ("", "bodyprior_dec_fc1", 0.2), ("", "bodyprior_dec_fc2", 0.2), ("", "bodyprior_dec_out", 1.0),
+            ("", "bodyprior_dec_fc1", 0.2),
+            ("", "bodyprior_dec_fc2", 0.2),
+            ("", "bodyprior_dec_out", 1.0),
         ),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ class VPoserPrior:
         return (self.encode(axis_angle[:, :BODY_JOINTS]) ** 2).sum(-1)
 
     def encode(self, axis_angle: Float[Tensor, "S 21 3"]) -> Float[Tensor, "S L"]:
-        """The latent mean mu of a pose.
+        """Return the latent mean mu of a pose.
 
         Args:
             axis_angle: joints below the root [rad].
@@ -113,7 +115,7 @@ class VPoserPrior:
         return x
 
     def decode(self, latent: Float[Tensor, "S L"]) -> Float[Tensor, "S 21 3 3"]:
-        """The pose of a latent vector, as rotation matrices.
+        """Return the pose of a latent vector, as rotation matrices.
 
         Args:
             latent: code of every pose.

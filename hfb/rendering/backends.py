@@ -14,11 +14,12 @@ def make_rasterizer(
 ) -> Rasterizer:
     """Choose how silhouettes are drawn.
 
-    silhouette: "coverage" is the exact share of each pixel that the body covers, with gradients from both
-        sides of the edge; "dibr" is DIB-R's soft mask, a halo outside the edge, as in the paper.
-    backend: "cpu" are the compiled kernels, "reference" the readable torch formulas they are tested against, "cuda"
-        the Warp kernels on a CUDA device, "warp" the same on one thread of the processor.
-    threads: of the compiled kernels; the result does not depend on it.
+    Args:
+        silhouette: "coverage" is the exact share of each pixel that the body covers, with gradients from both sides of
+            the edge; "dibr" is DIB-R's soft mask, a halo outside the edge, as in the paper.
+        backend: "cpu" are the compiled kernels, "reference" the readable torch formulas they are tested against, "cuda"
+            the Warp kernels on a CUDA device, "warp" the same on one thread of the processor.
+        threads: of the compiled kernels; the result does not depend on it.
 
     Raises:
         InputError: Warp or a CUDA device is missing, or asked for what the Warp kernels do not draw.

@@ -24,8 +24,10 @@ class CpuRasterizer:
         self._kept: tuple[Mesh, PinholeCamera, bool, Setting] | None = None
 
     def _of_mesh(self, mesh: Mesh) -> tuple[Tensor, list[Tensor]]:
-        """Texture coordinates of corners, and index tables as narrow as can be: they are read for every body, and what
-        fits into the processor's cache is read faster. Kept for the mesh used last."""
+        """Return texture coordinates of corners, and index tables of the smallest integer type that holds them.
+
+        The tables are read for every body, and small ones fit into the CPU's cache. The last mesh's are cached.
+        """
         tables = self._tables
         if tables is None or tables[0] is not mesh:
             index = [mesh.faces, mesh.edge_vertices, mesh.edge_faces]
@@ -58,7 +60,15 @@ class CpuRasterizer:
         mesh: Mesh,
         mean: bool,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], list[float], list[float], bool, int]:
-        """What `operators.draw` takes."""
+        """Return the arguments of `operators.draw`.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+            mean: draw the mean over the sub-frames.
+        """
         return *_whole(vertices, texture), *self._same(camera, mesh, mean)
 
     def _drawn(
@@ -80,7 +90,14 @@ class CpuRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
-        """One picture per sub-frame: R_S R_F and R_S."""
+        """Return one image per sub-frame: R_S R_F and R_S.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return _coloured(self._drawn(vertices, texture, camera, mesh, False))
 
     def render_mean(
@@ -90,7 +107,14 @@ class CpuRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
-        """Mean of `render` over the sub-frames, without holding the single pictures."""
+        """Return the mean of `render` over the sub-frames, without holding the single images.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         # Not indexed: the way back of that fills a picture with zeros and copies.
         return _coloured(self._drawn(vertices, texture, camera, mesh, True)).squeeze(0)
 
@@ -102,13 +126,27 @@ class CpuRasterizer:
         mesh: Mesh,
         loss: ImageLoss,
     ) -> tuple[Float[Tensor, ""], ...]:
-        """Losses of `render_mean`, differentiable in the vertices and the texture; one autograd node for both."""
+        """Return losses of `render_mean`, differentiable in the vertices and the texture; one autograd node for both.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+            loss: of the mean image, with its gradient.
+        """
         return losses_of(*_whole(vertices, texture), self._setting(camera, mesh, True), loss)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
-        """Mean of R_S over the sub-frames."""
+        """Return the mean of R_S over the sub-frames.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return self._drawn(vertices, None, camera, mesh, True).squeeze((0, -1))
 
 

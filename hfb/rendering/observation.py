@@ -35,19 +35,29 @@ class Observation:
     light: Literal["linear", "srgb"] = "linear"
 
     def to_srgb(self, picture: Float[Tensor, "*t H W 3"]) -> Float[Tensor, "*t H W 3"]:
-        """A picture in this observation's light, as it would be stored in a file."""
+        """Encode an image in this observation's light as sRGB, as a file stores it.
+
+        Args:
+            picture: in the light of `light`.
+        """
         return linear_to_srgb(picture.clamp(0, 1)) if self.light == "linear" else picture.clamp(0, 1)
 
     def to_linear(self, picture: Float[Tensor, "*t H W 3"]) -> Float[Tensor, "*t H W 3"]:
-        """A picture in this observation's light, in linear light."""
+        """Convert an image in this observation's light to linear light.
+
+        Args:
+            picture: in the light of `light`.
+        """
         return picture if self.light == "linear" else srgb_to_linear(picture.clamp(0, 1))
 
     def region(self, margin: float = 0.15, threshold: float = 0.05, square: bool = False) -> tuple[int, int, int, int]:
-        """left, top, width, height [px] of the box around all mattes, widened by a share of its size.
+        """Return left, top, width, height [px] of the box around all mattes, widened by a share of its size.
 
         The box may reach outside the picture: the body may too.
 
         Args:
+            margin: added on each side, as a share of the longer side.
+            threshold: alpha above which a pixel counts.
             square: make the shorter sides as long as the others, about the same middle.
 
         Raises:
@@ -64,7 +74,14 @@ class Observation:
         return int(left - pad) - across, int(top - pad) - down, wide, high
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Observation":
-        """The same scene through a window; what lies outside the picture repeats its border, without a person."""
+        """Return the scene through a window; outside the image its border is repeated, without a person.
+
+        Args:
+            left: of the window [px], may be negative.
+            top: of the window [px], may be negative.
+            width: of the window [px].
+            height: of the window [px].
+        """
         full_height, full_width = self.mattes.shape[1:]
         window = (
             slice(max(top, 0), min(top + height, full_height)),
@@ -90,7 +107,11 @@ class Observation:
         )
 
     def resized(self, longer_side_px: int) -> "Observation":
-        """The scene at another scale, every new pixel the mean of what it covers (as a coarser sensor)."""
+        """Return the scene at another scale, every new pixel the mean of what it covers (as of a coarser sensor).
+
+        Args:
+            longer_side_px: longer side of the new images.
+        """
         height, width = self.mattes.shape[1:]
         scale = longer_side_px / max(height, width)
         new_height, new_width = max(round(height * scale), 8), max(round(width * scale), 8)

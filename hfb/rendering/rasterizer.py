@@ -26,7 +26,14 @@ class Rasterizer(Protocol):
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
-        """One picture per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1]."""
+        """Return one image per sub-frame: R_S R_F (linear RGB, premultiplied) and R_S, the silhouette in [0, 1].
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...
 
     def render_mean(
@@ -36,11 +43,24 @@ class Rasterizer(Protocol):
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
-        """`render(...).mean(0)`, the averages of eq. (1), without holding the single pictures."""
+        """Return `render(...).mean(0)`, the averages of eq. (1), without holding the single images.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
-        """Mean of R_S over the sub-frames: what the matte is compared with. Cheaper than `render_mean`."""
+        """Return the mean of R_S over the sub-frames, which is compared with the matte. Cheaper than `render_mean`.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         ...

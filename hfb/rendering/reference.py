@@ -20,15 +20,28 @@ TIE = 1e-9  # squared distances [px^2] and barycentric coordinates closer than t
 
 
 def front_faces(xy: Float[Tensor, "V 2"], usable: Bool[Tensor, "V"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, "F"]:
-    """Faces that look at the camera: outside they run counter-clockwise, so on the screen (y down) their signed
-    area is negative. Faces with an unusable corner are none."""
+    """Return the faces that look at the camera.
+
+    From outside they run counter-clockwise, so on the screen (y down) their signed area is negative. A face with an
+    unusable corner is not among them.
+
+    Args:
+        xy: vertices on the screen [px].
+        usable: vertices far enough in front of the camera.
+        faces: vertex numbers of each triangle.
+    """
     a, b, c = xy[faces].unbind(1)
     area = (b - a)[:, 0] * (c - a)[:, 1] - (c - a)[:, 0] * (b - a)[:, 1]
     return usable[faces].all(1) & (area < 0)
 
 
 def outline_edges(front: Bool[Tensor, "F"], mesh: Mesh) -> Int[Tensor, "C 3"]:
-    """Edges where the front faces end: (from, to, front face), directed as the front face traverses them."""
+    """Return the edges where the front faces end: (from, to, front face), directed as the front face traverses them.
+
+    Args:
+        front: faces that look at the camera.
+        mesh: faces, edges and texture coordinates of the body.
+    """
     first, second = mesh.edge_faces.long().unbind(1)
     first_front = front[first]
     second_front = torch.where(second >= 0, front[second], False)
@@ -84,7 +97,14 @@ def _cover_row(p: Float[Tensor, "n 2"], q: Float[Tensor, "n 2"], row: int, width
 
 
 def coverage(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, width: int) -> Float[Tensor, "H W"]:
-    """Share of each pixel where the outline winds about at least one front layer."""
+    """Return the share of each pixel where the outline winds about at least one front layer.
+
+    Args:
+        xy: vertices on the screen [px].
+        edges: outline edges (from, to, ...), see `outline_edges`.
+        height: of the image [px].
+        width: of the image [px].
+    """
     p, q = xy[edges[:, 0]], xy[edges[:, 1]]
     low, high = torch.minimum(p, q)[:, 1], torch.maximum(p, q)[:, 1]
     rows = []
@@ -95,7 +115,12 @@ def coverage(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, w
 
 
 def barycentric(points: Float[Tensor, "*n 2"], corners: Float[Tensor, "*n 3 2"]) -> Float[Tensor, "*n 3"]:
-    """Barycentric coordinates on the screen."""
+    """Return barycentric coordinates on the screen.
+
+    Args:
+        points: on the screen [px].
+        corners: of the triangles [px].
+    """
     a, b, c = corners.unbind(-2)
 
     def cross(u: Tensor, v: Tensor) -> Tensor:
@@ -115,7 +140,16 @@ def visible_faces(
     height: int,
     width: int,
 ) -> Int[Tensor, "H W"]:
-    """The nearest front face at each pixel's centre, -1 where there is none."""
+    """Return the nearest front face at each pixel's centre, -1 where there is none.
+
+    Args:
+        xy: vertices on the screen [px].
+        inverse_depth: of the vertices [1/m].
+        front: faces that look at the camera.
+        faces: vertex numbers of each triangle.
+        height: of the image [px].
+        width: of the image [px].
+    """
     candidates = front.nonzero().squeeze(1)
     y = xy[faces[candidates]][..., 1]
     low, high = y.amin(1), y.amax(1)
@@ -137,7 +171,14 @@ def visible_faces(
 
 @torch.no_grad()
 def rim_edges(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, width: int) -> Int[Tensor, "H W"]:
-    """Of the outline edges that cross a pixel, the one closest to its centre (the first of equals); -1: none."""
+    """Return, of the outline edges that cross a pixel, the one closest to its centre (the first of equals); -1: none.
+
+    Args:
+        xy: vertices on the screen [px].
+        edges: outline edges (from, to, ...), see `outline_edges`.
+        height: of the image [px].
+        width: of the image [px].
+    """
     p = xy[edges[:, 0]]
     d = xy[edges[:, 1]] - p
     tiny = torch.where(d == 0, torch.full_like(d, 1e-30), d)
@@ -167,7 +208,13 @@ def rim_edges(xy: Float[Tensor, "V 2"], edges: Int[Tensor, "C 3"], height: int, 
 def closest_parameter(
     points: Float[Tensor, "*n 2"], start: Float[Tensor, "*m 2"], direction: Float[Tensor, "*m 2"]
 ) -> Float[Tensor, "*k"]:
-    """Parameter in [0, 1] of the point start + t direction closest to a point."""
+    """Return the parameter t in [0, 1] of the point start + t direction closest to a point.
+
+    Args:
+        points: on the screen [px].
+        start: first ends of segments [px].
+        direction: second minus first ends [px].
+    """
     squared_length = (direction * direction).sum(-1)
     safe = torch.where(squared_length == 0, torch.ones_like(squared_length), squared_length)
     return (((points - start) * direction).sum(-1) / safe).clamp(0, 1)
@@ -247,7 +294,14 @@ class ReferenceRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
-        """One picture per sub-frame: R_S R_F and R_S."""
+        """Return one image per sub-frame: R_S R_F and R_S.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return torch.stack([self._body(body, texture, camera, mesh) for body in vertices])
 
     def render_mean(
@@ -257,11 +311,24 @@ class ReferenceRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
-        """Mean of `render` over the sub-frames."""
+        """Return the mean of `render` over the sub-frames.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return self.render(vertices, texture, camera, mesh).mean(0)
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
-        """Mean of R_S over the sub-frames."""
+        """Return the mean of R_S over the sub-frames.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return self.render_mean(vertices, None, camera, mesh)[..., 3]

@@ -1,5 +1,6 @@
-"""DIB-R's soft silhouette in plain torch (Chen et al., Learning to Predict 3D Objects with an Interpolation-based
-Differentiable Renderer, 2019, eq. 5-6), with the constants of its public implementations.
+"""DIB-R's soft silhouette in plain torch, with the constants of its public implementations.
+
+Chen et al., Learning to Predict 3D Objects with an Interpolation-based Differentiable Renderer, 2019, eq. 5-6.
 
 A pixel whose centre shows the body has R_S = 1. Any other is reached by the faces near it, each with the
 probability A'_j = exp(-d_j^2 / delta), and R_S = 1 - prod_j (1 - A'_j). The result is a halo outside the body:
@@ -21,7 +22,11 @@ TIE = 1e-9  # squared distances [px^2] closer than this are equal
 
 
 def dibr_constants(camera: PinholeCamera) -> tuple[float, float, int]:
-    """(1 / delta [1/px^2], reach [px], number of faces)."""
+    """Return DIB-R's constants for an image size: 1 / delta [1/px^2], reach [px], number of faces.
+
+    Args:
+        camera: pinhole camera; its height and width are the image's.
+    """
     unit_px = max(camera.height, camera.width) / 2
     return INVERSE_DELTA / unit_px**2, REACH * unit_px, NEAREST_FACES
 
@@ -33,9 +38,14 @@ def soft_mask(
     covered: Bool[Tensor, "H W"],
     camera: PinholeCamera,
 ) -> tuple[Float[Tensor, "H W"], Int[Tensor, "H W 3"]]:
-    """R_S, and for each pixel of the halo the nearest side of a face: (from, to, owner), owner -1 elsewhere.
+    """Return R_S, and for each pixel of the halo the nearest side of a face: (from, to, owner), owner -1 elsewhere.
 
-    faces: those that count, whatever side they turn to the camera; owners: what they are called in the result.
+    Args:
+        xy: vertices on the screen [px].
+        faces: that contribute, whatever side they turn to the camera.
+        owners: numbers by which the result names the faces.
+        covered: pixels inside the silhouette.
+        camera: pinhole camera; its height and width are the image's.
     """
     inverse_delta, reach, most = dibr_constants(camera)
     corners = xy[faces]

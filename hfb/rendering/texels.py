@@ -22,7 +22,12 @@ def _texel_cell(coordinate: Float[Tensor, "n"], size: int) -> tuple[Int[Tensor, 
 
 
 def sample_texture(texture: Float[Tensor, "A A 3"], uv: Float[Tensor, "n 2"]) -> Float[Tensor, "n 3"]:
-    """Bilinear colours at texture coordinates; differentiable in both."""
+    """Look up bilinear colours at texture coordinates; differentiable in both.
+
+    Args:
+        texture: linear light.
+        uv: texture coordinates in [0, 1], v = 0 at the top row.
+    """
     size = texture.shape[0]
     column, right = _texel_cell(uv[:, 0], size)
     row, below = _texel_cell(uv[:, 1], size)
@@ -34,12 +39,21 @@ def sample_texture(texture: Float[Tensor, "A A 3"], uv: Float[Tensor, "n 2"]) ->
 
 
 def corner_uv(mesh: Mesh) -> Float[Tensor, "F 3 2"]:
-    """Texture coordinates of each face's corners."""
+    """Return the texture coordinates of each face's corners.
+
+    Args:
+        mesh: faces, edges and texture coordinates of the body.
+    """
     return mesh.uv.detach()[mesh.uv_faces.long()]
 
 
 def texel_faces(mesh: Mesh, size: int) -> Int[Tensor, "A A"]:
-    """For each texel of an A x A texture the face whose chart covers its centre; -1 in the void between charts."""
+    """Return for each texel of an A x A texture the face whose chart covers its centre; -1 in the void between charts.
+
+    Args:
+        mesh: faces, edges and texture coordinates of the body.
+        size: A, the texture's side [texels].
+    """
     from hfb.kernels.rendering.render_texture import paint_charts
 
     owner = np.full((size, size), -1, np.int32)
@@ -50,7 +64,14 @@ def texel_faces(mesh: Mesh, size: int) -> Int[Tensor, "A A"]:
 def visible_texels(
     vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh, size: int
 ) -> Bool[Tensor, "A A"]:
-    """Texels of an A x A texture that some pixel of some sub-frame looks at (its four bilinear neighbours)."""
+    """Return the texels of an A x A texture that some pixel of some sub-frame samples (its four bilinear neighbours).
+
+    Args:
+        vertices: of each sub-frame [m], camera coordinates.
+        camera: pinhole camera; its height and width are the image's.
+        mesh: faces, edges and texture coordinates of the body.
+        size: A, the texture's side [texels].
+    """
     from hfb.kernels.rendering.render_texture import mark_seen
 
     seen = np.zeros((size, size), np.bool_)
@@ -62,7 +83,12 @@ def visible_texels(
 
 
 def fill_texture_gutter(texture: Float[Tensor, "A A 3"], texel_faces: Int[Tensor, "A A"]) -> Float[Tensor, "A A 3"]:
-    """Give every void texel the colour of the chart texel nearest to it, so that no seam shows the void."""
+    """Give every void texel the colour of the chart texel nearest to it, so that no seam shows the void.
+
+    Args:
+        texture: linear light.
+        texel_faces: face of each texel, -1 in the void, by `texel_faces`.
+    """
     void = (texel_faces < 0).numpy()
     if void.all() or not void.any():
         return texture

@@ -58,7 +58,13 @@ class WarpRasterizer:
         cameras: Sequence[PinholeCamera],
         mesh: Mesh,
     ) -> tuple[Tensor, Tensor, Tensor, list[Tensor], Tensor, list[int], float]:
-        """What `cuda_operators.draw_by_warp` takes.
+        """Return the arguments of `cuda_operators.draw_by_warp`.
+
+        Args:
+            vertices: of all images' sub-frames, one after another [m], camera coordinates.
+            textures: linear light, one per group of cameras; None draws silhouettes alone.
+            cameras: one per image, all of one size.
+            mesh: faces, edges and texture coordinates of the body.
 
         Raises:
             ValueError: cameras of several picture sizes, or bodies or textures that do not share out evenly.
@@ -81,11 +87,13 @@ class WarpRasterizer:
         cameras: Sequence[PinholeCamera],
         mesh: Mesh,
     ) -> Float[Tensor, "P H W 4"]:
-        """`render_mean` of several pictures (frames, windows, whole fits) at once: what keeps a device busy.
+        """Return `render_mean` of several images (frames, windows, whole fits) at once, which uses a device well.
 
         Args:
-            textures: picture p has number p G / P; colours are zero without any. cameras: one per picture, all of one
-                size.
+            vertices: of each image's sub-frames [m], camera coordinates.
+            textures: image p uses number p G / P; colours are zero without any.
+            cameras: one per picture, all of one size.
+            mesh: faces, edges and texture coordinates of the body.
         """
         pictures = draw_by_warp(*self.arguments(vertices.flatten(0, 1), textures, cameras, mesh))[0]
         pictures = pictures.to(vertices.device)
@@ -98,7 +106,14 @@ class WarpRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "S H W 4"]:
-        """One picture per sub-frame: R_S R_F and R_S."""
+        """Return one image per sub-frame: R_S R_F and R_S.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         textures = None if texture is None else texture[None]
         return self.render_pictures(vertices[:, None], textures, [camera] * len(vertices), mesh)
 
@@ -109,11 +124,24 @@ class WarpRasterizer:
         camera: PinholeCamera,
         mesh: Mesh,
     ) -> Float[Tensor, "H W 4"]:
-        """Mean of `render` over the sub-frames."""
+        """Return the mean of `render` over the sub-frames.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            texture: linear light; None draws silhouettes alone.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return self.render_pictures(vertices[None], None if texture is None else texture[None], [camera], mesh)[0]
 
     def silhouette_mean(
         self, vertices: Float[Tensor, "S V 3"], camera: PinholeCamera, mesh: Mesh
     ) -> Float[Tensor, "H W"]:
-        """Mean of R_S over the sub-frames."""
+        """Return the mean of R_S over the sub-frames.
+
+        Args:
+            vertices: of each sub-frame [m], camera coordinates.
+            camera: pinhole camera; its height and width are the image's.
+            mesh: faces, edges and texture coordinates of the body.
+        """
         return self.render_pictures(vertices[None], None, [camera], mesh)[0, ..., 3]

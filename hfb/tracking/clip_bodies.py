@@ -59,10 +59,11 @@ class ClipBodies:
 
 
 def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
-    """Frames in which a body is searched for from scratch: the first and last of every run, and some between.
+    """Return frames whose body is searched for from scratch: the first and last of every run, and some between.
 
     Args:
-        present: frames in which the person is seen. every: at most so many frames from one to the next.
+        present: frames in which the person is seen.
+        every: at most so many frames from one to the next.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], present, [False]]).astype(np.int8)))
     chosen: list[int] = []
@@ -73,10 +74,12 @@ def key_frames(present: Bool[Array, "T"], every: int) -> tuple[int, ...]:
 
 
 def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float:
-    """How much surer the joint network is of a body as found than of its mirror image in depth.
+    """Return how much more certain the joint network is of a body as found than of its mirror image in depth.
 
     Args:
         observation: of the body's frame alone.
+        first: a body found in one frame.
+        body: model of the first bodies.
 
     Returns:
         the difference of the mean logarithms of the network's own error scales; positive where "as found" is likelier.
@@ -89,12 +92,13 @@ def front_doubt(observation: Observation, first: FirstBody, body: Body) -> float
 
 
 def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) -> dict[int, FirstBody]:
-    """The key frames' bodies, those mirrored in depth that make the person turn around and back.
+    """Mirror those key frames' bodies in depth that would make the person turn around and back.
 
-    Of all ways to keep or mirror every body the one is taken, by dynamic programming, with the least movement of hips
-    and shoulders (about the pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
+    Of all combinations, dynamic programming takes the one with the least movement of hips and shoulders (about the
+    pelvis, from key frame to key frame) and the fewest contradictions to the joint network.
 
     Args:
+        found: bodies of the key frames, by frame number.
         doubts: `front_doubt` of every body.
     """
     frames = sorted(found)
@@ -123,7 +127,11 @@ def agree_on_front(found: Mapping[int, FirstBody], doubts: Mapping[int, float]) 
 
 
 def mirrored_in_depth(first: FirstBody) -> FirstBody:
-    """The body that looks the same from far away: mirrored in the plane of the pelvis, left and right exchanged."""
+    """Mirror a body in the plane of the pelvis, left and right exchanged: from far away it looks the same.
+
+    Args:
+        first: a body found in one frame.
+    """
     S = torch.diag(first.pose.new_tensor([-1.0, 1.0, 1.0]))
     M = torch.diag(first.pose.new_tensor([1.0, 1.0, -1.0]))
     local = axis_angle_to_matrix(first.pose)[list(MIRROR)]
@@ -133,7 +141,11 @@ def mirrored_in_depth(first: FirstBody) -> FirstBody:
 
 
 def between(frame: int, known: Mapping[int, FirstBody]) -> FirstBody:
-    """The body at a frame's time on the way from the known one before to the known one after; the nearest at the ends.
+    """Interpolate the body at a frame's time between its known neighbours; the nearest one beyond the ends.
+
+    Args:
+        frame: number of the frame.
+        known: bodies by frame number, at least one.
 
     Raises:
         ValueError: none is known.
@@ -166,7 +178,15 @@ def body_between(
     body: Body,
     rasterizer: Rasterizer | None = None,
 ) -> FirstBody:
-    """The body of a frame without a search of its own: its neighbours' (`between`), laid onto the frame's matte.
+    """Estimate the body of a frame without a search: its neighbours' (`between`), fitted to the frame's matte.
+
+    Args:
+        frame: number of the frame.
+        known: bodies by frame number, at least one.
+        matte: alpha of the frame.
+        camera: of the frame.
+        body: model of the first bodies.
+        rasterizer: draws silhouettes; the compiled one with exact coverage by default.
 
     Raises:
         InputError: the matte is empty.
@@ -189,10 +209,11 @@ def body_between(
 
 
 def fill_missed(found: Mapping[int, FirstBody], present: Bool[Array, "T"], longest_fill: int) -> ClipBodies:
-    """One body per frame: missed ones from their neighbours in time, and marked.
+    """Return one body per frame: missed ones from their neighbours in time, and marked.
 
     Args:
-        found: bodies by frame. present: frames in which the person is seen: others never get a body.
+        found: bodies by frame.
+        present: frames in which the person is seen: others never get a body.
         longest_fill: of more missed frames in a row none is filled: the clip falls into segments there.
     """
     bodies: list[FirstBody | None] = [found.get(frame) for frame in range(len(present))]

@@ -38,11 +38,13 @@ def look_into_gaps(
     alpha: Alpha = matting_look,
     on_progress: Callable[[int], None] | None = None,
 ) -> Track:
-    """The track with the boxes of frames in which the person is in full view after all.
+    """Add the boxes of frames in which the person is in full view although tracking missed them.
 
     Args:
+        track: of the person.
         others: everybody else in the clip.
         picture: a frame by its number, encoded like the plate.
+        plate: encoded as sRGB, in full size.
         alpha: the shipped matting network's by default.
         on_progress: called after every look with their number.
     """

@@ -35,11 +35,13 @@ _SMALLEST_PIECE = 0.06
 def join_pieces(
     pieces: Sequence[Person], frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"], alpha: Alpha
 ) -> list[Person]:
-    """The areas of one frame, with those of one person as one box; the largest first.
+    """Merge the areas of one frame that belong to one person; the largest first.
 
     Args:
-        frame, plate: encoded as sRGB, in full size.
-        alpha: asked only where two areas might be one person's.
+        pieces: boxes with their areas.
+        frame: encoded as sRGB, in full size.
+        plate: encoded as sRGB, in full size.
+        alpha: matting function, called only where two areas might be one person's.
     """
     joined = sorted(pieces, key=lambda one: -one[4])
     index = 0
@@ -62,7 +64,12 @@ def join_pieces(
 
 
 def matting_look(frame_linear: Float[Array, "h w 3"], plate_linear: Float[Array, "h w 3"]) -> Float[Array, "h w"]:
-    """The `Alpha` of the shipped matting network, at the pictures' own size."""
+    """Return the shipped matting network's alpha at the images' own size.
+
+    Args:
+        frame_linear: linear light.
+        plate_linear: linear light.
+    """
     from hfb.matting.network import NetworkMatting  # torch: only for who asks
 
     return NetworkMatting().look(frame_linear, plate_linear)

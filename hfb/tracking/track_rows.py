@@ -29,7 +29,10 @@ TrackRow = tuple[int, str, Float[Array, "4"]]
 
 
 def read_rows(path: Path) -> list[TrackRow]:
-    """All rows of a .npz, or of any other file as a table of text.
+    """Read all rows of a file of tracks.
+
+    Args:
+        path: a .npz, or any other file as a table of text.
 
     Raises:
         InputError: missing, damaged or far too large.

@@ -66,7 +66,12 @@ class ClipFrames:
     width: float = np.inf
 
     def place(self, frame: int, box: Float[Array, "4"]) -> int | None:
-        """The number of the picture that shows this box of the video's frame; None where none does."""
+        """Return the number of the clip's image that shows this box; None where none does.
+
+        Args:
+            frame: number in the video.
+            box: left, top, right, bottom [px].
+        """
         left, top, right, bottom = box
         in_view = max(left, 0) < min(right, self.width) and max(top, 0) < min(bottom, self.height)
         number = (frame - self.first) // self.average
@@ -79,10 +84,13 @@ def find_tracks(
     on_progress: Callable[[int], None] | None = None,
     alpha: Alpha | None = None,
 ) -> tuple[Track, ...]:
-    """Everyone seen, in the order of appearance; people who cross count as the one whose box agrees more.
+    """Find everyone seen, in the order of appearance.
+
+    People who cross are told apart by the agreement of their boxes.
 
     Args:
         frames: one after another, encoded like the plate.
+        plate: encoded like the frames, same size.
         on_progress: called after every frame with the number of frames done.
         alpha: tells pieces of one person from two people, see `join_pieces`; the shipped matting network's by default.
     """
@@ -102,9 +110,13 @@ def find_tracks(
 
 
 def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
-    """The person who is meant: in the given box of the given frame, else the one of whom most is seen.
+    """Return the person who is meant: in the given box of the given frame, else the one of whom most is seen.
 
     Without a box, whoever is seen while that one is away counts as the same person, who left and came back.
+
+    Args:
+        tracks: of everyone in the clip.
+        choice: a box in a frame, or none.
 
     Raises:
         InputError: nobody was seen, or nobody in the box.
@@ -131,7 +143,10 @@ def choose_track(tracks: Sequence[Track], choice: PersonChoice) -> Track:
 
 
 def choose_everyone(tracks: Sequence[Track]) -> tuple[tuple[Track, PersonChoice], ...]:
-    """Each person who is seen for a while, and the choice by which `choose_track` takes that one again.
+    """Return each person who is seen long enough, and the choice by which `choose_track` finds that one again.
+
+    Args:
+        tracks: of everyone in the clip.
 
     Raises:
         InputError: nobody was seen for long enough.
@@ -166,7 +181,11 @@ def _with_returns(by_size: Sequence[Track]) -> Track:
 
 
 def keep_person(matte: Float[Array, "H W"], box: Float[Array, "4"]) -> Float[Array, "H W"]:
-    """The matte without whoever is outside of the box: connected parts that lie mostly elsewhere are removed.
+    """Remove the parts of a matte that lie mostly outside of a box.
+
+    Args:
+        matte: alpha in [0, 1].
+        box: left, top, right, bottom [px].
 
     Raises:
         InputError: nothing is left.
@@ -194,7 +213,13 @@ def keep_person(matte: Float[Array, "H W"], box: Float[Array, "4"]) -> Float[Arr
 
 
 def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice, slice]:
-    """Rows and columns of the box and enough of the background around it for a matte."""
+    """Return rows and columns of the box and enough of the background around it for a matte.
+
+    Args:
+        box: left, top, right, bottom [px].
+        height: of the image [px].
+        width: of the image [px].
+    """
     extra = _AROUND * max(box[2] - box[0], box[3] - box[1])
     (left, right), (top, bottom) = (
         (int(np.clip(box[low] - extra, 0, side)), int(np.clip(np.ceil(box[low + 2] + extra), 0, side)))
@@ -204,7 +229,7 @@ def surroundings(box: Float[Array, "4"], height: int, width: int) -> tuple[slice
 
 
 def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Track:
-    """One person's boxes out of another system's file.
+    """Read one person's boxes from another system's file.
 
     A .csv names its columns: ``frame`` (from 0), ``id``, ``left``, ``top`` and ``right``, ``bottom`` or ``width``,
     ``height``; without a head it is MOTChallenge's, whose frames count from 1. A .npz has ``frame`` (N), ``id`` (N) and
@@ -213,7 +238,9 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
     A picture that is the mean of several frames has the box around all of theirs.
 
     Args:
+        path: the other system's file.
         track_id: whose; may be left out where the file holds one person.
+        frames: the clip's frames within the video.
 
     Raises:
         InputError: missing, damaged, no such track, or none of its frames lies within the clip.
@@ -240,7 +267,11 @@ def read_track(path: Path, track_id: int | str | None, frames: ClipFrames) -> Tr
 
 
 def read_track_names(path: Path, frames: ClipFrames) -> tuple[str, ...]:
-    """Whose boxes in the clip's frames another system's file holds, in order.
+    """Return the names of the people with boxes in the clip's frames, in order.
+
+    Args:
+        path: the other system's file.
+        frames: the clip's frames within the video.
 
     Raises:
         InputError: missing, damaged, or nobody's.
@@ -311,7 +342,12 @@ def _overlap(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
 
 
 def agreement(one: Float[Array, "4"], other: Float[Array, "4"]) -> float:
-    """Shared area as a share of what either covers (IoU): a dog within a person's box is not the person."""
+    """Return the intersection over union (IoU) of two boxes.
+
+    Args:
+        one: left, top, right, bottom [px].
+        other: likewise.
+    """
     shared = _shared_px(one, other)
     return shared / max(_area_px(one) + _area_px(other) - shared, 1e-9) if shared > 0 else 0.0
 

@@ -1,4 +1,4 @@
-"""Make what hfb ships: its networks, priors, embedded body and confidence. `hfb train NAME` runs one program.
+"""Programs that make what hfb ships: its networks, priors, embedded body and confidence (`hfb train NAME`).
 
 Nothing here is needed to run hfb; docs/howto/train-networks.md has the commands that made the shipped files.
 """

@@ -1,4 +1,4 @@
-"""Options that several programs of this room share, and their types."""
+"""Command-line options shared by several training programs, and their types."""
 
 import argparse
 from pathlib import Path
@@ -8,21 +8,33 @@ _NO_END = 1e9
 
 
 def folder(text: str) -> Path:
-    """An option's folder that exists."""
+    """Parse an option that names an existing folder.
+
+    Args:
+        text: as typed.
+    """
     if not Path(text).is_dir():
         raise argparse.ArgumentTypeError(f"{text} is no folder")
     return Path(text)
 
 
 def file(text: str) -> Path:
-    """An option's file that exists."""
+    """Parse an option that names an existing file.
+
+    Args:
+        text: as typed.
+    """
     if not Path(text).is_file():
         raise argparse.ArgumentTypeError(f"{text} is no file")
     return Path(text)
 
 
 def count(text: str) -> int:
-    """An option's whole number, 1 or more."""
+    """Parse an option that is a whole number of 1 or more.
+
+    Args:
+        text: as typed.
+    """
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number of 1 or more")
     return int(text)
@@ -33,8 +45,8 @@ def add_drawing_flags(parser: argparse.ArgumentParser, number: int = 1000, backg
 
     Args:
         parser: of the program.
-        number: how many, if not given.
-        backgrounds: whether pictures are drawn, which need photographs and a size.
+        number: default of how many.
+        backgrounds: whether images are drawn, which need photographs and a size.
     """
     add = parser.add_argument
     add("--mocap", type=folder, required=True, metavar="DIR", help="clips as BVH files, cmu_SUBJECT_TRIAL*.bvh")
@@ -48,14 +60,14 @@ def add_drawing_flags(parser: argparse.ArgumentParser, number: int = 1000, backg
 
 
 def add_schedule_flags(parser: argparse.ArgumentParser, iterations: int, batch: int, rate: float, seed: int) -> None:
-    """Declare how long and how fast a network learns, on what, and where it begins.
+    """Declare duration, learning rate, seed, threads and starting weights of a training.
 
     Args:
         parser: of the program.
-        iterations: as default, like the following.
-        batch: as default.
-        rate: as default.
-        seed: as default.
+        iterations: default.
+        batch: default.
+        rate: default learning rate.
+        seed: default.
     """
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="folder for weights and facts")

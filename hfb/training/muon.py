@@ -1,20 +1,23 @@
-"""An optimiser for the networks we train: Muon for hidden layers' weights, AdamW for the rest."""
+"""The optimiser of the trainings: Muon for hidden layers' weights, AdamW for the rest."""
 
 import torch
 from torch import nn
 
 
 class Muon:
-    """Muon (Jordan, 2024) for hidden layers' weights, as matrices; AdamW for names, norms, biases, last layers.
+    """Muon (Jordan, 2024) for hidden layers' weights, as matrices; AdamW for embeddings, norms, biases, last layers.
 
-    What it moves stays in proportion without normalisation layers.
+    Its updates keep the scale of weights without normalisation layers.
     """
 
     def __init__(self, network: nn.Module, rate: float, weight_decay: float, last: tuple[str, ...]) -> None:
-        """Matrices share the network's memory, whose convolutions have to lie channels last.
+        """Create both optimisers; matrices share the memory of convolutions, which must be channels last.
 
         Args:
-            last: names of the network's parts that are no hidden layers.
+            network: to train.
+            rate: learning rate.
+            weight_decay: of both optimisers.
+            last: names of the network's parts that are not hidden layers.
         """
         self._layers, rest = [], []
         for name, weights in network.named_parameters():
@@ -32,7 +35,11 @@ class Muon:
         )
 
     def step(self, rate: float) -> None:
-        """One step along the network's gradients."""
+        """Take one step along the network's gradients.
+
+        Args:
+            rate: learning rate.
+        """
         for weights, matrix in self._layers:
             matrix.grad = None if weights.grad is None else _as_matrix(weights.grad)
         for part in self._parts:

@@ -8,20 +8,28 @@ from typing import Protocol, cast, runtime_checkable
 
 @runtime_checkable
 class Program(Protocol):
-    """What a module of this room offers to the command line."""
+    """Interface of a training program's module."""
 
     def add_flags(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the options."""
+        """Declare the options.
+
+        Args:
+            parser: of the program.
+        """
         ...
 
     def run(self, options: argparse.Namespace) -> None:
-        """Do the work; results are files, progress goes to standard error."""
+        """Run the program; results are files, progress goes to standard error.
+
+        Args:
+            options: the parsed options.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a program is, and what it does in one line."""
+    """Module and summary of a program."""
 
     module: str
     summary: str

@@ -1,4 +1,4 @@
-"""How long a training goes on, its learning rate, and the running average of its weights."""
+"""Duration of a training, its learning rate, and the running average of its weights."""
 
 import math
 import sys
@@ -9,15 +9,24 @@ from torch import nn
 
 
 def tell(text: str) -> None:
-    """Print a line of progress to standard error."""
+    """Print a line of progress to standard error.
+
+    Args:
+        text: one line.
+    """
     print(text, file=sys.stderr, flush=True)
 
 
 class Schedule:
-    """A training's end by iterations or by the clock, whichever comes first."""
+    """The end of a training by iterations or by time, whichever comes first."""
 
     def __init__(self, iterations: int, minutes: float) -> None:
-        """Start the clock."""
+        """Start the clock.
+
+        Args:
+            iterations: at most.
+            minutes: at most.
+        """
         self._iterations, self._minutes, self._began = iterations, minutes, time.monotonic()
 
     @property
@@ -26,12 +35,21 @@ class Schedule:
         return (time.monotonic() - self._began) / 60
 
     def share(self, iteration: int) -> float:
-        """The share of the training that is over, at most 1."""
+        """Return the completed share of the training, at most 1.
+
+        Args:
+            iteration: completed iterations.
+        """
         return min(1.0, max(iteration / self._iterations, self.minutes / self._minutes))
 
 
 def cosine(share: float, floor: float = 0.0) -> float:
-    """A factor that falls from 1 to ``floor`` along half a cosine."""
+    """Return a factor that falls from 1 to ``floor`` along half a cosine.
+
+    Args:
+        share: completed share of the training, in [0, 1].
+        floor: final value.
+    """
     return floor + (1 - floor) * (1 + math.cos(math.pi * share)) / 2
 
 
@@ -52,14 +70,23 @@ def update_average(average: nn.Module, network: nn.Module, keep: float) -> None:
 
 
 class Counter:
-    """Progress of drawing: a line at every ``every``-th sample."""
+    """Progress output: a line at every ``every``-th sample."""
 
     def __init__(self, noun: str, every: int) -> None:
-        """Start the clock."""
+        """Start the clock.
+
+        Args:
+            noun: what is counted, in plural.
+            every: samples per line.
+        """
         self._noun, self._every, self._began = noun, every, time.monotonic()
 
     def reached(self, number: int) -> bool:
-        """Tell the number where it is a round one; returns whether it is."""
+        """Print progress at every ``every``-th sample; returns whether it did.
+
+        Args:
+            number: samples so far.
+        """
         if number % self._every:
             return False
         tell(f"{number} {self._noun} in {time.monotonic() - self._began:.0f} s")

@@ -1,4 +1,4 @@
-"""Files of weights: read as trained or as shipped, written with their story beside them."""
+"""Files of weights: read as trained or as shipped, written with their provenance."""
 
 import hashlib
 import json
@@ -17,7 +17,10 @@ State = Mapping[str, torch.Tensor]
 
 
 def read_weights(path: Path) -> dict[str, torch.Tensor]:
-    """Weights in single precision, of a .safetensors file or a checkpoint (.pt).
+    """Read weights in single precision from a .safetensors file or a checkpoint (.pt).
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: the file is missing or something else.
@@ -30,12 +33,19 @@ def read_weights(path: Path) -> dict[str, torch.Tensor]:
 
 
 def half(state: State) -> dict[str, torch.Tensor]:
-    """Weights in half precision, by name."""
+    """Return weights in half precision, sorted by name.
+
+    Args:
+        state: weights by name.
+    """
     return {name: values.half().contiguous() for name, values in sorted(state.items())}
 
 
 def read_story(path: Path) -> dict[str, Any]:
-    """The facts that a training or an earlier export left.
+    """Read the facts that a training or an earlier export left.
+
+    Args:
+        path: a JSON file.
 
     Raises:
         InputError: they are missing or damaged.
@@ -48,7 +58,11 @@ def read_story(path: Path) -> dict[str, Any]:
 
 
 def count_parameters(network: nn.Module) -> int:
-    """How many numbers a network learns."""
+    """Return the number of trainable parameters.
+
+    Args:
+        network: any module.
+    """
     return sum(weights.numel() for weights in network.parameters())
 
 
@@ -59,8 +73,8 @@ def publish(folder: Path, name: str, state: State, parameters: int, about: Mappi
         folder: made where missing.
         name: of both files, without ending.
         state: written as it is.
-        parameters: how many numbers were learned.
-        about: what made the weights, and what they can.
+        parameters: number of trained parameters.
+        about: provenance and measurements.
     """
     content = save(dict(state))
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,7 +88,12 @@ def publish(folder: Path, name: str, state: State, parameters: int, about: Mappi
 
 
 def write_checkpoint(path: Path, state: State) -> None:
-    """Write a checkpoint whole or not at all."""
+    """Write a checkpoint atomically.
+
+    Args:
+        path: the file.
+        state: weights by name.
+    """
     part = path.with_suffix(".part")
     torch.save(dict(state), part)
     part.replace(path)

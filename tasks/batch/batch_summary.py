@@ -17,12 +17,12 @@ from hfb.interop.writers.export_names import REPORT, RESULT
 from hfb.io.atomic import write_bytes_atomic
 from hfb.io.names import shown_name
 from hfb.io.safe_folder import check_ordinary
-from hfb.report.result_facts import read_facts
+from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.batch.batch_ledger import set_aside
 from hfb.tasks.telemetry import progress
 
 if TYPE_CHECKING:
-    from hfb.report.batch_page import BatchClip, BatchCounts
+    from hfb.report.pages.batch_page import BatchClip, BatchCounts
 
 PAGE = "summary.html"
 _STRIP = "strip.png"
@@ -58,7 +58,7 @@ class BatchSummary:
 
     def counts(self) -> BatchCounts:
         """How many clips there are, and what became of them."""
-        from hfb.report.batch_page import BatchCounts
+        from hfb.report.pages.batch_page import BatchCounts
 
         states = [clip.status for clip in self._clips.values()]
         warned_of = sum(clip.is_warned_of for clip in self._clips.values())
@@ -66,7 +66,7 @@ class BatchSummary:
 
     def show_all(self, states: Sequence[tuple[str, str, str, str | None]]) -> None:
         """Show these clips, and no others: (name, status, reason, link) in the order of the pages."""
-        from hfb.report.batch_page import page_count
+        from hfb.report.pages.batch_page import page_count
 
         self._names = [name for name, *_ in states]
         self._places = {name: place for place, name in enumerate(self._names)}
@@ -85,7 +85,7 @@ class BatchSummary:
             reason: why, where it failed.
             link: its page in MLflow.
         """
-        from hfb.report.batch_page import CLIPS_PER_PAGE
+        from hfb.report.pages.batch_page import CLIPS_PER_PAGE
 
         self._clips[name] = self._row(name, status, reason, link)
         self._write(sorted({0, self._places[name] // CLIPS_PER_PAGE}))
@@ -102,7 +102,7 @@ class BatchSummary:
         return row
 
     def _made(self, name: str, status: str, reason: str, link: str | None) -> BatchClip:
-        from hfb.report.batch_page import BatchClip
+        from hfb.report.pages.batch_page import BatchClip
 
         shown, folder = shown_name(name), self._out / name
         if status != "done" or not os.path.lexists(folder / RESULT):
@@ -124,7 +124,7 @@ class BatchSummary:
 
     def _people(self, name: str, facts: Mapping[str, Any]) -> Iterator[BatchClip]:
         """Of several people; they lie in folders of their own within the clip's, wherever result.json says."""
-        from hfb.report.batch_page import BatchClip
+        from hfb.report.pages.batch_page import BatchClip
 
         for number, one in enumerate((facts.get("people") or ())[:_MOST_PEOPLE], 1):
             person = f"{name}/person-{number}"
@@ -148,7 +148,7 @@ class BatchSummary:
         Raises:
             InputError: the strip is no picture.
         """
-        from hfb.report.batch_page import strip_thumbnail
+        from hfb.report.pages.batch_page import strip_thumbnail
 
         strip = folder / _STRIP
         if not os.path.lexists(strip):
@@ -165,7 +165,7 @@ class BatchSummary:
 
     def _write(self, pages: Sequence[int]) -> None:
         """Write pages that are not as they were; what stands in the way of one does not end the batch."""
-        from hfb.report.batch_page import CLIPS_PER_PAGE, batch_page, page_name
+        from hfb.report.pages.batch_page import CLIPS_PER_PAGE, batch_page, page_name
 
         counts, every = self.counts(), [self._clips[name] for name in self._names]
         aside = [(place, clip) for place, clip in enumerate(every) if clip.status == "set aside"]

@@ -69,7 +69,7 @@ def tabulate(
 
     from hfb.datasets.blur_bins import bins_of
     from hfb.evaluation.tables import summarize, table_markdown
-    from hfb.report.plots import write_plots
+    from hfb.report.plots.benchmark_plots import write_plots
 
     rows = [json.loads(one.path.read_text()) for one in judged]
     bins = bins_of(set_name, frames)
@@ -80,9 +80,7 @@ def tabulate(
     write_bytes_atomic(paths[2], table_markdown(summary, notes).encode())
     plots = write_plots(rows, summary, folder)
     cases, written, table = (FileHandle.of(path) for path in paths)
-    return ResultsHandle(
-        cases=cases, summary=written, table=table, plots=tuple(FileHandle.of(path) for path in plots)
-    )  # fmt: skip
+    return ResultsHandle(cases=cases, summary=written, table=table, plots=tuple(FileHandle.of(path) for path in plots))
 
 
 @task("gallery")
@@ -92,7 +90,7 @@ def gallery(judged: tuple[JudgedHandle, ...], methods: tuple[str, ...], folder: 
     Shown are the cases at fixed ranks of fitted over initial error, so that nobody chooses what is seen.
     """
     from hfb.io.media.images.image_io import read_picture_srgb, write_png
-    from hfb.report.strip import captioned
+    from hfb.report.images.strip import captioned
 
     rows = [(json.loads(one.path.read_text()), one) for one in judged]
     drawn = [(row, one) for row, one in rows if one.look is not None]

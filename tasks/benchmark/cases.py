@@ -187,9 +187,11 @@ def see_case(call: SeeCall) -> ReadyHandle:
     mattes = tuple(matte.fn(clip=clip, index=index, config=call.matting, folder=folder) for index in range(case.frames))
     starts = _starts(call, case, clip, mattes, folder=folder)
     scores = judge_start(
-        [load_first_body(one.path) for one in starts], load_observation(clip, mattes), load_truth_of(case.truth),
+        [load_first_body(one.path) for one in starts],
+        load_observation(clip, mattes),
+        load_truth_of(case.truth),
         load_chosen_body(call.body),
-    )  # fmt: skip
+    )
     path = folder / "initial.json"
     write_bytes_atomic(path, json.dumps(scores, allow_nan=False).encode())
     return ReadyHandle(case=call.case, clip=clip, mattes=mattes, starts=starts, initial=FileHandle.of(path))

@@ -64,7 +64,7 @@ def judge_case(call: JudgeCall) -> JudgedHandle:
     from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import save_motion
     from hfb.motion.static_pose import load_first_body
-    from hfb.report.comparison import draw_comparison
+    from hfb.report.images.comparison import draw_comparison
 
     ready, spec = call.ready, call.method
     folder = call.folder / spec.name / f"case_{ready.case.number:04d}"
@@ -72,9 +72,13 @@ def judge_case(call: JudgeCall) -> JudgedHandle:
     observation = load_observation(ready.clip, ready.mattes)
     starts = [load_first_body(start.path) for start in ready.starts]
     facts: dict = {
-        "case": case.number, "method": spec.name, "set": case.facts["set"], "frames": case.frames,
-        "blur_rate": case.blur_rate, "source": source_of(case),
-    }  # fmt: skip
+        "case": case.number,
+        "method": spec.name,
+        "set": case.facts["set"],
+        "frames": case.frames,
+        "blur_rate": case.blur_rate,
+        "source": source_of(case),
+    }
     facts |= {name: case.facts[name] for name in ("recording", "average") if name in case.facts}
     facts |= json.loads(ready.initial.path.read_text())
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,8 +13,16 @@ import hfb
 
 _CPUINFO = Path("/proc/cpuinfo")
 _LIBRARIES = (
-    "torch", "numpy", "numba", "scipy", "opencv-python-headless", "av", "ai-edge-litert", "prefect", "mlflow",
-)  # fmt: skip
+    "torch",
+    "numpy",
+    "numba",
+    "scipy",
+    "opencv-python-headless",
+    "av",
+    "ai-edge-litert",
+    "prefect",
+    "mlflow",
+)
 _COMPUTING = ("numpy", "numba", "torch")
 
 
@@ -37,9 +45,13 @@ def environment() -> dict[str, str]:
     """Return versions, the system and the kind of processor, as tags of a run; the host's name is left out."""
     versions = {f"version.{name}": _version(name) for name in _LIBRARIES}
     return {
-        "version.hfb": hfb.__version__, **versions, "version.python": platform.python_version(),
-        "platform": platform.platform(), "processor": _processor(), "device": "cpu",
-    }  # fmt: skip
+        "version.hfb": hfb.__version__,
+        **versions,
+        "version.python": platform.python_version(),
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "device": "cpu",
+    }
 
 
 def _version(name: str) -> str:

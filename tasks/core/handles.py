@@ -146,8 +146,10 @@ class ScoresHandle(FileHandle):
 
 
 _NO_CONTENT: dict[type[Record], tuple[str, ...]] = {
-    Call: ("folder",), FileHandle: ("path", "seconds"), FitHandle: ("seconds", "stage_seconds"),
-}  # fmt: skip
+    Call: ("folder",),
+    FileHandle: ("path", "seconds"),
+    FitHandle: ("seconds", "stage_seconds"),
+}
 """Fields that say where something lies or how long it took, and so do not count in a digest."""
 
 

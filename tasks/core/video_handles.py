@@ -35,9 +35,16 @@ class FootageHandle(FileHandle):
     def clip(self, frames: tuple[FileHandle, ...], background: FileHandle) -> ClipHandle:
         """Some frames as a clip of their own."""
         return ClipHandle(
-            frames=frames, background=background, height=self.height, width=self.width, K=self.K,
-            exposure_s=self.exposure_s, interval_s=self.interval_s, transfer=self.transfer, light=self.light,
-        )  # fmt: skip
+            frames=frames,
+            background=background,
+            height=self.height,
+            width=self.width,
+            K=self.K,
+            exposure_s=self.exposure_s,
+            interval_s=self.interval_s,
+            transfer=self.transfer,
+            light=self.light,
+        )
 
     def still(self, frame: FileHandle, background: FileHandle, camera: bool = False) -> ClipHandle:
         """One frame for steps that know no time, nor the camera unless they ask: they are not redone for another."""

@@ -12,8 +12,21 @@ from hfb.io.media.footage_names import PICTURE_SUFFIXES, is_plate, pictures_in
 CLIP_FILE = "clip.toml"
 FRAMES_FOLDER = "frames"
 VIDEOS = {
-    ".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts", ".m2ts", ".mpg", ".mpeg", ".ts", ".wmv", ".mxf", ".gif",
-}  # fmt: skip
+    ".mp4",
+    ".mov",
+    ".mkv",
+    ".avi",
+    ".webm",
+    ".m4v",
+    ".mts",
+    ".m2ts",
+    ".mpg",
+    ".mpeg",
+    ".ts",
+    ".wmv",
+    ".mxf",
+    ".gif",
+}
 _WRITTEN = re.compile(r"intermediate|cases|methods|case_\d+")
 _OF_A_RESULT = re.compile(r"strip|texture|matte_\d+|comparison")
 

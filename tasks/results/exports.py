@@ -16,7 +16,7 @@ from hfb.tasks.telemetry import progress
 
 if TYPE_CHECKING:
     from hfb.body.model import BetasSpace
-    from hfb.report.slow_motion import Shot
+    from hfb.report.films.slow_motion import Shot
     from hfb.typing import Array, Float
 
 _SAID_EVERY_S = 0.25
@@ -59,7 +59,7 @@ class ShotHandle(Record):
         """Read the files; frames are read when they are drawn."""
         from hfb.motion.motion_file import load_motion
         from hfb.rendering.backends import make_rasterizer
-        from hfb.report.slow_motion import Shot
+        from hfb.report.films.slow_motion import Shot
         from hfb.tasks.core.scene import load_camera, load_chosen_body, load_image, load_texture
 
         clip = self.clip
@@ -128,7 +128,7 @@ def export_motion(shot: ShotHandle, texture: FileHandle, config: ExportConfig, f
 
 @task("films")
 def draw_films(shot: ShotHandle, films: tuple[Film, ...], folder: Path) -> ExportsHandle:
-    """Draw films; see `hfb.report.slow_motion`.
+    """Draw films; see `hfb.report.films.slow_motion`.
 
     Args:
         shot: what they are drawn from.
@@ -148,7 +148,7 @@ def write_film(film: Film, shot: Shot, folder: Path) -> Path:
         folder: where it goes.
     """
     from hfb.io.media.video.video_writing import VideoWriter
-    from hfb.report import slow_motion
+    from hfb.report.films import slow_motion
 
     path = folder / FILM_NAMES[film]
     slow = slow_motion.film_slow_factor(shot.motion)
@@ -183,7 +183,7 @@ def with_progress(
 
 
 def _film_images(film: Film, shot: Shot) -> Iterator[tuple[float | None, Float[Array, "Y X 3"]]]:
-    from hfb.report import slow_motion
+    from hfb.report.films import slow_motion
 
     if film == "exact":
         yield from slow_motion.exact_sub_frames(shot)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hfb.geometry.camera import PinholeCamera
     from hfb.io.media.footage import Footage
     from hfb.motion.sampled import SampledMotion
-    from hfb.report.slow_motion import Shot
+    from hfb.report.films.slow_motion import Shot
     from hfb.typing import Array
 
 _PICTURES = ("frame_", "background", "video", "calibration")
@@ -98,7 +98,7 @@ def reload_shot(
     """
     from hfb.io.media.images.image_io import read_picture_srgb
     from hfb.rendering.backends import make_rasterizer
-    from hfb.report.slow_motion import Shot
+    from hfb.report.films.slow_motion import Shot
     from hfb.tasks.core.scene import in_light
 
     drawing = FitConfig()  # wherever the result was computed, this machine has the default
@@ -121,9 +121,12 @@ def _of_fit(recipe: Recipe, config: RunConfig, places: dict[str, Path], *, run: 
 
     inputs = recipe_inputs(Inputs, recipe, places, run)
     clip = prepare.fn(
-        frames=inputs.frames, background=inputs.background, clip=inputs.clip, camera=config.camera,
+        frames=inputs.frames,
+        background=inputs.background,
+        clip=inputs.clip,
+        camera=config.camera,
         exposure=config.exposure,
-    )  # fmt: skip
+    )
     return SeenImages(
         load_camera(clip),
         load_image(clip.background, clip),

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hfb.body.model import Body
     from hfb.fitting.alternatives import Alternatives
     from hfb.motion.sampled import SampledMotion
-    from hfb.report.slow_motion import Shot
+    from hfb.report.films.slow_motion import Shot
 
 
 _OF_MOTION = ", of the motion "
@@ -44,7 +44,7 @@ class ReportParts(Record):
 
 @task("curves")
 def fit_curves(fit: FitHandle, folder: Path) -> FileHandle:
-    """curves.json of one problem; see `hfb.report.result_curves`."""
+    """curves.json of one problem; see `hfb.report.pages.result_curves`."""
     return _curves(folder, {"losses": json.loads(fit.history.path.read_text())})
 
 
@@ -110,8 +110,8 @@ def shows_another_motion(film: Path, motion_sha256: str) -> bool:
 def write_page_film(shot: Shot, motion_sha256: str, folder: Path) -> Path:
     """Draw the page's film into a folder; says how far it is. The film says of which motion it is."""
     from hfb.io.media.video.video_writing import VideoWriter
-    from hfb.report import page_film as small
-    from hfb.report.slow_motion import FILM_FPS
+    from hfb.report.films import page_film as small
+    from hfb.report.films.slow_motion import FILM_FPS
 
     path = folder / PAGE_FILM
     comment = f"hfb, {small.page_slow_factor(shot.motion):g} times slower{_OF_MOTION}{motion_sha256}"
@@ -163,9 +163,9 @@ def page_text(
     """
     from hfb.io.media.images.image_io import stored_png
     from hfb.motion.motion_file import load_motion
-    from hfb.report.page_film import page_slow_factor
-    from hfb.report.result_curves import read_curves
-    from hfb.report.result_page import ResultContents, result_page
+    from hfb.report.films.page_film import page_slow_factor
+    from hfb.report.pages.result_curves import read_curves
+    from hfb.report.pages.result_page import ResultContents, result_page
 
     motion, _ = load_motion(parts.motion.path)
     slow = page_slow_factor(motion)

@@ -86,9 +86,14 @@ class Live:
         self.console = console
         # no markup: labels and notes may hold the names of files, and those may hold brackets
         self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
-            TextColumn("{task.fields[note]}", markup=False), TimeElapsedColumn(), console=console, transient=True,
-        )  # fmt: skip
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[note]}", markup=False),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
         self._rows: dict[int, TaskID] = {}
 
     def begin(self, shown: Shown) -> None:

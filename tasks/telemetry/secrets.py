@@ -27,8 +27,10 @@ _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(\b[a-zA-Z][\w+.-]*://)(?!\*\*\*)[^\s/:@'\"?#]+@"), rf"\1{HIDDEN}@"),
     (re.compile(r"(?i)(\b[a-z][\w+.-]*%3A%2F%2F)(?:(?!%2F|%26)[^\s'\"&])+?%40"), rf"\1{HIDDEN}%40"),
     (
-        re.compile(r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"
-                   r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"),
+        re.compile(
+            r"(?i)\b((?:proxy-)?authorization\\?[\"']?\s*(?:[:=]|%3A|%3D)\s*\\?[\"']?"
+            r"(?:(?:bearer|basic|digest|token|negotiate|sharedkey)(?:\s+|%20|\+))?)[^\s'\",;&\\]+"
+        ),
         rf"\1{HIDDEN}",
     ),
     (re.compile(r"(?i)\b(bearer(?:\s+|%20))[\w+/=.~-]{8,}"), rf"\1{HIDDEN}"),
@@ -36,17 +38,25 @@ _RULES: tuple[tuple[re.Pattern[str], str], ...] = (
     (re.compile(r"(?i)\b((?:set-)?cookie\\?[\"']?\s*:\s*\\?[\"']?)[^\r\n'\"\\]+"), rf"\1{HIDDEN}"),
     (re.compile(r"(?i)\b(x-[\w-]*(?:key|token|signature|credential|secret)\s*:\s*)[^\s'\",;]+"), rf"\1{HIDDEN}"),
     (
-        re.compile(rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?"
-                   r"(?:(?!%26)[^&\s'\"<>\\])+"),
+        re.compile(
+            rf"(?i)(?:(?<![\w.-])|(?<=%26|%3F|%23))((?:{_NAMES})(?:\s?=\s?|%3D))\\?[\"']?"
+            r"(?:(?!%26)[^&\s'\"<>\\])+"
+        ),
         rf"\1{HIDDEN}",
     ),
     (re.compile(rf"(?i)(\\?[\"'](?:{_NAMES})\\?[\"']\s*:\s*\\?[\"'])[^'\"\\]+"), rf"\1{HIDDEN}"),
-)  # fmt: skip
+)
 _SECRETS = (
-    "PREFECT_API_AUTH_STRING", "PREFECT_SERVER_API_AUTH_STRING", "PREFECT_API_KEY", "MLFLOW_TRACKING_PASSWORD",
-    "MLFLOW_TRACKING_TOKEN", "MLFLOW_FLASK_SERVER_SECRET_KEY", "AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN",
+    "PREFECT_API_AUTH_STRING",
+    "PREFECT_SERVER_API_AUTH_STRING",
+    "PREFECT_API_KEY",
+    "MLFLOW_TRACKING_PASSWORD",
+    "MLFLOW_TRACKING_TOKEN",
+    "MLFLOW_FLASK_SERVER_SECRET_KEY",
+    "AWS_SECRET_ACCESS_KEY",
+    "AWS_SESSION_TOKEN",
     "PGPASSWORD",
-)  # fmt: skip
+)
 _SECRET_NAME = re.compile(rf"(?i)(?:{_NAMES}|.*(?:connection_string|sas))$")
 _SHORTEST, _SHORTEST_GUESSED = 4, 8  # a shorter value would be hidden wherever its letters stand by chance
 

@@ -79,7 +79,7 @@ def check_store(uri: str) -> None:
             shown = shown_address(uri)
             raise TemporaryError(
                 f"the MLflow server at {shown} {reason}: start it, or unset {_VARIABLE} to record locally"
-            )  # fmt: skip
+            )
     elif scheme == "sqlite":
         _check_sqlite(uri)
     elif uri in _OTHER_STORES:
@@ -113,10 +113,9 @@ def pages_command(port: int = LOCAL_PORT) -> list[str]:
     if on_server(uri):
         raise InputError(f"runs are recorded on a server that has pages of its own: open {shown_address(uri)}")
     check_store(uri)
-    return [
-        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri, "--host", "127.0.0.1",
-        "--port", str(port), "--workers", "1", "--uvicorn-opts", "--log-level warning",
-    ]  # fmt: skip
+    server = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri]
+    address = ["--host", "127.0.0.1", "--port", str(port)]
+    return [*server, *address, "--workers", "1", "--uvicorn-opts", "--log-level warning"]
 
 
 def upgrade_command(uri: str) -> str:

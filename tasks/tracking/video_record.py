@@ -37,8 +37,11 @@ class ClipRecord:
         }
         self._key = digest(["video", self._params, code_version()])
         self._tags = {
-            "code": code_version(), "seed": str(config.seed), "preset": config.preset, COMMAND_TAG: "video",
-        }  # fmt: skip
+            "code": code_version(),
+            "seed": str(config.seed),
+            "preset": config.preset,
+            COMMAND_TAG: "video",
+        }
         self._run: tracking.Run | None = None
         self._points: dict[str, dict[int, float]] = {}
         self._there: dict[str, set[int]] = {}

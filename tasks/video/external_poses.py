@@ -249,9 +249,14 @@ def find_given_body(call: GivenBodyCall) -> BodyFound:
         call.number, call.first, began=known.first, average=known.average, video_hz=known.average / known.interval_s
     )
     return body_of_result.fn(
-        clip=call.still, index=0, number=at, mattes=(call.matte,), result=call.result, body=call.body,
+        clip=call.still,
+        index=0,
+        number=at,
+        mattes=(call.matte,),
+        result=call.result,
+        body=call.body,
         folder=call.folder,
-    )  # fmt: skip
+    )
 
 
 def require(found: BodyFound) -> FirstBodyHandle:

@@ -50,10 +50,16 @@ def look_at_clip(
     clip = inputs.clip
     paths = [file.path for file in inputs.video]
     footage = open_footage(
-        paths[0] if len(paths) == 1 else paths, start=clip.start or 0, stop=clip.stop, start_s=clip.start_s,
-        stop_s=clip.stop_s, average=average, transfer=clip.transfer, fps=exposure.fps or clip.exposure.fps,
+        paths[0] if len(paths) == 1 else paths,
+        start=clip.start or 0,
+        stop=clip.stop,
+        start_s=clip.start_s,
+        stop_s=clip.stop_s,
+        average=average,
+        transfer=clip.transfer,
+        fps=exposure.fps or clip.exposure.fps,
         scan=clip.scan,
-    )  # fmt: skip
+    )
     given = clip.camera.model_copy(update={"calibration": inputs.calibration.path if inputs.calibration else None})
     lens = clip_lens(given, paths[0].name, footage.height, footage.width)
     footage = footage.through(lens)

@@ -122,7 +122,7 @@ def draw_clip(
     from hfb.io.media.images.image_io import write_png
     from hfb.motion.motion_file import load_motion
     from hfb.rendering.backends import make_rasterizer
-    from hfb.report.strip import draw_strip
+    from hfb.report.images.strip import draw_strip
     from hfb.tasks.core.scene import load_chosen_body, load_observation
 
     image = draw_strip(

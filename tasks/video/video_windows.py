@@ -210,9 +210,14 @@ def join_clip(
 
     model = load_chosen_body(body)
     joined = join_windows(
-        [load_window(one.path) for one in windows], model, load_identity(person.path), timing=load_timing(footage),
-        subframes=subframes, K=np.array(footage.K), longest_fill=longest_fill,
-    )  # fmt: skip
+        [load_window(one.path) for one in windows],
+        model,
+        load_identity(person.path),
+        timing=load_timing(footage),
+        subframes=subframes,
+        K=np.array(footage.K),
+        longest_fill=longest_fill,
+    )
     save_motion(folder / "motion.npz", joined.motion, model.betas_space)
     told = {
         "edges": [asdict(edge) for edge in joined.edges],

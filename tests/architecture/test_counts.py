@@ -13,23 +13,22 @@ ROOMS = ("hfb", "tasks", "flows")
 
 LOOSE_MODULES = 4
 FILES_OF_A_ROOM = 20
-CROWDED = {"hfb/report": 23}
-"""Rooms with more files than that today."""
-FORMATTED_BY_HAND = 125
+FORMATTED_BY_HAND = 0
 """Statements that the formatter skips and that are no tables of numbers; the goal is 0."""
 TUPLES_OF_ANY = 0
-UNDESCRIBED = 1138
+UNDESCRIBED = 408
 """Public functions without an entry in ``Args`` for each parameter; the goal is 0."""
-LINES = 65_200
-"""Of product code. The goal is 44,900, and 4,900 for `hfb.training`, which lay elsewhere when the goal was set."""
+LINES = {"product": 39_738, "training": 4_257}
+"""Of code, without docstrings, comments and blank lines; the product is all but `hfb.training`.
+
+The product's goal is 30,183, nine tenths of what adb3d25 had.
+"""
 
 SAME_NAME = {
     "amass": "a reader and a writer of one format are called by the format",
     "bvh": "as above",
 }
 """Names of several modules, and why."""
-TWINS = {"benchmark_page", "metrics", "record", "strip", "train_prior"}
-"""Names of several modules today that should be of one each."""
 
 
 def sources(*rooms: str) -> list[Path]:
@@ -51,15 +50,12 @@ def test_few_modules_lie_outside_a_room() -> None:
 
 def test_no_room_is_crowded() -> None:
     files = Counter(path.parent.relative_to(ROOT).as_posix() for path in sources(*ROOMS) if path.stem != "__init__")
-    assert {room: count for room, count in files.items() if count > CROWDED.get(room, FILES_OF_A_ROOM)} == {}
-    assert not [room for room in CROWDED if files[room] <= FILES_OF_A_ROOM], "take the room off the list"
+    assert {room: count for room, count in files.items() if count > FILES_OF_A_ROOM} == {}
 
 
 def test_a_module_is_found_by_its_name() -> None:
     names = Counter(path.stem for path in sources(*ROOMS) if path.stem != "__init__")
-    twice = {name for name, count in names.items() if count > 1}
-    assert twice <= {*SAME_NAME, *TWINS}
-    assert not TWINS - twice, "take the name off the list"
+    assert {name for name, count in names.items() if count > 1} == set(SAME_NAME)
 
 
 def test_the_formatter_formats() -> None:
@@ -103,10 +99,15 @@ def test_public_functions_describe_their_parameters() -> None:
 def _undescribed(path: Path) -> Iterator[str]:
     """Public functions of a module with a parameter that their docstring does not describe."""
     for node in _tree(path).body:
-        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_") and not _is_overload(node):
             names = {one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)}
             if names - _told(ast.get_docstring(node) or ""):
                 yield node.name
+
+
+def _is_overload(function: ast.FunctionDef) -> bool:
+    """Whether it is one of a function's signatures for the type checker, which have no docstring."""
+    return any(isinstance(one, ast.Name) and one.id == "overload" for one in function.decorator_list)
 
 
 def _told(docstring: str) -> set[str]:
@@ -119,4 +120,20 @@ def _told(docstring: str) -> set[str]:
 
 
 def test_the_code_does_not_grow() -> None:
-    assert sum(len(path.read_text().splitlines()) for path in sources(*ROOMS)) <= LINES
+    training = ROOT / "hfb" / "training"
+    lines = {"product": 0, "training": 0}
+    for path in sources(*ROOMS):
+        lines["training" if path.is_relative_to(training) else "product"] += _code_lines(path)
+    assert {part: count for part, count in lines.items() if count > LINES[part]} == {}
+
+
+def _code_lines(path: Path) -> int:
+    """Lines of a module that are neither blank nor comment nor part of a docstring."""
+    texts = [node for node in ast.walk(_tree(path)) if isinstance(node, ast.Expr) and _is_text(node.value)]
+    told = {line for node in texts for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+    stripped = ((number, line.strip()) for number, line in enumerate(path.read_text().splitlines(), 1))
+    return sum(1 for number, line in stripped if line and not line.startswith("#") and number not in told)
+
+
+def _is_text(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)

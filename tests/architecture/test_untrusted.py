@@ -8,15 +8,41 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 _RUNS_A_FILE = {
-    "pickle.load", "pickle.loads", "pickle.Unpickler", "pickle._Unpickler", "joblib.load", "dill.load", "dill.loads",
-    "cloudpickle.load", "cloudpickle.loads", "marshal.load", "marshal.loads", "shelve.open", "pandas.read_pickle",
-    "pd.read_pickle", "yaml.load", "yaml.unsafe_load", "yaml.full_load", "torch.jit.load", "torch.package",
-    "numpy.lib.format.read_array", "np.lib.format.read_array", "os.system", "os.popen", "eval", "exec", "compile",
-    "importlib.reload", "runpy.run_path", "tempfile.mktemp",
-}  # fmt: skip
+    "pickle.load",
+    "pickle.loads",
+    "pickle.Unpickler",
+    "pickle._Unpickler",
+    "joblib.load",
+    "dill.load",
+    "dill.loads",
+    "cloudpickle.load",
+    "cloudpickle.loads",
+    "marshal.load",
+    "marshal.loads",
+    "shelve.open",
+    "pandas.read_pickle",
+    "pd.read_pickle",
+    "yaml.load",
+    "yaml.unsafe_load",
+    "yaml.full_load",
+    "torch.jit.load",
+    "torch.package",
+    "numpy.lib.format.read_array",
+    "np.lib.format.read_array",
+    "os.system",
+    "os.popen",
+    "eval",
+    "exec",
+    "compile",
+    "importlib.reload",
+    "runpy.run_path",
+    "tempfile.mktemp",
+}
 _TAKES_A_WORD = {  # function -> the argument that must be written out, and what it must be
-    "torch.load": ("weights_only", True), "np.load": ("allow_pickle", False), "numpy.load": ("allow_pickle", False),
-}  # fmt: skip
+    "torch.load": ("weights_only", True),
+    "np.load": ("allow_pickle", False),
+    "numpy.load": ("allow_pickle", False),
+}
 _UNPACKS = {"extractall", "extract", "unpack_archive"}
 _NEVER_IMPORTED = {"xml", "lxml", "tarfile", "marshal", "shelve", "dill", "cloudpickle", "telnetlib", "ftplib"}
 _MAY = {
@@ -29,7 +55,7 @@ _MAY = {
     ("hfb/training/matting/matte_measures.py", "np.load"),
     ("hfb/training/matting/matte_training.py", "np.load"),
     ("hfb/training/matting/pairs.py", "np.load"),
-}  # fmt: skip
+}
 
 
 def sources() -> list[Path]:
@@ -74,12 +100,20 @@ def test_nothing_runs_a_file() -> None:
 @pytest.mark.parametrize(
     "code",
     [
-        "import pickle\npickle.loads(data)", "from xml.etree import ElementTree", "read = pickle.load", "eval(text)",
-        "torch.load(path)", "torch.load(path, weights_only=False)", "np.load(path)", "np.load(p, allow_pickle=flag)",
-        "archive.extractall(folder)", "subprocess.run(words, shell=True)", "np.savez(p, allow_pickle=True)",
+        "import pickle\npickle.loads(data)",
+        "from xml.etree import ElementTree",
+        "read = pickle.load",
+        "eval(text)",
+        "torch.load(path)",
+        "torch.load(path, weights_only=False)",
+        "np.load(path)",
+        "np.load(p, allow_pickle=flag)",
+        "archive.extractall(folder)",
+        "subprocess.run(words, shell=True)",
+        "np.savez(p, allow_pickle=True)",
         "os.system(line)",
     ],
-)  # fmt: skip
+)
 def test_it_would_be_seen(code: str) -> None:
     assert list(dangers(code))
 

@@ -48,9 +48,7 @@ def drtk_mean(camera: PinholeCamera, mesh: Mesh) -> MeanPicture:
         )
         inside = (index >= 0)[:, None].to(colour)
         picture = torch.cat([colour * inside, inside], 1)
-        picture = drtk.edge_grad_estimator(
-            v_pix=pixels, vi=faces, bary_img=barycentric, img=picture, index_img=index
-        )  # fmt: skip
+        picture = drtk.edge_grad_estimator(v_pix=pixels, vi=faces, bary_img=barycentric, img=picture, index_img=index)
         return picture.mean(0).permute(1, 2, 0)
 
     return draw

@@ -40,7 +40,9 @@ def _run(folder: Path, frames: int, height: int) -> tuple[dict, float]:
     began = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-m", "hfb.flows.cli.cli", "video", str(clip.source), *map(str, options)],
-        env=jobs.environment(folder), capture_output=True, text=True,
-    )  # fmt: skip
+        env=jobs.environment(folder),
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), time.perf_counter() - began

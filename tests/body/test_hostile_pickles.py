@@ -63,10 +63,15 @@ def test_what_is_nested_takes_from_the_same_steps() -> None:
 @pytest.mark.parametrize(
     "call",
     [
-        b"ccollections\nOrderedDict\nh\x00\x85R", b"ctorch\nSize\nh\x00\x85R", b"cnumpy\ndtype\nh\x01R",
-        b"cnumpy\ndtype\nh\x01\x81", b"cnumpy\ndtype\nh\x01}\x92", b"(cnumpy\ndtype\nh\x00o", b"(h\x00inumpy\ndtype\n",
+        b"ccollections\nOrderedDict\nh\x00\x85R",
+        b"ctorch\nSize\nh\x00\x85R",
+        b"cnumpy\ndtype\nh\x01R",
+        b"cnumpy\ndtype\nh\x01\x81",
+        b"cnumpy\ndtype\nh\x01}\x92",
+        b"(cnumpy\ndtype\nh\x00o",
+        b"(h\x00inumpy\ndtype\n",
     ],
-)  # fmt: skip
+)
 @pytest.mark.usefixtures("few")
 def test_a_list_that_is_handed_over_again_and_again(call: bytes) -> None:
     """Five bytes are worth the whole list each time."""
@@ -93,10 +98,22 @@ def test_frames_by_text_and_number(key: Any) -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        (3, "walk"), ("walk", "run"), ("walk", COLLIDING), ("walk", 1.5), ("walk", 1, 2), (("walk", 1), 2), ("walk",),
-        (), ("walk", None), (b"walk", 1), COLLIDING, 1.5, "w" * 5000, ("w" * 5000, 1),
+        (3, "walk"),
+        ("walk", "run"),
+        ("walk", COLLIDING),
+        ("walk", 1.5),
+        ("walk", 1, 2),
+        (("walk", 1), 2),
+        ("walk",),
+        (),
+        ("walk", None),
+        (b"walk", 1),
+        COLLIDING,
+        1.5,
+        "w" * 5000,
+        ("w" * 5000, 1),
     ],
-)  # fmt: skip
+)
 def test_keys_that_could_collide(key: Any) -> None:
     for protocol in (0, 2, 4):
         with pytest.raises(InputError, match="a dictionary with a"):
@@ -115,10 +132,16 @@ def test_sets_and_places_cannot_collide_either() -> None:
 
 @pytest.mark.parametrize(
     "shape",
-    [b"X\x01\x00\x00\x00aK\x20\x86", b"\x88K\x04\x86", b"J\xff\xff\xff\xffJ\xfc\xff\xff\xff\x86", b"X\x01\x00\x00\x00a",
-     b"(" + b"\x8a\x10" * 1 + b"\xff" * 15 + b"\x7f" + b"t", b"(" + b"K\x01" * 100 + b"K\x04t"],
+    [
+        b"X\x01\x00\x00\x00aK\x20\x86",
+        b"\x88K\x04\x86",
+        b"J\xff\xff\xff\xffJ\xfc\xff\xff\xff\x86",
+        b"X\x01\x00\x00\x00a",
+        b"(" + b"\x8a\x10" * 1 + b"\xff" * 15 + b"\x7f" + b"t",
+        b"(" + b"K\x01" * 100 + b"K\x04t",
+    ],
     ids=["text", "bool", "negative", "no tuple", "huge", "sides"],
-)  # fmt: skip
+)
 def test_sides_that_are_none(shape: bytes) -> None:
     stream = io.BytesIO()
     joblib.dump(np.zeros(4), stream)

@@ -82,9 +82,11 @@ def test_agrees_with_body_models(tmp_path: Path, synthetic: Body) -> None:
     theirs = smpl.SMPL(model_path=save_pickle(tmp_path / "SMPL_NEUTRAL.pkl", smpl_arrays()))
     betas, axis_angles, translations = (value.float() for value in random_motion(4))
     vertices = theirs.forward_vertices(
-        body_pose=axis_angles[:, 1:], pelvis_rotation=axis_angles[:, 0], shape=betas.expand(4, -1),
+        body_pose=axis_angles[:, 1:],
+        pelvis_rotation=axis_angles[:, 0],
+        shape=betas.expand(4, -1),
         global_translation=translations,
-    )  # fmt: skip
+    )
     ours = synthetic.to(torch.float32).shape(betas).pose(axis_angle_to_matrix(axis_angles), translations)
     torch.testing.assert_close(ours.vertices, vertices, atol=2e-6, rtol=0)
 

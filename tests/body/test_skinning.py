@@ -35,9 +35,12 @@ def test_a_shape_and_its_gradient_are_the_readable_ones(dtype: torch.dtype, rela
     body = load_default_body(dtype)
     vertices = len(body.template) - left_out
     body = replace(
-        body, template=body.template[:vertices], shape_directions=body.shape_directions[:vertices],
-        skinning_weights=body.skinning_weights[:vertices], joint_regressor=body.joint_regressor[:, :vertices],
-    )  # fmt: skip
+        body,
+        template=body.template[:vertices],
+        shape_directions=body.shape_directions[:vertices],
+        skinning_weights=body.skinning_weights[:vertices],
+        joint_regressor=body.joint_regressor[:, :vertices],
+    )
     pulls = random(vertices, 3, dtype=dtype, seed=1), random(24, 3, dtype=dtype, seed=2)
     results = []
     for readable in (False, True):
@@ -69,9 +72,11 @@ def test_values_and_gradients_are_the_readable_ones(dtype: torch.dtype, relative
     results = []
     for fast in (True, False):
         leaves = [
-            axis_angle_to_matrix(0.5 * random(instants, 24, 3, dtype=dtype)), random(instants, 3, dtype=dtype, seed=1),
-            body.joint_template.clone(), body.template.clone(),
-        ]  # fmt: skip
+            axis_angle_to_matrix(0.5 * random(instants, 24, 3, dtype=dtype)),
+            random(instants, 3, dtype=dtype, seed=1),
+            body.joint_template.clone(),
+            body.template.clone(),
+        ]
         rotations, translations, rest_joints, rest = (leaf.requires_grad_() for leaf in leaves)
         if fast:
             transforms, joints = operators.place_joints(rotations, translations, rest_joints, CHAIN)

@@ -9,9 +9,22 @@ from pathlib import Path
 from tests.orchestration import TINY_OPTIONS, mlflow_rows
 
 KEYS = [
-    "initial_mpjpe_mm", "mpjpe_mm", "pa_mpjpe_mm", "initial_iou", "iou", "psnr_db", "fit_seconds", "total_seconds",
-    "out", "strip", "report", "mlflow_run_id", "directions", "unknown", "warnings",
-]  # fmt: skip
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    "psnr_db",
+    "fit_seconds",
+    "total_seconds",
+    "out",
+    "strip",
+    "report",
+    "mlflow_run_id",
+    "directions",
+    "unknown",
+    "warnings",
+]
 
 # Python runs this at the start of every process of the command, the temporary server's included.
 GUARD = """
@@ -53,10 +66,23 @@ def test_demo_from_nothing(tmp_path: Path) -> None:
         "OUTSIDE_LOG": str(outside),
     }
     done = subprocess.run(
-        [sys.executable, "-m", "hfb.flows.cli.cli", "demo", "--out", str(tmp_path / "out"), "--json", *TINY_OPTIONS,
-         "--export.report", "true"],
-        capture_output=True, text=True, env=environment, timeout=300,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "hfb.flows.cli.cli",
+            "demo",
+            "--out",
+            str(tmp_path / "out"),
+            "--json",
+            *TINY_OPTIONS,
+            "--export.report",
+            "true",
+        ],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout.splitlines()[-1])
     assert list(answer) == KEYS

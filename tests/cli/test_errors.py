@@ -60,9 +60,10 @@ CASES = {
     "unknown key": ("{frame} --background {plate} --config {typo.toml}", "did you mean fit.subframes"),
     "bad clip": ("{frame} --background {plate} --clip {clip.toml}", "did you mean camera.focal_px"),
     "exposure longer than the interval": (
-        "{frame} {frame} --background {plate} --exposure.seconds 1", "does not fit",
+        "{frame} {frame} --background {plate} --exposure.seconds 1",
+        "does not fit",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -158,9 +159,13 @@ def test_settings_of_prefect_that_cannot_be_used(variable: str, profiles: str, t
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     environment |= {"PREFECT_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), variable: "abc"}
     done = subprocess.run(
-        [sys.executable, "-m", "hfb.flows.cli.cli", "report", str(tmp_path), "--quiet"], env=environment,
-        capture_output=True, text=True, timeout=240, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "hfb.flows.cli.cli", "report", str(tmp_path), "--quiet"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=False,
+    )
     (told,) = done.stderr.strip().splitlines()
     assert done.returncode == 2, done.stderr
     assert told.startswith("hfb: Prefect's settings cannot be used")

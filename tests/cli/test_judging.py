@@ -49,9 +49,19 @@ def test_benchmark(tiny: str, store: Path, tmp_path: Path, capsys: pytest.Captur
     assert {"set", "count", "skipped", "seed", "methods"} <= printed.keys()
     cell = printed["methods"]["tiny"]["all"]
     assert {
-        "n", "initial_mpjpe_mm", "mpjpe_mm", "ratio", "ratio_ci95", "pa_mpjpe_mm", "initial_iou", "iou",
-        "better_than_start", "wrong_direction", "best_of_two_mpjpe_mm", "seconds_per_case",
-    } <= cell.keys()  # fmt: skip
+        "n",
+        "initial_mpjpe_mm",
+        "mpjpe_mm",
+        "ratio",
+        "ratio_ci95",
+        "pa_mpjpe_mm",
+        "initial_iou",
+        "iou",
+        "better_than_start",
+        "wrong_direction",
+        "best_of_two_mpjpe_mm",
+        "seconds_per_case",
+    } <= cell.keys()
     assert cell["best_of_two_iou"] > 0
     assert [one["blur"] for one in printed["methods"]["tiny"]["bins"]][-1] == [0.9, 1.1]
 

@@ -83,9 +83,12 @@ def test_the_file_is_named_too(tmp_path: Path) -> None:
 
 
 EARLIER = {
-    "across": ("xy_weight", "0.3"), "at_once": ("batch_size", "7"), "size_moves_away": ("keep_image_size", "false"),
-    "root_kick": ("initial_root_velocity", "0.5"), "several.image": ("multi_frame.image", "5"),
-}  # fmt: skip
+    "across": ("xy_weight", "0.3"),
+    "at_once": ("batch_size", "7"),
+    "size_moves_away": ("keep_image_size", "false"),
+    "root_kick": ("initial_root_velocity", "0.5"),
+    "several.image": ("multi_frame.image", "5"),
+}
 
 
 @pytest.mark.parametrize("earlier", EARLIER)

@@ -18,9 +18,17 @@ from hfb.motion.motion_file import load_motion
 def test_a_clip_is_what_its_truth_says(tmp_path: Path, video: bool) -> None:
     told: list[tuple[int, int]] = []
     made = make_clip(
-        tmp_path / "clip", 6, 48, 64, seed=5, shutter=0.5, instants=8, video=video, leaves=(2, 3),
+        tmp_path / "clip",
+        6,
+        48,
+        64,
+        seed=5,
+        shutter=0.5,
+        instants=8,
+        video=video,
+        leaves=(2, 3),
         on_progress=lambda done, total: told.append((done, total)),
-    )  # fmt: skip
+    )
     assert told[-1] == (6, 6)
     footage, plate = open_footage(made.source), read_picture_srgb(made.background)
     assert footage.count == 6

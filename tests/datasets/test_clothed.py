@@ -31,8 +31,17 @@ def test_outward_and_where_clothes_are() -> None:
         trunk = mm[of_joints("spine1", "spine2", "left_hip", "right_hip")]
         assert np.quantile(trunk, 0.05) > 4
         assert trunk.std() > 3
-        bare = of_joints("left_wrist", "right_wrist", "left_hand", "right_hand", "left_ankle", "right_ankle",
-                         "left_foot", "right_foot", "head")  # fmt: skip
+        bare = of_joints(
+            "left_wrist",
+            "right_wrist",
+            "left_hand",
+            "right_hand",
+            "left_ankle",
+            "right_ankle",
+            "left_foot",
+            "right_foot",
+            "head",
+        )
         assert mm[bare].max() == 0
 
 

@@ -46,8 +46,10 @@ def test_the_motion_renders_to_its_silhouettes(example: ExamplePaths) -> None:
     rasterizer = make_rasterizer("coverage", "cpu", 1)
     torch.testing.assert_close(
         pose_rows(truth.motion, np.array([0, 30]), body).joints.double(),
-        torch.from_numpy(truth.motion.joints[[0, 30]]), atol=1e-5, rtol=0,
-    )  # fmt: skip
+        torch.from_numpy(truth.motion.joints[[0, 30]]),
+        atol=1e-5,
+        rtol=0,
+    )
     scores = truth_scores(truth.motion, truth, body, rasterizer)
     assert scores["iou"] > 0.999
     assert scores["mpjpe_mm"] < 1e-3

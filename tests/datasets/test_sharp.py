@@ -51,8 +51,11 @@ def test_damage_is_noticed(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="hfb synth"):
             load_sharp(case, 0)
     path.write_bytes(whole)
-    for facts in ({}, {"sharp": [[0, 0, 4, 4]], "camera": {"height": 40, "width": 30}},
-                  {"sharp": [[25, 8, 16, 24]], "camera": {"height": 40, "width": 30}}):  # fmt: skip
+    for facts in (
+        {},
+        {"sharp": [[0, 0, 4, 4]], "camera": {"height": 40, "width": 30}},
+        {"sharp": [[25, 8, 16, 24]], "camera": {"height": 40, "width": 30}},
+    ):
         with pytest.raises(InputError, match="hfb synth"):
             load_sharp(Case(tmp_path, 1, 1, 0.5, facts), 0)
     path.unlink()

@@ -158,9 +158,13 @@ def test_the_same_chance_gives_the_same_bodies(scene: Scene, body: Body, starts:
 def test_frames_of_a_single_instant_are_enough(scene: Scene, body: Body) -> None:
     motion, rows = scene.truth.motion, np.array([0, 5, 10])
     short = replace(
-        motion, poses=motion.poses[rows], trans=motion.trans[rows], joints=motion.joints[rows],
-        times_s=motion.times_s[rows], frame_index=np.arange(3),
-    )  # fmt: skip
+        motion,
+        poses=motion.poses[rows],
+        trans=motion.trans[rows],
+        joints=motion.joints[rows],
+        times_s=motion.times_s[rows],
+        frame_index=np.arange(3),
+    )
     truth = Truth(short, scene.truth.silhouettes[rows], body.betas_space)
     starts = simulated_starts(truth, 3, 0.0, body, scene.observation.camera, np.random.default_rng(0))
     assert len(starts) == 3

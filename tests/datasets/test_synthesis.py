@@ -159,8 +159,9 @@ def test_the_truth_is_not_the_fits_own_render(make: Make, spec: SetSpec, number:
     truth = load_truth(case.truth)
     np.testing.assert_allclose(
         pose_rows(truth.motion, np.arange(len(truth.motion.trans)), load_default_body()).joints.numpy(),
-        truth.motion.joints, atol=1e-5,
-    )  # fmt: skip
+        truth.motion.joints,
+        atol=1e-5,
+    )
     rows = truth.motion.rows_of(0)[::9]
     pairs = zip(seen_by_fit(truth, rows, spec.size_px) >= 0.5, truth.silhouettes[rows], strict=True)
     overlap = float(np.mean([soft_iou(a.astype(np.float32), b.astype(np.float32)) for a, b in pairs]))
@@ -218,8 +219,11 @@ def test_motionless_motions_cannot_blur(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_motions_that_are_too_short_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(synthesis, "_loader", lambda _: lambda index: replace(still(index), poses=np.zeros((3, 24, 3)),
-                                                                            translations=np.zeros((3, 3))))  # fmt: skip
+    monkeypatch.setattr(
+        synthesis,
+        "_loader",
+        lambda _: lambda index: replace(still(index), poses=np.zeros((3, 24, 3)), translations=np.zeros((3, 3))),
+    )
     with pytest.raises(InputError, match="livelier"):
         make_case(SINGLE, 2, [0], tmp_path)
     with pytest.raises(InputError, match="no motion can be read"):

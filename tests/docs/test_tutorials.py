@@ -95,9 +95,13 @@ def _run(code: str, folder: Path) -> None:
     modules = os.pathsep.join([str(folder / "presets"), str(ROOT)])
     environment = {**os.environ, "PATH": path, "HOME": str(folder), "PYTHONPATH": modules}
     done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", code], cwd=folder, env=environment, capture_output=True, text=True,
+        ["bash", "-euo", "pipefail", "-c", code],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
         timeout=_LONGEST_S,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -150,13 +150,20 @@ def _rows(methods: dict[str, float], pa: float = 0.8) -> list[dict]:
     bins = bins_of("bt-amass", 1)
     return [
         {
-            "case": case, "method": method, "blur_rate": bins[case // 2][0] + 0.01, "failed": None,
-            "initial_mpjpe_mm": 100.0, "mpjpe_mm": share * 100, "initial_pa_mpjpe_mm": pa * 100,
-            "pa_mpjpe_mm": pa * share * 100, "initial_iou": 0.5, "iou": 0.75,
+            "case": case,
+            "method": method,
+            "blur_rate": bins[case // 2][0] + 0.01,
+            "failed": None,
+            "initial_mpjpe_mm": 100.0,
+            "mpjpe_mm": share * 100,
+            "initial_pa_mpjpe_mm": pa * 100,
+            "pa_mpjpe_mm": pa * share * 100,
+            "initial_iou": 0.5,
+            "iou": 0.75,
         }
         for case in range(20)
         for method, share in methods.items()
-    ]  # fmt: skip
+    ]
 
 
 def _lines(page: str, heading: str) -> list[list[str]]:

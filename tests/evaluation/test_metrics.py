@@ -254,9 +254,15 @@ def test_ssim_is_that_of_scikit_image():
         mask = rng.random((height, width))
         for predicted in (truth * 0.8, rng.random(truth.shape), np.zeros_like(truth), truth.astype(np.float32)):
             whole, per_pixel = structural_similarity(
-                predicted.astype(np.float64), truth, gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
-                data_range=1.0, channel_axis=-1, full=True,
-            )  # fmt: skip
+                predicted.astype(np.float64),
+                truth,
+                gaussian_weights=True,
+                sigma=1.5,
+                use_sample_covariance=False,
+                data_range=1.0,
+                channel_axis=-1,
+                full=True,
+            )
             assert metrics.ssim(predicted, truth) == whole
             assert metrics.ssim(predicted, truth, mask) == np.average(per_pixel.mean(-1), weights=mask)
 

@@ -18,8 +18,11 @@ from hfb.rendering.observation import Observation
 from hfb.tracking.clip_bodies import mirrored_in_depth
 
 CAMERA = PinholeCamera.from_focal(500.0, 400, 300)
-LIMBS = [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-         for side in ("left", "right")]  # fmt: skip
+LIMBS = [
+    JOINT_NAMES.index(f"{side}_{part}")
+    for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    for side in ("left", "right")
+]
 ROWS = 5
 
 

@@ -15,9 +15,19 @@ from hfb.evaluation.tables import summarize, table_markdown
 
 BINS = [(0.1, 0.2), (0.2, 0.4)]
 NAMED_IN_THE_INTERFACE = {
-    "n", "initial_mpjpe_mm", "mpjpe_mm", "ratio", "ratio_ci95", "pa_mpjpe_mm", "initial_iou", "iou",
-    "better_than_start", "wrong_direction", "best_of_two_mpjpe_mm", "seconds_per_case",
-}  # fmt: skip
+    "n",
+    "initial_mpjpe_mm",
+    "mpjpe_mm",
+    "ratio",
+    "ratio_ci95",
+    "pa_mpjpe_mm",
+    "initial_iou",
+    "iou",
+    "better_than_start",
+    "wrong_direction",
+    "best_of_two_mpjpe_mm",
+    "seconds_per_case",
+}
 
 
 def _row(case: int, method: str = "best", blur_rate: float | None = 0.15, **values) -> dict:
@@ -249,17 +259,30 @@ def _real_rows() -> list[dict]:
     for case in range(1, 17):
         place = ("gym", f"cam{case % 2}", 5) if case <= 8 else ("park", "cam0", 5 if case < 13 else 9)
         told = {
-            "initial_mpjpe_mm": 100.0 + case, "initial_pa_mpjpe_mm": 80.0, "still_motion_mm": 20.0,
-            "true_path_mm": 50.0, "ray_depth_mm": 30.0, "lean_deg": 5.0, "in_plane_px": 4.0,
-        }  # fmt: skip
+            "initial_mpjpe_mm": 100.0 + case,
+            "initial_pa_mpjpe_mm": 80.0,
+            "still_motion_mm": 20.0,
+            "true_path_mm": 50.0,
+            "ray_depth_mm": 30.0,
+            "lean_deg": 5.0,
+            "in_plane_px": 4.0,
+        }
         still = {
-            "mpjpe_mm": 100.0 + case, "pa_mpjpe_mm": 80.0, "motion_mm": 20.0, "better_motion_mm": 20.0, "path_mm": 0.0,
+            "mpjpe_mm": 100.0 + case,
+            "pa_mpjpe_mm": 80.0,
+            "motion_mm": 20.0,
+            "better_motion_mm": 20.0,
+            "path_mm": 0.0,
             "front_wrong": 0.0,
-        }  # fmt: skip
+        }
         fitted = {
-            "mpjpe_mm": 50.0 + case, "pa_mpjpe_mm": 40.0, "motion_mm": 10.0 + case / 8, "better_motion_mm": 8.0,
-            "path_mm": 30.0, "front_wrong": float(case == 3),
-        }  # fmt: skip
+            "mpjpe_mm": 50.0 + case,
+            "pa_mpjpe_mm": 40.0,
+            "motion_mm": 10.0 + case / 8,
+            "better_motion_mm": 8.0,
+            "path_mm": 30.0,
+            "front_wrong": float(case == 3),
+        }
         rows += [_real(case, "static", *place, **told, **still), _real(case, "best", *place, **told, **fitted)]
     return rows
 
@@ -270,9 +293,16 @@ def test_real_video_is_told_by_recording_exposure_and_camera():
     assert list(cells) == [(r, k) for r in ("gym", "park", None) for k in (5, 9, None)]
     counts = {key: cell["methods"]["best"]["n"] for key, cell in cells.items()}
     assert counts == {
-        ("gym", 5): 8, ("gym", 9): 0, ("gym", None): 8, ("park", 5): 4, ("park", 9): 4, ("park", None): 8,
-        (None, 5): 12, (None, 9): 4, (None, None): 16,
-    }  # fmt: skip
+        ("gym", 5): 8,
+        ("gym", 9): 0,
+        ("gym", None): 8,
+        ("park", 5): 4,
+        ("park", 9): 4,
+        ("park", None): 8,
+        (None, 5): 12,
+        (None, 9): 4,
+        (None, None): 16,
+    }
     gym = cells["gym", 5]["methods"]["best"]
     assert gym["mpjpe_mm"] == pytest.approx(54.5)
     assert gym["mpjpe_ci95"][0] < 54.5 < gym["mpjpe_ci95"][1]

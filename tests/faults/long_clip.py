@@ -35,18 +35,29 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     place = given.folder.resolve()
     os.environ |= {
-        "OMP_NUM_THREADS": "1", "MLFLOW_TRACKING_URI": f"sqlite:///{place}/mlflow.db",
-        "XDG_STATE_HOME": str(place / "state"), "PREFECT_HOME": str(place / "prefect"),
-    }  # fmt: skip
+        "OMP_NUM_THREADS": "1",
+        "MLFLOW_TRACKING_URI": f"sqlite:///{place}/mlflow.db",
+        "XDG_STATE_HOME": str(place / "state"),
+        "PREFECT_HOME": str(place / "prefect"),
+    }
     clip = given.folder / f"clip-{given.frames}"
     if not (clip / "truth.npz").exists():
         from hfb.datasets.synthetic.clip_making import make_clip
 
         make_clip(clip, given.frames, given.height, given.width, seed=1)
     command = [
-        sys.executable, "-m", "hfb.flows.cli.cli", "video", str(clip), "--truth", str(clip / "truth.npz"), "--json",
-        "--workers", str(given.workers), *given.options,
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "hfb.flows.cli.cli",
+        "video",
+        str(clip),
+        "--truth",
+        str(clip / "truth.npz"),
+        "--json",
+        "--workers",
+        str(given.workers),
+        *given.options,
+    ]
     quiet = given.folder / f"undisturbed-{given.frames}"
     told: dict[str, Any] = {"frames": given.frames}
     if not (quiet / "result.json").exists():
@@ -139,10 +150,12 @@ def _killed(command: list[str], out: Path, given: argparse.Namespace, quiet: Pat
     result = json.loads(text.splitlines()[-1])
     same = {name: (out / name).read_bytes() == (quiet / name).read_bytes() for name in _COMPARED}
     return {
-        "same_bytes": same, "made_twice": twice, "resumed_frames": result["resumed_frames"],
+        "same_bytes": same,
+        "made_twice": twice,
+        "resumed_frames": result["resumed_frames"],
         "mlflow": _mlflow(given.folder / f"mlflow-killed-{given.seed}.db", result["mlflow_run_id"], given.frames),
         "flow_runs": _flow_runs(next((given.folder / "prefect" / "hfb").glob("prefect-*.db"))),
-    }  # fmt: skip
+    }
 
 
 def _count(out: Path, seen: dict[str, int], twice: list[str]) -> None:

@@ -67,9 +67,11 @@ class Postgres:
 
     def _do(self, program: str, *words: str | Path) -> None:
         subprocess.run(
-            [*self._as_owner, str(_programs() / program), *map(str, words)], check=True, cwd="/",
+            [*self._as_owner, str(_programs() / program), *map(str, words)],
+            check=True,
+            cwd="/",
             stdout=subprocess.DEVNULL,
-        )  # fmt: skip
+        )
 
 
 def _programs() -> Path | None:
@@ -96,9 +98,12 @@ class PrefectProcess:
     def __init__(self, folder: Path, database: str) -> None:
         self._folder, self._port = folder, free_port()
         self._settings = {
-            "PREFECT_HOME": str(folder / "prefect"), "PREFECT_API_DATABASE_CONNECTION_URL": database,
-            "PREFECT_SERVER_ANALYTICS_ENABLED": "false", "PREFECT_UI_ENABLED": "false", "DO_NOT_TRACK": "true",
-        }  # fmt: skip
+            "PREFECT_HOME": str(folder / "prefect"),
+            "PREFECT_API_DATABASE_CONNECTION_URL": database,
+            "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+            "PREFECT_UI_ENABLED": "false",
+            "DO_NOT_TRACK": "true",
+        }
         self._process: subprocess.Popen[bytes] | None = None
 
     @property
@@ -118,8 +123,11 @@ class PrefectProcess:
         with (self._folder / "server.log").open("ab") as log:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "prefect", "server", "start", "--host", "127.0.0.1", "--port", str(self._port)],
-                env={**environment, **self._settings}, stdout=log, stderr=log, start_new_session=True,
-            )  # fmt: skip
+                env={**environment, **self._settings},
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
         until = time.monotonic() + _PATIENCE_S
         while True:
             try:

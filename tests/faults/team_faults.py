@@ -56,10 +56,15 @@ class Batch:
             for path in place.rglob("*"):
                 os.utime(path, (1_700_000_000, 1_700_000_000))
         self.environment = {
-            **os.environ, "PREFECT_API_URL": api, "MLFLOW_TRACKING_URI": f"sqlite:///{self.store}",
-            "XDG_STATE_HOME": str(folder / "state"), "PREFECT_HOME": str(folder / "home"), "OMP_NUM_THREADS": "1",
-            "PYTHONPATH": str(Path(__file__).parents[2]), "PREFECT_LOGGING_TO_API_ENABLED": "false",
-        }  # fmt: skip
+            **os.environ,
+            "PREFECT_API_URL": api,
+            "MLFLOW_TRACKING_URI": f"sqlite:///{self.store}",
+            "XDG_STATE_HOME": str(folder / "state"),
+            "PREFECT_HOME": str(folder / "home"),
+            "OMP_NUM_THREADS": "1",
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+            "PREFECT_LOGGING_TO_API_ENABLED": "false",
+        }
 
     def start(self) -> subprocess.Popen[str]:
         """`hfb batch`; failures are tried again after a second."""
@@ -68,8 +73,11 @@ class Batch:
         with (self.folder / "shown").open("a") as shown:
             return subprocess.Popen(
                 [sys.executable, "-m", "hfb.flows.cli.cli", *words, *pace, *SMALL_OPTIONS, *LONGER],
-                stdout=subprocess.PIPE, stderr=shown, text=True, env=self.environment,
-            )  # fmt: skip
+                stdout=subprocess.PIPE,
+                stderr=shown,
+                text=True,
+                env=self.environment,
+            )
 
     def finish(self, process: subprocess.Popen[str] | None = None) -> dict[str, Any]:
         """Wait for the command (or run it), again where it gave up; how it ended."""
@@ -124,10 +132,13 @@ def judged(batch: Batch, undisturbed: dict[str, bytes], ended: dict[str, Any], a
     while unfinished(api) and time.monotonic() < until:
         time.sleep(0.5)
     return {
-        "done": ended["done"], "starts": ended["starts"], "bytes_equal": found == undisturbed and bool(found),
+        "done": ended["done"],
+        "starts": ended["starts"],
+        "bytes_equal": found == undisturbed and bool(found),
         "one_run_per_clip": [status for _, status in batch.runs()] == ["FINISHED"] * ended["clips"],
-        "runs": batch.runs(), "unfinished_flow_runs": unfinished(api),
-    }  # fmt: skip
+        "runs": batch.runs(),
+        "unfinished_flow_runs": unfinished(api),
+    }
 
 
 def crash_postgres(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: float) -> dict[str, Any]:
@@ -189,9 +200,12 @@ def jump_clock(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: 
     told = batch.folder / "clock"
     told.write_text("+0")
     batch.environment |= {
-        "LD_PRELOAD": str(library), "FAKETIME_TIMESTAMP_FILE": str(told), "FAKETIME_CACHE_DURATION": "1",
-        "FAKETIME_DONT_FAKE_MONOTONIC": "1", "NO_FAKE_STAT": "1",
-    }  # fmt: skip
+        "LD_PRELOAD": str(library),
+        "FAKETIME_TIMESTAMP_FILE": str(told),
+        "FAKETIME_CACHE_DURATION": "1",
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+        "NO_FAKE_STAT": "1",
+    }
     process = batch.start()
     for pattern, offset in (("frame_*.png", "+2d"), ("window_*.npz", "-2d")):
         batch.until(pattern, process)
@@ -250,9 +264,15 @@ def fill_disk(batch: Batch, cluster: Postgres, server: PrefectProcess, away_s: f
 
 
 FAULTS: dict[str, Callable[[Batch, Postgres, PrefectProcess, float], dict[str, Any]]] = {
-    "postgres": crash_postgres, "server": kill_server, "both": kill_both, "flow": kill_flow, "worker": kill_worker,
-    "mlflow": lose_mlflow, "disk": fill_disk, "clock": jump_clock,
-}  # fmt: skip
+    "postgres": crash_postgres,
+    "server": kill_server,
+    "both": kill_both,
+    "flow": kill_flow,
+    "worker": kill_worker,
+    "mlflow": lose_mlflow,
+    "disk": fill_disk,
+    "clock": jump_clock,
+}
 
 
 def main() -> int:

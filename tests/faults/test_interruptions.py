@@ -63,10 +63,12 @@ def test_kill_in_the_middle_of_the_fit(problem: Problem, store: Path, tmp_path: 
 def test_interrupted_command(sent: int, code: int, problem: Problem, store: Path, tmp_path: Path) -> None:
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(tmp_path / "out")]
     victim = subprocess.Popen(
-        [sys.executable, "-m", "hfb.flows.cli.cli", *words, *TINY_OPTIONS], stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words, *TINY_OPTIONS],
+        stderr=subprocess.PIPE,
+        text=True,
         # tests that run in the background of a shell, as under nohup, would hand down that Ctrl-C is ignored
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    )
     shown = ""
     for line in victim.stderr:
         shown += line
@@ -101,9 +103,11 @@ sys.exit(cli.main([]))
 def test_a_command_that_cannot_end_is_ended(sent: int, code: int) -> None:
     """A library's lock, taken when the signal came, is waited for by whoever tidies up."""
     victim = subprocess.Popen(
-        [sys.executable, "-c", STUCK], stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", STUCK],
+        stderr=subprocess.PIPE,
+        text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    )
     assert victim.stderr.readline() == "waits\n"
     victim.send_signal(sent)
     _, shown = victim.communicate(timeout=60)
@@ -114,9 +118,7 @@ def test_a_command_that_cannot_end_is_ended(sent: int, code: int) -> None:
 def test_the_temporary_server_ends_with_a_killed_process(tmp_path: Path) -> None:
     environment = {**os.environ, "PREFECT_HOME": str(tmp_path / "prefect"), "XDG_STATE_HOME": str(tmp_path)}
     environment.pop("PREFECT_API_URL", None)
-    parent = subprocess.Popen(
-        [sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True, env=environment
-    )  # fmt: skip
+    parent = subprocess.Popen([sys.executable, "-c", SERVER], stdout=subprocess.PIPE, text=True, env=environment)
     server = int(parent.stdout.readline())
     os.kill(server, 0)
     parent.kill()

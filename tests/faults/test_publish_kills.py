@@ -30,10 +30,12 @@ def contents(out: Path) -> dict[str, str]:
 def is_told_unfinished(out: Path) -> bool:
     """Whether every reader says so."""
     readers = [
-        lambda: resolve_result(str(out), ("texture.png", "strip.png")).__enter__(), lambda: find_run(str(out)),
+        lambda: resolve_result(str(out), ("texture.png", "strip.png")).__enter__(),
+        lambda: find_run(str(out)),
         lambda: resolve_result(str(out / "motion.npz"), ("texture.png",)).__enter__(),
-        lambda: make_report(str(out), None), lambda: export_result(str(out), None, ("csv",), ()),
-    ]  # fmt: skip
+        lambda: make_report(str(out), None),
+        lambda: export_result(str(out), None, ("csv",), ()),
+    ]
     for reader in readers:
         with pytest.raises(InputError, match=r"is unfinished, .*: run the same command again"):
             reader()
@@ -46,9 +48,12 @@ def test_never_a_mixture(kind: str, problem: Problem, store: Path, tmp_path: Pat
     inputs = [problem.frame, problem.background, problem.first_body]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     done = subprocess.run(
-        [sys.executable, str(_SCRIPT), kind, str(out), *map(str, inputs)], capture_output=True, text=True,
-        env=environment, timeout=500,
-    )  # fmt: skip
+        [sys.executable, str(_SCRIPT), kind, str(out), *map(str, inputs)],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=500,
+    )
     assert done.returncode == 0, done.stderr
     steps = int(done.stdout.split()[-1])
     old, new = contents(out), contents(Path(f"{out}-whole"))

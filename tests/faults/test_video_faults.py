@@ -175,12 +175,26 @@ def tracking_server(store: Path, port: int) -> subprocess.Popen[bytes]:
     artifacts = store.parent / "mlflow-artifacts"
     server = subprocess.Popen(
         [
-            sys.executable, "-m", "mlflow", "server", "--backend-store-uri", f"sqlite:///{store}", "--port", str(port),
-            "--host", "127.0.0.1", "--workers", "1", "--artifacts-destination", artifacts.as_uri(),
+            sys.executable,
+            "-m",
+            "mlflow",
+            "server",
+            "--backend-store-uri",
+            f"sqlite:///{store}",
+            "--port",
+            str(port),
+            "--host",
+            "127.0.0.1",
+            "--workers",
+            "1",
+            "--artifacts-destination",
+            artifacts.as_uri(),
         ],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
         env={**os.environ, "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"},
-    )  # fmt: skip
+    )
     deadline = time.monotonic() + 120
     while True:
         try:

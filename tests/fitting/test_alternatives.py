@@ -33,9 +33,15 @@ def swinging(probability: tuple[float, ...], arm_m: float = 0.3, frames: int = 1
     limbs = np.zeros((4, frames, 5), bool)
     limbs[1, :, ARM], limbs[2], limbs[3] = True, True, ~limbs[1]
     return Alternatives(
-        limbs, np.zeros((4, rows, 72)), np.zeros((4, rows, 3)), joints, {"loss": np.arange(4.0)},
-        np.array(probability), 0, np.repeat(np.arange(frames), 5),
-    )  # fmt: skip
+        limbs,
+        np.zeros((4, rows, 72)),
+        np.zeros((4, rows, 3)),
+        joints,
+        {"loss": np.arange(4.0)},
+        np.array(probability),
+        0,
+        np.repeat(np.arange(frames), 5),
+    )
 
 
 def test_probabilities_of_parts_are_sums_over_what_agrees() -> None:

@@ -50,9 +50,20 @@ def objective_of(scene: Scene, weights: Weights, pose_prior: PosePrior, body_ble
     first = axis_angle_to_matrix(torch.stack([one.pose for one in scene.middle]))
     texels = texel_neighbours(body.mesh, body.template, texel_faces(body.mesh, 8))
     return Objective(
-        scene.observation, body, make_rasterizer(), pose_prior, weights, 4, first, texels, matte_scales=3,
-        image_scales=2, evidence=true_evidence(scene), xy_weight=0.2, motion_prior=load_motion_prior(None),
-    )  # fmt: skip
+        scene.observation,
+        body,
+        make_rasterizer(),
+        pose_prior,
+        weights,
+        4,
+        first,
+        texels,
+        matte_scales=3,
+        image_scales=2,
+        evidence=true_evidence(scene),
+        xy_weight=0.2,
+        motion_prior=load_motion_prior(None),
+    )
 
 
 def somewhere(scene: Scene, seed: int) -> Variables:

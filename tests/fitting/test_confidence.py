@@ -78,9 +78,14 @@ def _features(case: Done) -> tuple[SampledMotion, dict[str, np.ndarray]]:
     trajectory, alternatives = search_directions(case.found, case.coarse, case.fine, search)
     found, seen = replace(case.found, trajectory=trajectory), case.scene.observation
     motion = sample_motion(
-        trajectory, case.fine.body.shape(found.betas), found.betas, 6, seen.exposure_s, seen.interval_s,
+        trajectory,
+        case.fine.body.shape(found.betas),
+        found.betas,
+        6,
+        seen.exposure_s,
+        seen.interval_s,
         seen.camera.matrix(),
-    )  # fmt: skip
+    )
     return motion, joint_features(
         motion, alternatives, found, first_bodies=case.scene.middle, coarse=case.coarse, height_told=False
     )
@@ -97,8 +102,14 @@ def test_radii_follow_the_kind_of_start_frame_by_frame() -> None:
     for kind in ("network", "matte"):
         assert alone[kind][:, 1:].mean() > 1.5 * alone["simulated"][:, 1:].mean()
     assert [start_kind(name) for name in ("matte", "mediapipe", "WHAM", "between", "metro", "simulated", "truth")] == [
-        "matte", "network", "network", "network", "network", "simulated", "simulated",
-    ]  # fmt: skip
+        "matte",
+        "network",
+        "network",
+        "network",
+        "network",
+        "simulated",
+        "simulated",
+    ]
 
 
 @pytest.mark.parametrize("kind", get_args(StartKind))

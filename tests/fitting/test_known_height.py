@@ -21,10 +21,13 @@ TRUE_M = 1.70
 def told(height: float | None, rotation: str = "quaternion") -> FitConfig:
     return preset("best").fit.model_copy(
         update={
-            "stages": (Stage(size_px=48, iterations=25),), "subframes": 3, "texture_px": 16, "height_m": height,
+            "stages": (Stage(size_px=48, iterations=25),),
+            "subframes": 3,
+            "texture_px": 16,
+            "height_m": height,
             "rotation": rotation,
         }
-    )  # fmt: skip
+    )
 
 
 def found(config: FitConfig, person: Identity | None = None) -> FitResult:

@@ -77,9 +77,13 @@ def test_pictures_that_share_a_texture_count_more_at_full_size(frames: int) -> N
 
     def result(weight: float, factor: float, *stages: Stage) -> FitResult:
         config = FitConfig(
-            stages=stages, subframes=3, texture_px=16, multi_frame=MultiFrame(image=factor),
-            weights=Weights(image=weight, boundary=0), directions=DirectionsConfig(search=True, limbs=False, refits=0),
-        )  # fmt: skip
+            stages=stages,
+            subframes=3,
+            texture_px=16,
+            multi_frame=MultiFrame(image=factor),
+            weights=Weights(image=weight, boundary=0),
+            directions=DirectionsConfig(search=True, limbs=False, refits=0),
+        )
         return fit(scene.observation, scene.middle, body, config, 0, AnatomicalPrior())
 
     plain, more = (result(2, factor, coarse, whole) for factor in (1, 5))
@@ -204,9 +208,11 @@ def test_every_network_runs_in_a_timed_stage(monkeypatch: pytest.MonkeyPatch) ->
     body, stage = load_default_body(), Stage(size_px=48, iterations=2)
     scene, told, calls = moving_scene(body, size_px=48), [""], []
     networks = {
-        "joint": (joint_evidence, "shipped_joint_network"), "lifting": (lifting_network, "shipped_lifting_network"),
-        "fusion": (depth_fusion, "shipped_depth_fusion"), "matting": (network, "shipped_third"),
-    }  # fmt: skip
+        "joint": (joint_evidence, "shipped_joint_network"),
+        "lifting": (lifting_network, "shipped_lifting_network"),
+        "fusion": (depth_fusion, "shipped_depth_fusion"),
+        "matting": (network, "shipped_third"),
+    }
 
     def watch(name: str, load: Callable[[], Any]) -> Callable[[], Any]:
         def loaded() -> Any:
@@ -220,9 +226,14 @@ def test_every_network_runs_in_a_timed_stage(monkeypatch: pytest.MonkeyPatch) ->
     best = preset("best").fit
     config = best.model_copy(update={"stages": (stage, stage), "subframes": 3, "texture_px": 16, "settle": 2})
     result = fit(
-        scene.observation, scene.middle, body, config, 0, AnatomicalPrior(),
+        scene.observation,
+        scene.middle,
+        body,
+        config,
+        0,
+        AnatomicalPrior(),
         on_progress=lambda done, total, note: told.append(note),
-    )  # fmt: skip
+    )
     assert set(calls) == {("evidence", "joint"), *(("refine 2", name) for name in networks)}
     names = ["evidence", "warm_up", "stage_1", "refine_2", "stage_2", "directions"]
     assert list(result.stage_seconds) == names

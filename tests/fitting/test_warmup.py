@@ -34,9 +34,16 @@ def test_a_skeleton_settles_where_the_joints_were_seen() -> None:
     first = axis_angle_to_matrix(start.pose)[None]
     rasterizer = make_rasterizer("coverage", "cpu", 1)
     objective = Objective(
-        seen, body, rasterizer, AnatomicalPrior(), config.weights, 8, first, evidence=evidence,
+        seen,
+        body,
+        rasterizer,
+        AnatomicalPrior(),
+        config.weights,
+        8,
+        first,
+        evidence=evidence,
         xy_weight=0.0,  # that is for pictures, of which there are none here
-    )  # fmt: skip
+    )
 
     def error_mm() -> tuple[float, float]:
         """Of the joints at mid-exposure, and of their way during the exposure, relative to the pelvis."""

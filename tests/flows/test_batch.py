@@ -40,8 +40,11 @@ def test_each_clip_once(folder: Path, store: Path, tmp_path: Path) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX)
         first = batch(folder, out, config, workers=1, attempts=1, wait_s=0.1)
     assert {name: first[name] for name in ("clips", "done", "set_aside", "waiting")} == {
-        "clips": 3, "done": 1, "set_aside": 2, "waiting": 0,
-    }  # fmt: skip
+        "clips": 3,
+        "done": 1,
+        "set_aside": 2,
+        "waiting": 0,
+    }
     ledger = json.loads((out / "batch.json").read_text())
     assert "another hfb is working" in ledger["walk"]["reason"]
     assert "broken.mp4" in ledger["broken"]["reason"]

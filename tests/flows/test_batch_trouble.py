@@ -148,11 +148,18 @@ def _huge(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "damage"),
     [
-        ("result.json", _cut), ("result.json", _folder), ("result.json", _types), ("result.json", _deep),
-        ("result.json", _huge), ("result.json", _pipe), ("strip.png", _cut), ("strip.png", _folder),
-        ("strip.png", _bomb), ("strip.png", _huge),
+        ("result.json", _cut),
+        ("result.json", _folder),
+        ("result.json", _types),
+        ("result.json", _deep),
+        ("result.json", _huge),
+        ("result.json", _pipe),
+        ("strip.png", _cut),
+        ("strip.png", _folder),
+        ("strip.png", _bomb),
+        ("strip.png", _huge),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_result_is_its_clips_trouble(name: str, damage: Callable[[Path], None], tmp_path: Path) -> None:
     out = tmp_path / "out"
     for clip in ("walk", "wave"):

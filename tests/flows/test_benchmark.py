@@ -137,8 +137,13 @@ def write_motion(path: Path, broken: float | None = None) -> None:
         poses[5, 3, 1] = broken
     times_s = np.arange(frames) / clip.fps
     motion = SampledMotion(
-        poses.reshape(frames, 72), clip.translations, np.zeros(10), np.zeros((frames, 24, 3)), times_s,
-        np.zeros(frames, int), np.eye(3),
-    )  # fmt: skip
+        poses.reshape(frames, 72),
+        clip.translations,
+        np.zeros(10),
+        np.zeros((frames, 24, 3)),
+        times_s,
+        np.zeros(frames, int),
+        np.eye(3),
+    )
     save_motion(path, motion, "hfb")
     assert broken is not None or np.isfinite(load_motion(path)[0].poses).all()

@@ -32,9 +32,10 @@ _WRONG: dict[str, tuple[Any, dict[str, Any]]] = {
     "b-aist is made from real video": (deployed.benchmark, {"set": "b-aist"}),
     "safetensors": (deployed.train, {"plan": TrainingPlan(motions=_MISSING, kind="pose")}),
     "unknown option fit.subframe;": (
-        deployed.fit, {"frames": [_MISSING], "background": _MISSING, "options": Options(fit={"subframe": 3})},
+        deployed.fit,
+        {"frames": [_MISSING], "background": _MISSING, "options": Options(fit={"subframe": 3})},
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("sentence", _WRONG)

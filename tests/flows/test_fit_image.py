@@ -146,9 +146,7 @@ def test_reuses_what_did_not_change(problem: Problem, store: Path, tmp_path: Pat
 def test_a_height_from_the_clip_is_held_and_recorded(problem: Problem, store: Path, tmp_path: Path) -> None:
     out, clip = tmp_path / "out", tmp_path / "clip.toml"
     clip.write_text("[person]\nheight_m = 1.85\n")
-    result = fit_image(
-        [problem.frame], problem.background, out, TINY, clip=clip, first_bodies=[problem.first_body]
-    )  # fmt: skip
+    result = fit_image([problem.frame], problem.background, out, TINY, clip=clip, first_bodies=[problem.first_body])
     motion, _ = load_motion(out / "motion.npz")
     assert float(height_m(load_default_body(), torch.from_numpy(motion.betas))) == pytest.approx(1.85, abs=1e-4)
     assert result["config"]["fit"]["height_m"] == 1.85

@@ -28,9 +28,11 @@ def wham_result(problem: Problem, path: Path, frames: int = 3, bystander: bool =
     """The example's true middle pose as WHAM would write it, in every frame; a bystander is seen longer."""
     true = load_first_body(problem.first_body)
     one = {
-        "pose": np.tile(true.pose.numpy().reshape(1, 72), (frames, 1)), "betas": np.zeros((frames, 10)),
-        "trans": np.tile(true.translation.numpy(), (frames, 1)), "frame_ids": np.arange(frames),
-    }  # fmt: skip
+        "pose": np.tile(true.pose.numpy().reshape(1, 72), (frames, 1)),
+        "betas": np.zeros((frames, 10)),
+        "trans": np.tile(true.translation.numpy(), (frames, 1)),
+        "frame_ids": np.arange(frames),
+    }
     beside = {name: np.repeat(array, 2, 0) for name, array in one.items()}
     beside |= {"trans": beside["trans"] + [1.5, 0, 0], "frame_ids": np.arange(2 * frames)}
     joblib.dump({0: beside, 7: one} if bystander else {7: one}, path)
@@ -163,9 +165,7 @@ def test_a_result_of_a_whole_clip(store: Path, tmp_path: Path) -> None:
     (truth,) = read_tracks([made.truth], 96, 128)
     seen = truth.rows(np.array([frame for frame in range(len(truth)) if frame != 5]))
     save_track(tmp_path / "track.npz", seen)
-    result = run_clip(
-        made.truth.parent, tmp_path / "out", "--init", str(tmp_path / "track.npz"), truth=made.truth
-    )  # fmt: skip
+    result = run_clip(made.truth.parent, tmp_path / "out", "--init", str(tmp_path / "track.npz"), truth=made.truth)
     assert result["frames"] == FRAMES
     assert result["filled"] == [5]
     assert result["gaps"] == []

@@ -41,13 +41,22 @@ def is_whole(outside: Path) -> bool:
 @pytest.mark.parametrize(
     ("place", "target"),
     [
-        ("intermediate", "."), ("intermediate/records", "."), ("intermediate/.lock", ".lock"),
-        ("intermediate/publish", "."), ("intermediate/publish/motion.npz", "motion.npz"),
-        ("intermediate/records/hfb-1", "hfb-mine"), ("intermediate/matte", "none"), ("result.json", "result.json"),
-        ("motion.npz", "motion.npz"), ("matte_3.png", "0.png"), ("cases", "."), ("person-2", "."), ("export", "."),
+        ("intermediate", "."),
+        ("intermediate/records", "."),
+        ("intermediate/.lock", ".lock"),
+        ("intermediate/publish", "."),
+        ("intermediate/publish/motion.npz", "motion.npz"),
+        ("intermediate/records/hfb-1", "hfb-mine"),
+        ("intermediate/matte", "none"),
+        ("result.json", "result.json"),
+        ("motion.npz", "motion.npz"),
+        ("matte_3.png", "0.png"),
+        ("cases", "."),
+        ("person-2", "."),
+        ("export", "."),
         ("overlay.mp4", "none"),
     ],
-)  # fmt: skip
+)
 def test_links_in_a_folder_for_results(outside: Path, tmp_path: Path, place: str, target: str) -> None:
     link = tmp_path / "out" / place
     link.parent.mkdir(parents=True)
@@ -99,10 +108,15 @@ def received(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "place",
     [
-        "result.json", "motion.npz", "texture.png", "strip.png", "curves.json", "intermediate/page_film.mp4",
+        "result.json",
+        "motion.npz",
+        "texture.png",
+        "strip.png",
+        "curves.json",
+        "intermediate/page_film.mp4",
         "intermediate",
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("make", [lambda path, target: path.symlink_to(target), lambda path, _: os.mkfifo(path)])
 def test_readers_of_a_received_result(
     outside: Path, received: Path, place: str, make: Callable[[Path, Path], None]

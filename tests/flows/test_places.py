@@ -39,10 +39,20 @@ def test_below_the_folder(data: Path) -> None:
 @pytest.mark.parametrize(
     "spelled",
     [
-        "/etc/passwd", "{data}/../secrets/a", "{data}/out/a", "{data}base/a", "data/../secrets", "a.png", "~/a",
-        "file://{data}/a.png", "https://example.org/a.png", "/proc/self/environ", "{data}/../models.toml", "",
+        "/etc/passwd",
+        "{data}/../secrets/a",
+        "{data}/out/a",
+        "{data}base/a",
+        "data/../secrets",
+        "a.png",
+        "~/a",
+        "file://{data}/a.png",
+        "https://example.org/a.png",
+        "/proc/self/environ",
+        "{data}/../models.toml",
+        "",
     ],
-)  # fmt: skip
+)
 def test_outside_of_the_folder(spelled: str, data: Path) -> None:
     path = Path(spelled.format(data=data))
     with pytest.raises(InputError, match="HFB_ALLOWED") as refused:
@@ -68,10 +78,15 @@ def test_workers_that_may_be_named(workers: int | str, data: Path) -> None:
 @pytest.mark.parametrize(
     "workers",
     [
-        "dask:tcp://scheduler:87860", "dask:tcp://scheduler:8786/x", "dask:tls://scheduler:8786", "ray:auto",
-        " ray:auto", "dask:tcp://scheduler:8786@evil:1", "ray:ray://evil:10001",
+        "dask:tcp://scheduler:87860",
+        "dask:tcp://scheduler:8786/x",
+        "dask:tls://scheduler:8786",
+        "ray:auto",
+        " ray:auto",
+        "dask:tcp://scheduler:8786@evil:1",
+        "ray:ray://evil:10001",
     ],
-)  # fmt: skip
+)
 def test_workers_that_may_not(workers: str, data: Path) -> None:
     with pytest.raises(InputError, match=r"workers: .* is an address"):
         places.check_addresses(workers, None)
@@ -80,13 +95,21 @@ def test_workers_that_may_not(workers: str, data: Path) -> None:
 @pytest.mark.parametrize(
     ("store", "good"),
     [
-        ("s3://bucket/hfb", True), ("s3://bucket/hfb/", True), ("s3://bucket/hfb/deeper/x_1", True),
-        ("s3://bucket/hfb2", False), ("s3://bucket", False), ("s3://bucket/hfb/../other", False),
-        ("s3://bucket/hfb/x?endpoint=http://evil", False), ("s3://bucket/hfb/%2e%2e/other", False),
+        ("s3://bucket/hfb", True),
+        ("s3://bucket/hfb/", True),
+        ("s3://bucket/hfb/deeper/x_1", True),
+        ("s3://bucket/hfb2", False),
+        ("s3://bucket", False),
+        ("s3://bucket/hfb/../other", False),
+        ("s3://bucket/hfb/x?endpoint=http://evil", False),
+        ("s3://bucket/hfb/%2e%2e/other", False),
         ("/srv/shared", False),
-        ("file:///srv", False), ("gs://bucket/hfb", False), ("s3://bucket/hfb@evil", False), ("", False),
+        ("file:///srv", False),
+        ("gs://bucket/hfb", False),
+        ("s3://bucket/hfb@evil", False),
+        ("", False),
     ],
-)  # fmt: skip
+)
 def test_stores(store: str, good: bool, data: Path) -> None:
     if good:
         places.check_addresses("dask:tcp://scheduler:8786", store)
@@ -95,8 +118,10 @@ def test_stores(store: str, good: bool, data: Path) -> None:
         places.check_addresses("dask:tcp://scheduler:8786", store)
 
 
-@pytest.mark.parametrize("name", ["body.model", "init.file", "init.weights", "init.mesh_sampling", "matting.weights",
-                                  "prior.pose", "prior.motion"])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    ["body.model", "init.file", "init.weights", "init.mesh_sampling", "matting.weights", "prior.pose", "prior.motion"],
+)
 def test_every_option_that_names_a_file_is_looked_at(name: str, data: Path) -> None:
     room, _, field = name.partition(".")
     config = RunConfig.model_validate({room: {field: "/elsewhere"}})
@@ -111,8 +136,15 @@ def test_no_option_that_names_a_file_is_left_out() -> None:
         for name, field in getattr(record.annotation, "model_fields", {}).items()
         if "Path" in str(field.annotation)
     }
-    assert found == {"body.model", "init.file", "init.weights", "init.mesh_sampling", "matting.weights", "prior.pose",
-                     "prior.motion"}  # fmt: skip
+    assert found == {
+        "body.model",
+        "init.file",
+        "init.weights",
+        "init.mesh_sampling",
+        "matting.weights",
+        "prior.pose",
+        "prior.motion",
+    }
 
 
 def test_without_settings_it_is_data(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,10 +167,15 @@ def copies(path: Path, count: int, age_days: float) -> None:
         for table, (key, dates) in kinds.items():
             names = [row[1] for row in database.execute(f"pragma table_xinfo({table})") if row[6] == 0]
             values = [
-                "lower(hex(randomblob(16)))" if name == key else f"'{when}'" if name in dates else
-                "null" if name in ("state_id", "idempotency_key") else f'"{name}"'
+                "lower(hex(randomblob(16)))"
+                if name == key
+                else f"'{when}'"
+                if name in dates
+                else "null"
+                if name in ("state_id", "idempotency_key")
+                else f'"{name}"'
                 for name in names
-            ]  # fmt: skip
+            ]
             listed = ", ".join(f'"{name}"' for name in names)
             for _ in range(count):
                 database.execute(

@@ -99,9 +99,14 @@ def command(problem: Problem, folder: Path, **settings: str) -> subprocess.Compl
     }
     words = ["fit", str(problem.frame), "--background", str(problem.background), "--out", str(folder / "out")]
     return subprocess.run(
-        [sys.executable, "-m", "hfb.flows.cli.cli", *words, "--json", *TINY_OPTIONS], env=environment,
-        capture_output=True, text=True, cwd=ROOT, check=False, timeout=500,
-    )  # fmt: skip
+        [sys.executable, "-m", "hfb.flows.cli.cli", *words, "--json", *TINY_OPTIONS],
+        env=environment,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+        timeout=500,
+    )
 
 
 def test_a_home_that_cannot_be_written_names_the_variable(problem: Problem, tmp_path: Path) -> None:

@@ -47,9 +47,11 @@ def test_every_moment(tmp_path: Path, before: str) -> None:
         (out / "result.json").write_text(json.dumps({"unfinished": "killed", **note}))
     old = contents(out)
     done = subprocess.run(
-        [sys.executable, "-c", _SCRIPT, str(out), str(made)], capture_output=True, text=True,
+        [sys.executable, "-c", _SCRIPT, str(out), str(made)],
+        capture_output=True,
+        text=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     steps = int(done.stdout)
     new = contents(Path(f"{out}-whole"))

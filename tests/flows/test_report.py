@@ -157,9 +157,12 @@ def mlflow_pages() -> Iterator[None]:
     """MLflow's pages over the test's store, as `hfb runs` starts them."""
     quiet = {"DO_NOT_TRACK": "true", "MLFLOW_DISABLE_TELEMETRY": "true"}
     server = subprocess.Popen(
-        pages_command(PORT), env={**os.environ, **SMALL_SERVER, **quiet}, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        pages_command(PORT),
+        env={**os.environ, **SMALL_SERVER, **quiet},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     try:
         deadline = time.monotonic() + 180
         while True:

@@ -146,9 +146,7 @@ def test_a_difference_is_measured(
 
     def another_machine(observation: Any, first_bodies: Any, body: Any, config: Any, *rest: Any, **more: Any) -> Any:
         stages = tuple(one.model_copy(update={"learning_rate": 0.011}) for one in config.stages)
-        return original(
-            observation, first_bodies, body, config.model_copy(update={"stages": stages}), *rest, **more
-        )  # fmt: skip
+        return original(observation, first_bodies, body, config.model_copy(update={"stages": stages}), *rest, **more)
 
     monkeypatch.setattr(hfb.tasks.image.fit_motion, "fit", another_machine)
     same = again(made["mlflow_run_id"])
@@ -240,9 +238,12 @@ def test_runs_that_cannot_be_repeated(made: dict[str, Any], store: Path, tmp_pat
 
 def test_everyone_of_a_clip_is_repeated_one_by_one(store: Path, tmp_path: Path) -> None:
     for name, told in {
-        ".": {"people": []}, "person-10": {"mlflow_run_id": "0123"}, "person-2": {"mlflow_run_id": "4567"},
-        "person-3": {"mlflow_run_id": None}, "person-4": None,
-    }.items():  # fmt: skip
+        ".": {"people": []},
+        "person-10": {"mlflow_run_id": "0123"},
+        "person-2": {"mlflow_run_id": "4567"},
+        "person-3": {"mlflow_run_id": None},
+        "person-4": None,
+    }.items():
         (tmp_path / "all" / name).mkdir(parents=True, exist_ok=True)
         if told is not None:
             (tmp_path / "all" / name / "result.json").write_text(json.dumps(told))
@@ -307,10 +308,14 @@ def test_hidden_options_of_a_recipe() -> None:
     """Also in lists and in what clip.toml said; a file's path is no option."""
     file = GivenFile(path=Path("/a/token=***/w.pt"), sha256="1", bytes=3)
     recipe = Recipe(
-        command="video", code="", options={}, results={}, files={"init_file_0": file},
+        command="video",
+        code="",
+        options={},
+        results={},
+        files={"init_file_0": file},
         config={"init": {"person": "***", "file": "/a/token=***/w.pt"}, "export": {"formats": ["bvh", "***"]}},
         inputs={"clip": {"exposure": {"light": "x***"}}, "video": [{"path": "/b/sig=***/v.mp4", "sha256": "2"}]},
-    )  # fmt: skip
+    )
     names = ("init.person", "export.formats", "inputs.clip.exposure.light")
     assert hidden_options(recipe) == names
     told = with_options(recipe, {name: f"value of {name}" for name in names}, "x")

@@ -30,9 +30,14 @@ def record(folder: Path, count: int = 6) -> Path:
         frames = min(len(clip.poses), 90)
         times_s = np.arange(frames) / clip.fps
         motion = SampledMotion(
-            clip.poses[:frames].reshape(frames, 72), clip.translations[:frames], np.zeros(10),
-            np.zeros((frames, 24, 3)), times_s, np.zeros(frames, int), np.eye(3),
-        )  # fmt: skip
+            clip.poses[:frames].reshape(frames, 72),
+            clip.translations[:frames],
+            np.zeros(10),
+            np.zeros((frames, 24, 3)),
+            times_s,
+            np.zeros(frames, int),
+            np.eye(3),
+        )
         save_motion(folder / f"motion_{number}.npz", motion, "hfb")
     return folder
 

@@ -16,10 +16,17 @@ from hfb.flows.runtime import deployment_run, worker
 
 _INFRA = Path(__file__).parents[2] / "infra"
 _EVIL: dict[str, Any] = {
-    "command": "touch /tmp/marker", "env": {"PYTHONPATH": "/evil", "PREFECT_API_URL": "http://evil"}, "image": "evil",
-    "env.LD_PRELOAD": "/evil.so", "working_dir": "/evil", "volumes": ["/:/host"], "privileged": True,
-    "networks": ["host"], "name": "evil", "labels": {"evil": "1"},
-}  # fmt: skip
+    "command": "touch /tmp/marker",
+    "env": {"PYTHONPATH": "/evil", "PREFECT_API_URL": "http://evil"},
+    "image": "evil",
+    "env.LD_PRELOAD": "/evil.so",
+    "working_dir": "/evil",
+    "volumes": ["/:/host"],
+    "privileged": True,
+    "networks": ["host"],
+    "name": "evil",
+    "labels": {"evil": "1"},
+}
 
 
 def _configured(configuration: type[Any], template: dict[str, Any], values: dict[str, Any]) -> Any:

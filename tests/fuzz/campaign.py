@@ -71,9 +71,14 @@ class _Worker:
         home = {"PYTHONPATH": str(_ROOT), "PATH": "/usr/bin:/bin", "HOME": str(self._folder), "OMP_NUM_THREADS": "1"}
         with (self._folder / "stderr").open("wb") as stderr:
             self.process = subprocess.Popen(
-                self._command, cwd=self._folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr,
-                text=True, env=home,
-            )  # fmt: skip
+                self._command,
+                cwd=self._folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                text=True,
+                env=home,
+            )
         assert json.loads(self.process.stdout.readline() or "{}"), (self._folder / "stderr").read_text()
 
     def give(self, number: int) -> None:
@@ -148,11 +153,20 @@ def main() -> int:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="hfb-fuzz-") as folder:
         report = run(numbers, given.seed, given.workers, Path(folder), given.kinds)
-    print(json.dumps({
-        "cases": len(numbers), "outcomes": report.outcomes, "slowest (s, case)": report.slowest,
-        "largest (MB, case)": report.largest, "seconds": round(time.perf_counter() - began),
-        "kinds": dict(sorted(report.kinds.items())), "failures": report.failures,
-    }, indent=1))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "cases": len(numbers),
+                "outcomes": report.outcomes,
+                "slowest (s, case)": report.slowest,
+                "largest (MB, case)": report.largest,
+                "seconds": round(time.perf_counter() - began),
+                "kinds": dict(sorted(report.kinds.items())),
+                "failures": report.failures,
+            },
+            indent=1,
+        )
+    )
     return 1 if report.failures else 0
 
 

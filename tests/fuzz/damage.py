@@ -28,13 +28,29 @@ _ABSURD = (
     np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300, 5e-324, 0, -1, 1, 1e4, 1e5, 3333, 1e9, -1e9, 2**31, 2**62, 1e18,
 )  # fmt: skip
 _NUMBERS = (
-    b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"99999999999999999999", b"1e300", b"''", b"9" * 5000,
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e999",
+    b"-1",
+    b"0",
+    b"99999999999999999999",
+    b"1e300",
+    b"''",
+    b"9" * 5000,
     b"1" * 400,
-)  # fmt: skip
+)
 _WORDS = (
-    b"../../../etc/passwd", b"/etc/passwd", b"a\\u0000b", b"", b"x" * 5000, b"\xff\xfe", b"http://127.0.0.1:9/x",
-    b"__import__('os')", b"\xf0\x9f\x92\xa3",
-)  # fmt: skip
+    b"../../../etc/passwd",
+    b"/etc/passwd",
+    b"a\\u0000b",
+    b"",
+    b"x" * 5000,
+    b"\xff\xfe",
+    b"http://127.0.0.1:9/x",
+    b"__import__('os')",
+    b"\xf0\x9f\x92\xa3",
+)
 
 
 @dataclass(frozen=True)
@@ -64,12 +80,17 @@ def make_case(seeds: Sequence[Seed], campaign: int, number: int) -> Case:
 def _ways(seed: Seed, seeds: Sequence[Seed]) -> dict[str, Callable[[bytes, Random], bytes]]:
     alike = [other.data for other in seeds if other.kind == seed.kind]
     ways: dict[str, Callable[[bytes, Random], bytes]] = {
-        "bits": _flip, "bytes": _overwrite, "truncated": _truncate, "cut": _cut, "doubled": _double,
-        "inserted": _insert, "header": _header,
+        "bits": _flip,
+        "bytes": _overwrite,
+        "truncated": _truncate,
+        "cut": _cut,
+        "doubled": _double,
+        "inserted": _insert,
+        "header": _header,
         "spliced": lambda data, rng: _splice(data, alike[rng.integers(len(alike))], rng),
         "another": lambda data, rng: _splice(data, seeds[rng.integers(len(seeds))].data, rng),
         "hostile": lambda _, rng: hostile(seed.name, rng),
-    }  # fmt: skip
+    }
     if seed.data[:2] == b"PK":
         ways |= {"member": _member, "member again": _member, "zip sizes": _zip_sizes}
     if seed.name.endswith(_TEXT_SUFFIXES) or seed.kind in _TEXTS:
@@ -167,11 +188,25 @@ def _array_header(data: bytes, rng: Random) -> bytes:
     length = int.from_bytes(data[8:10], "little")
     text, body = data[10 : 10 + length], data[10 + length :]
     shapes = (
-        b"(1000000000000,)", b"(-1,)", b"(0, 99999999999)", b"()", b"(1000000, 1000000)", b"(3, 24, 3)", b"(True,)",
-    )  # fmt: skip
+        b"(1000000000000,)",
+        b"(-1,)",
+        b"(0, 99999999999)",
+        b"()",
+        b"(1000000, 1000000)",
+        b"(3, 24, 3)",
+        b"(True,)",
+    )
     kinds = (
-        b"'<f8'", b"'|O'", b"'<U100000000'", b"'|V0'", b"'<c16'", b"'<M8[s]'", b"[('a', '<f8')]", b"'>i2'", b"'|S0'",
-    )  # fmt: skip
+        b"'<f8'",
+        b"'|O'",
+        b"'<U100000000'",
+        b"'|V0'",
+        b"'<c16'",
+        b"'<M8[s]'",
+        b"[('a', '<f8')]",
+        b"'>i2'",
+        b"'|S0'",
+    )
     what = rng.integers(4)
     if what == 0:
         text = re.sub(rb"\([^)]*\)", shapes[rng.integers(len(shapes))], text, count=1)
@@ -284,10 +319,17 @@ def _tensor_header(data: bytes, rng: Random) -> bytes:
     except (ValueError, IndexError, TypeError):
         return _flip(data, rng)
     changes: tuple[tuple[str, object], ...] = (
-        ("shape", [1 << 40]), ("shape", [-1]), ("shape", []), ("shape", [0, 1 << 62]), ("dtype", "F64"),
-        ("data_offsets", [0, 1 << 50]), ("data_offsets", [10, 2]), ("data_offsets", [0]), ("dtype", "BOOL"),
+        ("shape", [1 << 40]),
+        ("shape", [-1]),
+        ("shape", []),
+        ("shape", [0, 1 << 62]),
+        ("dtype", "F64"),
+        ("data_offsets", [0, 1 << 50]),
+        ("data_offsets", [10, 2]),
+        ("data_offsets", [0]),
+        ("dtype", "BOOL"),
         ("dtype", "X9"),
-    )  # fmt: skip
+    )
     key, value = changes[rng.integers(len(changes))]
     if isinstance(one, dict):
         one[key] = value

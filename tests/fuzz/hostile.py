@@ -57,12 +57,23 @@ def _pickled(rng: np.random.Generator) -> bytes:
 def _by_name(rng: np.random.Generator) -> bytes:
     """Opcodes by hand: names that look harmless, and what is behind them."""
     names = (
-        b"cos\nsystem\n", b"cbuiltins\neval\n", b"cnumpy\nload\n", b"ctorch\nload\n", b"cjoblib\nload\n",
-        b"ctorch.storage\n_load_from_bytes\n", b"cnumpy.core.multiarray\nscalar.__class__\n",
-        b"ccopyreg\n__newobj__\n", b"cnumpy\nndarray.tofile\n",
-        b"\x8c\x02os\x8c\x06system\x93", b"cchumpy.ch\nos.system\n", b"cscipy.sparse\ncsc_matrix.__init__\n",
-        b"cpathlib\nPath\n", b"cbuiltins\nbytearray\n", b"\x82\x01", b"cbuiltins\ngetattr\n",
-    )  # fmt: skip
+        b"cos\nsystem\n",
+        b"cbuiltins\neval\n",
+        b"cnumpy\nload\n",
+        b"ctorch\nload\n",
+        b"cjoblib\nload\n",
+        b"ctorch.storage\n_load_from_bytes\n",
+        b"cnumpy.core.multiarray\nscalar.__class__\n",
+        b"ccopyreg\n__newobj__\n",
+        b"cnumpy\nndarray.tofile\n",
+        b"\x8c\x02os\x8c\x06system\x93",
+        b"cchumpy.ch\nos.system\n",
+        b"cscipy.sparse\ncsc_matrix.__init__\n",
+        b"cpathlib\nPath\n",
+        b"cbuiltins\nbytearray\n",
+        b"\x82\x01",
+        b"cbuiltins\ngetattr\n",
+    )
     called = (f"(S'touch {CANARY}'\ntR.".encode(), b"(I2000000000\ntR.", b"(tR.", b"}b.")
     return b"\x80\x04" + names[rng.integers(len(names))] + called[rng.integers(len(called))]
 
@@ -130,9 +141,20 @@ def _packed_bomb(rng: np.random.Generator) -> bytes:
 
 
 _PICKLES = [
-    _pickled, _pickled, _by_name, _by_name, _laughs, _cycle, _same_hash, _memo, _long_number, _by_joblib, _by_torch,
-    _by_numpy, _packed_bomb,
-]  # fmt: skip
+    _pickled,
+    _pickled,
+    _by_name,
+    _by_name,
+    _laughs,
+    _cycle,
+    _same_hash,
+    _memo,
+    _long_number,
+    _by_joblib,
+    _by_torch,
+    _by_numpy,
+    _packed_bomb,
+]
 
 
 def archive(members: Iterable[tuple[str, bytes]], level: int | None = 6) -> bytes:
@@ -150,8 +172,19 @@ def _zip_bomb(rng: np.random.Generator) -> bytes:
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (8388608,), }\n"
     member = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + bytes(8388608 * 8)
     names = (
-        "poses", "trans", "joints", "means", "covars", "weights", "v_template", "frame", "id", "box", "xyz", "pose",
-    )  # fmt: skip
+        "poses",
+        "trans",
+        "joints",
+        "means",
+        "covars",
+        "weights",
+        "v_template",
+        "frame",
+        "id",
+        "box",
+        "xyz",
+        "pose",
+    )
     return archive([(f"{name}.npy", member) for name in names[: rng.integers(1, 4)]], 1)
 
 
@@ -170,8 +203,18 @@ def _array_promise(rng: np.random.Generator) -> bytes:
     if rng.integers(2):
         return member
     names = (
-        "poses", "trans", "joints", "means", "weights", "covars", "v_template", "frame", "id", "box", "frames",
-    )  # fmt: skip
+        "poses",
+        "trans",
+        "joints",
+        "means",
+        "weights",
+        "covars",
+        "v_template",
+        "frame",
+        "id",
+        "box",
+        "frames",
+    )
     return archive([(f"{name}.npy", member) for name in names], None)
 
 

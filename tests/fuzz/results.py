@@ -23,24 +23,37 @@ from hfb.interop.writers.mesh_files import mesh_name
 from hfb.interop.writers.skinned_glb import skinned_glb
 from hfb.motion.motion_file import load_motion, save_motion
 from hfb.motion.sampled import SampledMotion
-from hfb.report.result_curves import curve_charts, read_curves
-from hfb.report.result_facts import read_facts
-from hfb.report.slow_motion import film_instants, overlay_rate, picture_count
+from hfb.report.films.slow_motion import film_instants, overlay_rate, picture_count
+from hfb.report.pages.result_curves import curve_charts, read_curves
+from hfb.report.pages.result_facts import read_facts
 from hfb.tasks.batch.batch_summary import BatchSummary
 from hfb.tasks.core.handles import FileHandle
 from hfb.tasks.results.resolve_result import find_named_body
 from hfb.tasks.results.result_report import ReportParts, page_text
 
 FACTS: dict[str, Any] = {
-    "matte_iou": 0.91, "psnr_db": 31.5, "mpjpe_mm": None, "frames": 2, "sub_frames": 6, "fit_seconds": 3.5,
-    "seconds": 9.25, "gaps": [[3, 5]], "filled": [1], "background": "the median over time", "remarks": ["a remark"],
+    "matte_iou": 0.91,
+    "psnr_db": 31.5,
+    "mpjpe_mm": None,
+    "frames": 2,
+    "sub_frames": 6,
+    "fit_seconds": 3.5,
+    "seconds": 9.25,
+    "gaps": [[3, 5]],
+    "filled": [1],
+    "background": "the median over time",
+    "remarks": ["a remark"],
     "directions": [{"right": {"body": 0.6, "torso": None}, "given_body": {"torso": 0.9}}],
-    "unknown": "One blurred picture does not tell.", "out": "/results/walk", "mlflow_run_id": "ab" * 16,
-    "mlflow_link": "http://127.0.0.1:5000/#/experiments/1/runs/ab", "inputs": {"frame_0": "0" * 64},
+    "unknown": "One blurred picture does not tell.",
+    "out": "/results/walk",
+    "mlflow_run_id": "ab" * 16,
+    "mlflow_link": "http://127.0.0.1:5000/#/experiments/1/runs/ab",
+    "inputs": {"frame_0": "0" * 64},
     "config": {"fit": {"height_m": 1.8, "stages": [{"iterations": 4}, {"iterations": 2}]}, "body": {"model": None}},
     "people": [{"name": "person 1", "error": None, "out": "/results/walk/person-1", "frames": 2, "gaps": []}],
-    "files": ["motion.npz", "strip.png"], "code": "1.0",
-}  # fmt: skip
+    "files": ["motion.npz", "strip.png"],
+    "code": "1.0",
+}
 CURVES = {
     "losses": {"total": [3.0, 2.5, 2.0, 1.5, 1.25], "matte": [0.5, 0.4, None, 0.2, 0.1]},
     "windows": [{"frames": [0, 1], "total": [2.0, 1.0]}, {"frames": [1, 2], "total": [3.0]}],
@@ -68,11 +81,15 @@ def write_result(folder: Path) -> Iterator[tuple[str, Path]]:
     motion = whole_motion()
     several = np.stack([motion.joints, motion.joints[::-1]])
     others = Alternatives(
-        reversed_limbs=np.array([[[False] * 5] * 2, [[True] * 5] * 2]), poses=np.zeros((2, 6, 72)),
-        trans=np.stack([motion.trans, motion.trans[::-1]]), joints=several, probability=np.array([0.7, 0.3]), chosen=0,
+        reversed_limbs=np.array([[[False] * 5] * 2, [[True] * 5] * 2]),
+        poses=np.zeros((2, 6, 72)),
+        trans=np.stack([motion.trans, motion.trans[::-1]]),
+        joints=several,
+        probability=np.array([0.7, 0.3]),
+        chosen=0,
         scores={"loss": np.array([1.0, 2.0]), "image": np.array([0.1, 0.2])},
         frame_index=np.repeat(np.arange(2), 3),
-    )  # fmt: skip
+    )
     save_motion(folder / "motion.npz", motion, "hfb")
     save_motion(folder / "motion_with_a_gap.npz", whole_motion(1000), "hfb")
     save_alternatives(folder / "alternatives.npz", others, {"reach": np.ones((6, 24))})
@@ -80,9 +97,13 @@ def write_result(folder: Path) -> Iterator[tuple[str, Path]]:
     (folder / "curves.json").write_text(json.dumps(CURVES))
     Image.fromarray(np.random.default_rng(3).integers(0, 255, (40, 160, 3), np.uint8)).save(folder / "strip.png")
     for kind, name in (
-        ("moving", "motion.npz"), ("moving", "motion_with_a_gap.npz"), ("alternatives", "alternatives.npz"),
-        ("facts", "result.json"), ("curves", "curves.json"), ("strip", "strip.png"),
-    ):  # fmt: skip
+        ("moving", "motion.npz"),
+        ("moving", "motion_with_a_gap.npz"),
+        ("alternatives", "alternatives.npz"),
+        ("facts", "result.json"),
+        ("curves", "curves.json"),
+        ("strip", "strip.png"),
+    ):
         yield kind, folder / name
 
 
@@ -149,13 +170,18 @@ def _difference(path: Path) -> None:
 
 RESULT_READERS: dict[str, tuple[Callable[[Path], Any], ...]] = {
     "moving": (
-        _exports, _films, _difference, lambda path: _page(motion=path), lambda path: read_tracks([path], 480, 640),
+        _exports,
+        _films,
+        _difference,
+        lambda path: _page(motion=path),
+        lambda path: read_tracks([path], 480, 640),
     ),
     "alternatives": (
-        lambda path: direction_record(load_alternatives(path)[0]), lambda path: _page(alternatives=path),
+        lambda path: direction_record(load_alternatives(path)[0]),
+        lambda path: _page(alternatives=path),
     ),
     "facts": (find_named_body, lambda path: _page(facts=path), _batch),
     "curves": (lambda path: curve_charts(read_curves(path), FACTS),),
     "strip": (lambda path: _page(strip=path), _batch),
-}  # fmt: skip
+}
 """Kind of file -> everything that opens one; each reader goes its way, whatever the others said."""

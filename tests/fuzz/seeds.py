@@ -140,9 +140,13 @@ def _pictures(folder: Path) -> Iterator[tuple[str, Path]]:
     exif[0x0112] = 6
     exif.get_ifd(0x8769)[0x829A] = 0.02
     for name, options in (
-        ("a.png", {"exif": exif}), ("a.jpg", {"exif": exif}), ("a.webp", {}), ("a.bmp", {}),
-        ("a.tiff", {"compression": "tiff_deflate"}), ("b.tiff", {"compression": "tiff_lzw"}),
-    ):  # fmt: skip
+        ("a.png", {"exif": exif}),
+        ("a.jpg", {"exif": exif}),
+        ("a.webp", {}),
+        ("a.bmp", {}),
+        ("a.tiff", {"compression": "tiff_deflate"}),
+        ("b.tiff", {"compression": "tiff_lzw"}),
+    ):
         Image.fromarray(levels).save(folder / name, **options)
         yield "picture", folder / name
     for name in ("deep.png", "deep.tiff"):
@@ -160,24 +164,31 @@ def _pictures(folder: Path) -> Iterator[tuple[str, Path]]:
 def _videos(folder: Path) -> Iterator[tuple[str, Path]]:
     frames = [picture(number) for number in range(8)]
     for name, codec, pixels in (
-        ("a.mp4", "libx264", "yuv420p"), ("a.mkv", "libx264", "yuv420p10le"), ("a.avi", "mpeg4", "yuv420p"),
-        ("a.mov", "mjpeg", "yuvj420p"), ("a.ts", "mpeg2video", "yuv420p"), ("a.gif", "gif", "rgb8"),
+        ("a.mp4", "libx264", "yuv420p"),
+        ("a.mkv", "libx264", "yuv420p10le"),
+        ("a.avi", "mpeg4", "yuv420p"),
+        ("a.mov", "mjpeg", "yuvj420p"),
+        ("a.ts", "mpeg2video", "yuv420p"),
+        ("a.gif", "gif", "rgb8"),
         ("a.webm", "libvpx", "yuv420p"),
-    ):  # fmt: skip
+    ):
         write_video(folder / name, frames, codec, pixels, container_options={"fflags": "+bitexact"})
         yield "video", folder / name
 
 
 def _texts(folder: Path) -> Iterator[tuple[str, Path]]:
     for kind, name, text in (
-        ("clip", "clip.toml", CLIP_TOML), ("options", "options.toml", OPTIONS_TOML),
-        ("calibration", "Calib.toml", calibration_toml()), ("calibration", "cameras.json", cameras_json()),
-        ("calibration", "camera.yaml", OPENCV_YAML), ("calibration", "camera.xml", OPENCV_XML),
+        ("clip", "clip.toml", CLIP_TOML),
+        ("options", "options.toml", OPTIONS_TOML),
+        ("calibration", "Calib.toml", calibration_toml()),
+        ("calibration", "cameras.json", cameras_json()),
+        ("calibration", "camera.yaml", OPENCV_YAML),
+        ("calibration", "camera.xml", OPENCV_XML),
         ("calibration", "camera.json", json.dumps({"K": [[800, 0, 320], [0, 800, 240], [0, 0, 1]], "dist": [0] * 5})),
         ("tracks", "tracks.csv", "frame,id,left,top,width,height\n" + "".join(f"{n},3,1,2,30,40\n" for n in range(9))),
         ("tracks", "mot.csv", "".join(f"{n},3,1.5,2,30,40,1,-1,-1,-1\n" for n in range(1, 9))),
         ("chains", "chains.toml", '[two]\ndeblurrer = "net.onnx"\nestimator = "matte"\n'),
-    ):  # fmt: skip
+    ):
         (folder / name).write_text(text)
         yield kind, folder / name
     points = np.random.default_rng(0).normal(0, 1, (6, 3, 3))
@@ -202,26 +213,54 @@ def _archives(folder: Path) -> Iterator[tuple[str, Path]]:
     write_bvh(folder / "walk.bvh", motion)
     yield "motions", folder / "walk.bvh"
     arrays: dict[str, tuple[str, dict[str, np.ndarray]]] = {
-        "amass.npz": ("motions", {
-            "poses": rng.normal(0, 0.2, (20, 156)), "trans": rng.normal(0, 1, (20, 3)), "betas": np.zeros(16),
-            "mocap_framerate": np.array(60.0), "gender": np.array("female"),
-        }),
-        "first_body.npz": ("first body", {
-            "pose": np.zeros((24, 3)), "translation": np.ones(3), "betas": np.zeros(10), "source": np.array("matte"),
-        }),
-        "truth.npz": ("truth", {
-            "joints": rng.normal(0, 1, (5, 2, 3)), "smpl_joints": np.array([1, 2]), "times_s": np.arange(5.0),
-            "frame_index": np.arange(5), "names": np.array(["RHip", "LHip"]),
-        }),
-        "tracks.npz": ("tracks", {
-            "frame": np.arange(5), "id": np.full(5, 3), "box": np.tile([1.0, 2, 30, 40], (5, 1)),
-        }),
-        "joints3d.npz": ("markers", {
-            "frames": np.arange(4), "names": np.array(["RHip", "LHip"]), "xyz": rng.normal(0, 1, (4, 2, 3)),
-        }),
+        "amass.npz": (
+            "motions",
+            {
+                "poses": rng.normal(0, 0.2, (20, 156)),
+                "trans": rng.normal(0, 1, (20, 3)),
+                "betas": np.zeros(16),
+                "mocap_framerate": np.array(60.0),
+                "gender": np.array("female"),
+            },
+        ),
+        "first_body.npz": (
+            "first body",
+            {
+                "pose": np.zeros((24, 3)),
+                "translation": np.ones(3),
+                "betas": np.zeros(10),
+                "source": np.array("matte"),
+            },
+        ),
+        "truth.npz": (
+            "truth",
+            {
+                "joints": rng.normal(0, 1, (5, 2, 3)),
+                "smpl_joints": np.array([1, 2]),
+                "times_s": np.arange(5.0),
+                "frame_index": np.arange(5),
+                "names": np.array(["RHip", "LHip"]),
+            },
+        ),
+        "tracks.npz": (
+            "tracks",
+            {
+                "frame": np.arange(5),
+                "id": np.full(5, 3),
+                "box": np.tile([1.0, 2, 30, 40], (5, 1)),
+            },
+        ),
+        "joints3d.npz": (
+            "markers",
+            {
+                "frames": np.arange(4),
+                "names": np.array(["RHip", "LHip"]),
+                "xyz": rng.normal(0, 1, (4, 2, 3)),
+            },
+        ),
         "poses.npz": ("stored poses", {"poses": rng.normal(0, 0.2, (8, 72)), "trans": np.zeros((8, 3))}),
         "joints.npz": ("result", {"joints": rng.normal(0, 0.1, (5, 24, 3)) + [0, 0, 4], "K": motion.K}),
-    }  # fmt: skip
+    }
     for name, (kind, content) in arrays.items():
         np.savez_compressed(folder / name, **content) if len(name) % 2 else np.savez(folder / name, **content)
         yield kind, folder / name
@@ -279,15 +318,22 @@ def _networks(folder: Path) -> Iterator[tuple[str, Path]]:
 
 def _records(folder: Path) -> Iterator[tuple[str, Path]]:
     recipe = {
-        "format": 1, "command": "fit", "config": {"seed": 1}, "inputs": {}, "options": {}, "results": {"a": "0" * 64},
-        "files": {"frame_0": {"path": "frame.png", "sha256": "0" * 64, "bytes": 10}}, "code": "1",
-    }  # fmt: skip
+        "format": 1,
+        "command": "fit",
+        "config": {"seed": 1},
+        "inputs": {},
+        "options": {},
+        "results": {"a": "0" * 64},
+        "files": {"frame_0": {"path": "frame.png", "sha256": "0" * 64, "bytes": 10}},
+        "code": "1",
+    }
     ledger = {"walk": {"stamp": "a", "status": "done"}, "wave": {"stamp": "b", "status": "failed", "due": 3.5}}
     contents = {
-        "recipe.json": ("recipe", recipe), "batch.json": ("ledger", ledger),
+        "recipe.json": ("recipe", recipe),
+        "batch.json": ("ledger", ledger),
         "result.json": ("own result", {"mlflow_run_id": "ab" * 16, "config": {"body": {"model": None}}}),
         "case.json": ("case", {"number": 1, "frames": 1, "blur_rate": 0.3, "sharp": [[0, 0, 32, 24]]}),
-    }  # fmt: skip
+    }
     for name, (kind, content) in contents.items():
         (folder / name).write_text(json.dumps(content))
         yield kind, folder / name

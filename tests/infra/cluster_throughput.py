@@ -81,24 +81,43 @@ def run(clip: Path, place: Path, workers: int, settings: Path | None, options: l
     """One command on a cluster of its own."""
     out = place / "out"
     environment = {
-        **os.environ, "MLFLOW_TRACKING_URI": f"sqlite:///{place / 'mlflow.db'}", "PREFECT_HOME": str(place / "prefect"),
-        "XDG_STATE_HOME": str(place / "state"), "OMP_NUM_THREADS": "1", "PYTHONPATH": str(_ROOT),
-    }  # fmt: skip
+        **os.environ,
+        "MLFLOW_TRACKING_URI": f"sqlite:///{place / 'mlflow.db'}",
+        "PREFECT_HOME": str(place / "prefect"),
+        "XDG_STATE_HOME": str(place / "state"),
+        "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": str(_ROOT),
+    }
     with cluster_of(workers, settings) as address:
         before, began = spent(), time.monotonic()
         ended = subprocess.run(
-            [sys.executable, "-m", "hfb.flows.cli.cli", "video", clip, "--out", out,
-             "--workers", f"dask:{address}", *options],
-            env=environment, capture_output=True, text=True,
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-m",
+                "hfb.flows.cli.cli",
+                "video",
+                clip,
+                "--out",
+                out,
+                "--workers",
+                f"dask:{address}",
+                *options,
+            ],
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
         whole_s, foreign = time.monotonic() - began, foreign_s(before)
     if ended.returncode:
         raise SystemExit(ended.stdout + ended.stderr)
     steps = {name: float(seconds) for name, seconds in _STEP.findall(ended.stdout + ended.stderr)}
     return {
-        "workers": workers, **steps, "whole": round(whole_s, 1), "foreign": round(foreign, 1),
+        "workers": workers,
+        **steps,
+        "whole": round(whole_s, 1),
+        "foreign": round(foreign, 1),
         "motion": sha256_of(out / "motion.npz"),
-    }  # fmt: skip
+    }
 
 
 def main() -> None:

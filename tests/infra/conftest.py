@@ -30,9 +30,10 @@ def deployed(here: Team) -> dict[str, str]:
     data = here.folder / "data"
     data.mkdir()
     settings = here.settings("worker.env", "store.env") | {
-        "HFB_DATA": str(data), "HFB_MLFLOW_PAGES": here.url("mlflow"),
+        "HFB_DATA": str(data),
+        "HFB_MLFLOW_PAGES": here.url("mlflow"),
         "MLFLOW_AUTH_ADMIN_PASSWORD_FILE": str(here.folder / "secrets" / "mlflow_admin"),
-    }  # fmt: skip
+    }
     process = here.run([sys.executable, str(ROOT / "infra" / "deploy.py")], settings, "setup")
     assert process.wait(240) == 0, here.log("setup")
     return settings

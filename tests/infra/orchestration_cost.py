@@ -42,9 +42,18 @@ _MADE = 250
 _POINTS = 20_000
 _OWN = "own processor time [s]: "
 _CHEAP = (
-    *SMALL_OPTIONS, "--video.stages", '[{"size_px": 16, "iterations": 1}]', "--video.key-every", "250",
-    "--video.settle", "0", "--fit.subframes", "2", "--export.formats", "csv",
-)  # fmt: skip
+    *SMALL_OPTIONS,
+    "--video.stages",
+    '[{"size_px": 16, "iterations": 1}]',
+    "--video.key-every",
+    "250",
+    "--video.settle",
+    "0",
+    "--fit.subframes",
+    "2",
+    "--export.formats",
+    "csv",
+)
 _STEP = re.compile(r"^(frames|mattes|first bodies|first bodies between|who it is|windows|scores): ([0-9.]+) s", re.M)
 _IDLE_SHARE, _LOOK_S = 0.1, 5.0
 
@@ -173,19 +182,33 @@ def measure(given: argparse.Namespace, options: list[str]) -> dict[str, Any]:
         ask(cluster, "create database mlflow")
         store = f"postgresql+psycopg2://hfb@127.0.0.1:{cluster.port}/mlflow"
         environment = {
-            **os.environ, "PREFECT_API_URL": server.api, "MLFLOW_TRACKING_URI": store, "OMP_NUM_THREADS": "1",
-            "XDG_STATE_HOME": str(run / "state"), "PREFECT_HOME": str(run / "home"),
-        }  # fmt: skip
+            **os.environ,
+            "PREFECT_API_URL": server.api,
+            "MLFLOW_TRACKING_URI": store,
+            "OMP_NUM_THREADS": "1",
+            "XDG_STATE_HOME": str(run / "state"),
+            "PREFECT_HOME": str(run / "home"),
+        }
         command = [
-            sys.executable, "-m", "tests.infra.orchestration_cost", "hfb", "real" if given.real else "cheap", "video",
-            str(clip), "--out", "out", "--json", "--workers", given.workers, *(() if given.real else _CHEAP), *options,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "tests.infra.orchestration_cost",
+            "hfb",
+            "real" if given.real else "cheap",
+            "video",
+            str(clip),
+            "--out",
+            "out",
+            "--json",
+            "--workers",
+            given.workers,
+            *(() if given.real else _CHEAP),
+            *options,
+        ]
         environment["PYTHONPATH"] = str(Path(__file__).parents[2])
         before, spent, used, began = held(cluster), Spent(cluster, server), os.times(), time.monotonic()
         with (run / "shown").open("w") as shown:
-            ended = subprocess.run(
-                command, stdout=subprocess.PIPE, stderr=shown, env=environment, text=True, cwd=run
-            )  # fmt: skip
+            ended = subprocess.run(command, stdout=subprocess.PIPE, stderr=shown, env=environment, text=True, cwd=run)
         told = {"frames": frames, "workers": given.workers, "wall_s": round(time.monotonic() - began, 1)}
         used_s = sum(os.times()[2:4]) - sum(used[2:4])
         said = (run / "shown").read_text()
@@ -199,20 +222,25 @@ def measure(given: argparse.Namespace, options: list[str]) -> dict[str, Any]:
     busy, many_s = json.loads(ended.stdout.splitlines()[-1])["workers_busy"], sum(steps.values())
     own_s = float(said.rpartition(_OWN)[2].split()[0])
     per_frame_ms = {
-        "overhead": many_s * (1 - busy), "wall": many_s, "command_cpu": own_s, "command_and_workers_cpu": used_s,
+        "overhead": many_s * (1 - busy),
+        "wall": many_s,
+        "command_cpu": own_s,
+        "command_and_workers_cpu": used_s,
         **{f"{name}_cpu": seconds for name, seconds in servers.items()},
-    }  # fmt: skip
+    }
     files = {"results": bytes_in(run / "out") - bytes_in(run / "out" / "intermediate")}
     files["intermediate"] = bytes_in(run / "out" / "intermediate")
     grown = {name: count - before[1].get(name, 0) for name, count in after[1].items()}
     return {
-        **told, "steps_s": steps, "workers_busy": busy,
+        **told,
+        "steps_s": steps,
+        "workers_busy": busy,
         **{f"{name}_ms": round(1000 * seconds / frames, 2) for name, seconds in per_frame_ms.items()},
         "prefect_bytes": round((after[0] - before[0]) / frames),
         "prefect_rows": {name: round(n / frames, 3) for name, n in sorted(grown.items()) if n > frames / 100},
         "mlflow_rows": {name: n for name, n in sorted(recorded[1].items()) if n},
         **{f"{name}_bytes": round(size / frames) for name, size in files.items()},
-    }  # fmt: skip
+    }
 
 
 def main() -> None:

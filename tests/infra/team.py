@@ -81,9 +81,12 @@ class Team:
         """The environment that settings files make, with addresses in place of names."""
         environment = {name: os.environ[name] for name in ("PATH", "LANG") if name in os.environ}
         environment |= {
-            "HOME": str(self.folder), "PYTHONPATH": str(ROOT), "HFB_SECRETS": str(self.folder / "secrets"),
-            "OMP_NUM_THREADS": "1", "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")),
-        }  # fmt: skip
+            "HOME": str(self.folder),
+            "PYTHONPATH": str(ROOT),
+            "HFB_SECRETS": str(self.folder / "secrets"),
+            "OMP_NUM_THREADS": "1",
+            "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")),
+        }
         for name in names:
             for line in (SETTINGS / name).read_text().splitlines():
                 if line and not line.startswith("#"):
@@ -104,9 +107,14 @@ class Team:
         """Start a program with the secrets that its settings name; its words go to NAME.log."""
         with (self.folder / f"{name}.log").open("ab") as log:
             return subprocess.Popen(
-                [str(SETTINGS / "with-secrets.sh"), *command], env=dict(environment), stdin=subprocess.DEVNULL,
-                stdout=log, stderr=log, start_new_session=True, cwd=self.folder,
-            )  # fmt: skip
+                [str(SETTINGS / "with-secrets.sh"), *command],
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                cwd=self.folder,
+            )
 
     def log(self, name: str) -> str:
         """The end of what a service said."""
@@ -141,9 +149,10 @@ def team() -> Iterator[Team]:
         )
         hosts = ",".join(f"{here.addresses[name]}:{_PORTS['mlflow']}" for name in ("proxy", "mlflow"))
         mlflow = here.settings("mlflow.env", "store.env") | {
-            "MLFLOW_SERVER_ALLOWED_HOSTS": hosts, "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": here.url("mlflow"),
+            "MLFLOW_SERVER_ALLOWED_HOSTS": hosts,
+            "MLFLOW_SERVER_CORS_ALLOWED_ORIGINS": here.url("mlflow"),
             "MLFLOW_WORKERS": "1",
-        }  # fmt: skip
+        }
         stack.enter_context(_service(here, "mlflow", [*python, "mlflow", "server", "--app-name", "basic-auth"], mlflow))
         wait_for(f"http://{here.addresses['prefect']}:{_PORTS['prefect']}/api/health", here, "prefect")
         wait_for(f"http://{here.addresses['mlflow']}:{_PORTS['mlflow']}/health", here, "mlflow")

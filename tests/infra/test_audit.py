@@ -32,9 +32,10 @@ def _said(tmp_path: Path, packages: list[dict[str, Any]]) -> subprocess.Complete
 _GOOD = {"name": "good", "version": "1.0", "vulns": []}
 _UNKNOWN = {"name": "unknown", "skip_reason": "Dependency not found on PyPI and could not be audited: unknown (1.0)"}
 _HOLE = {
-    "name": "holey", "version": "2.0",
+    "name": "holey",
+    "version": "2.0",
     "vulns": [{"id": "PYSEC-1", "fix_versions": ["2.1"], "aliases": [], "description": ""}],
-}  # fmt: skip
+}
 
 
 def test_an_unknown_package_is_named_at_the_end(tmp_path: Path) -> None:
@@ -66,11 +67,16 @@ def service() -> Iterator[str]:
         def do_POST(self) -> None:
             asked = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
             hole = {
-                "id": "OSV-1", "aliases": [], "summary": "a hole", "affected": [{
-                    "package": {"name": "holey", "ecosystem": "PyPI"},
-                    "ranges": [{"type": "ECOSYSTEM", "events": [{"introduced": "0"}, {"fixed": "2.1"}]}],
-                }],
-            }  # fmt: skip
+                "id": "OSV-1",
+                "aliases": [],
+                "summary": "a hole",
+                "affected": [
+                    {
+                        "package": {"name": "holey", "ecosystem": "PyPI"},
+                        "ranges": [{"type": "ECOSYSTEM", "events": [{"introduced": "0"}, {"fixed": "2.1"}]}],
+                    }
+                ],
+            }
             found = {"vulns": [hole]} if asked["package"]["name"] == "holey" else {}
             self.send_response(200)
             self.end_headers()

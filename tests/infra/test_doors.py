@@ -77,10 +77,12 @@ def test_a_deployment_with_other_code_runs_nothing(door: str, here: Team, worker
     rows: dict[str, dict[str, Any]] = {
         "steps": {"entrypoint": "hfb.flows.deployed.fit", "pull_steps": steps},
         "file": {"entrypoint": f"{evil}:fit", "path": str(evil.parent)},
-        "module": {"entrypoint": f"{evil.stem}.fit", "pull_steps": [{
-            "prefect.deployments.steps.set_working_directory": {"directory": str(evil.parent)}}]},
+        "module": {
+            "entrypoint": f"{evil.stem}.fit",
+            "pull_steps": [{"prefect.deployments.steps.set_working_directory": {"directory": str(evil.parent)}}],
+        },
         "function": {"entrypoint": "os.system", "parameters": {"command": f"touch {marker}"}},
-    }  # fmt: skip
+    }
     with api(here, "prefect_admin") as client:
         state = ended(client, _run(client, _deployment(client, f"evil-{door}", **rows[door])), _ENDED_S)
     assert state["type"] == "CRASHED"
@@ -165,11 +167,19 @@ def test_a_changed_pool_changes_nothing(here: Team, worker: None, marker: Path) 
 
 
 _MEMBERS = {
-    ("POST", "/api/deployments/{id}/create_flow_run"), ("POST", "/api/flows/"), ("POST", "/api/flow_runs/"),
-    ("POST", "/api/task_runs/"), ("POST", "/api/logs/"), ("POST", "/api/artifacts/"), ("POST", "/api/events"),
-    ("POST", "/api/flow_runs/{id}/set_state"), ("POST", "/api/task_runs/{id}/set_state"),
-    ("PATCH", "/api/flow_runs/{id}/labels"), ("PATCH", "/api/task_runs/{id}"), ("PATCH", "/api/artifacts/{id}"),
-}  # fmt: skip
+    ("POST", "/api/deployments/{id}/create_flow_run"),
+    ("POST", "/api/flows/"),
+    ("POST", "/api/flow_runs/"),
+    ("POST", "/api/task_runs/"),
+    ("POST", "/api/logs/"),
+    ("POST", "/api/artifacts/"),
+    ("POST", "/api/events"),
+    ("POST", "/api/flow_runs/{id}/set_state"),
+    ("POST", "/api/task_runs/{id}/set_state"),
+    ("PATCH", "/api/flow_runs/{id}/labels"),
+    ("PATCH", "/api/task_runs/{id}"),
+    ("PATCH", "/api/artifacts/{id}"),
+}
 _LOOKS = ("filter", "count", "paginate", "history", "lateness", "concurrency_status")
 _ID = "00000000-0000-0000-0000-000000000007"
 
@@ -192,12 +202,22 @@ def test_a_member_reaches_what_members_need_and_no_more(here: Team, deployed: di
 
 
 _SPELLINGS = (
-    "/api/deployments", "/api//deployments/", "//api/deployments/", "/api/%64eployments/",
-    "/api/deployments/%3f/filter", "/api/flow_runs/../deployments/", "/api/./deployments/", "/%61pi/deployments/",
+    "/api/deployments",
+    "/api//deployments/",
+    "//api/deployments/",
+    "/api/%64eployments/",
+    "/api/deployments/%3f/filter",
+    "/api/flow_runs/../deployments/",
+    "/api/./deployments/",
+    "/%61pi/deployments/",
     "/api/deployments/?x=/filter",
-    "/api/deployments/#/filter", "/api/ui/../deployments/", "/api/ui/..%2fdeployments/", "/API/deployments/",
-    "/api/deployments/;/filter", "/x/../api/deployments/",
-)  # fmt: skip
+    "/api/deployments/#/filter",
+    "/api/ui/../deployments/",
+    "/api/ui/..%2fdeployments/",
+    "/API/deployments/",
+    "/api/deployments/;/filter",
+    "/x/../api/deployments/",
+)
 
 
 @pytest.mark.parametrize("login", ["member", "member, otherwise spelled"])
@@ -249,9 +269,10 @@ def test_parameters_point_into_the_folder_of_the_data(here: Team, worker: None, 
         "source: ": ("clip/video", good | {"source": str(data / "out-of-it" / "prefect_auth")}),
         "store: ": ("clip/video", good | {"store": "s3://mlflow/1"}),
         "options.matting.weights: ": (
-            "fit/fit", fit | {"options": {"matting": {"method": "bgmv2", "weights": str(data / "net.pt")}}},
+            "fit/fit",
+            fit | {"options": {"matting": {"method": "bgmv2", "weights": str(data / "net.pt")}}},
         ),
-    }  # fmt: skip
+    }
     with api(here) as client:
         runs = {words: started(client, name, given) for words, (name, given) in asked.items()}
         states = {words: ended(client, run, _ENDED_S) for words, run in runs.items()}
@@ -266,17 +287,42 @@ def test_commands_on_a_members_machine_are_recorded(here: Team, deployed: dict[s
     certificate = str(here.folder / "secrets" / "tls.crt")
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PREFECT_", "MLFLOW_"))}
     environment |= {
-        "PREFECT_API_URL": f"{here.url('prefect')}/api", "PREFECT_API_AUTH_STRING": here.secret("prefect_auth"),
-        "PREFECT_API_SSL_CERT_FILE": certificate, "SSL_CERT_FILE": certificate, "REQUESTS_CA_BUNDLE": certificate,
-        "MLFLOW_TRACKING_URI": here.url("mlflow"), "MLFLOW_TRACKING_USERNAME": "worker", "OMP_NUM_THREADS": "1",
-        "MLFLOW_TRACKING_PASSWORD": here.secret("mlflow_worker"), "HOME": str(here.folder / "member"),
-        "XDG_CACHE_HOME": deployed["XDG_CACHE_HOME"], "PYTHONPATH": deployed["PYTHONPATH"],
-    }  # fmt: skip
+        "PREFECT_API_URL": f"{here.url('prefect')}/api",
+        "PREFECT_API_AUTH_STRING": here.secret("prefect_auth"),
+        "PREFECT_API_SSL_CERT_FILE": certificate,
+        "SSL_CERT_FILE": certificate,
+        "REQUESTS_CA_BUNDLE": certificate,
+        "MLFLOW_TRACKING_URI": here.url("mlflow"),
+        "MLFLOW_TRACKING_USERNAME": "worker",
+        "OMP_NUM_THREADS": "1",
+        "MLFLOW_TRACKING_PASSWORD": here.secret("mlflow_worker"),
+        "HOME": str(here.folder / "member"),
+        "XDG_CACHE_HOME": deployed["XDG_CACHE_HOME"],
+        "PYTHONPATH": deployed["PYTHONPATH"],
+    }
     words = [
-        "fit", str(problem.frame), "--background", str(problem.background), "--out", str(here.folder / "mine"),
-        "--json", "--init.method", "matte", "--fit.stages", '[{"size_px": 32, "iterations": 3}]', "--fit.subframes",
-        "2", "--fit.texture-px", "16", "--export.formats", "none", "--export.films", "none", "--export.report", "false",
-    ]  # fmt: skip
+        "fit",
+        str(problem.frame),
+        "--background",
+        str(problem.background),
+        "--out",
+        str(here.folder / "mine"),
+        "--json",
+        "--init.method",
+        "matte",
+        "--fit.stages",
+        '[{"size_px": 32, "iterations": 3}]',
+        "--fit.subframes",
+        "2",
+        "--fit.texture-px",
+        "16",
+        "--export.formats",
+        "none",
+        "--export.films",
+        "none",
+        "--export.report",
+        "false",
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "hfb.flows.cli.cli", *words],
         env=environment,

@@ -165,8 +165,10 @@ def test_a_pod_can_do_no_more_than_its_work(name: str) -> None:
     assert pod["enableServiceLinks"] is False
     (container,) = pod["containers"]
     assert container["securityContext"] == {
-        "readOnlyRootFilesystem": True, "allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]},
-    }  # fmt: skip
+        "readOnlyRootFilesystem": True,
+        "allowPrivilegeEscalation": False,
+        "capabilities": {"drop": ["ALL"]},
+    }
     _one_version(container["image"])
     assert container["resources"]["limits"]["memory"]
     if name not in ("setup", "backup"):  # which end
@@ -220,9 +222,10 @@ def test_pods_find_what_they_name() -> None:
 
 def _templates_of(name: str) -> set[str]:
     (workload,) = [
-        one for one in _manifests()
+        one
+        for one in _manifests()
         if {"template", "jobTemplate"} & set(one["spec"]) and one["metadata"]["name"] == name
-    ]  # fmt: skip
+    ]
     return {one["metadata"]["name"] for one in workload["spec"].get("volumeClaimTemplates", ())}
 
 

@@ -118,9 +118,16 @@ def test_no_route_of_runs_shows_anothers(eve: httpx.Client, recorded: Recorded) 
 
 def test_no_experiment_has_its_files_in_anothers_place(eve: httpx.Client, recorded: Recorded) -> None:
     places = (
-        f"s3://mlflow/{recorded.path}", f"s3://mlflow/{recorded.experiment}", f"mlflow-artifacts:/{recorded.path}",
-        f"mlflow-artifacts:/{recorded.experiment}", "file:///etc", "/etc", "http://127.0.0.1/", "s3://mlflow", ".",
-    )  # fmt: skip
+        f"s3://mlflow/{recorded.path}",
+        f"s3://mlflow/{recorded.experiment}",
+        f"mlflow-artifacts:/{recorded.path}",
+        f"mlflow-artifacts:/{recorded.experiment}",
+        "file:///etc",
+        "/etc",
+        "http://127.0.0.1/",
+        "s3://mlflow",
+        ".",
+    )
     for number, place in enumerate(places):
         for key in ("artifact_location", "artifactLocation"):
             given = {"name": f"eve's {number} {key}", key: place}
@@ -149,10 +156,31 @@ def test_no_model_names_anothers_files(eve: httpx.Client, admin: httpx.Client, h
 
 
 _CLOSED = (
-    "registered-models", "model-versions", "logged-models", "traces", "prompts", "gateway", "jobs", "webhooks",
-    "scorers", "datasets", "presigned", "workspaces", "roles", "get-trace-artifact", "review-queues", "label-schemas",
-    "issues", "promptlab", "unified-traces", "demo", "genai", "log-model", "runs/outputs", "users/create",
-)  # fmt: skip
+    "registered-models",
+    "model-versions",
+    "logged-models",
+    "traces",
+    "prompts",
+    "gateway",
+    "jobs",
+    "webhooks",
+    "scorers",
+    "datasets",
+    "presigned",
+    "workspaces",
+    "roles",
+    "get-trace-artifact",
+    "review-queues",
+    "label-schemas",
+    "issues",
+    "promptlab",
+    "unified-traces",
+    "demo",
+    "genai",
+    "log-model",
+    "runs/outputs",
+    "users/create",
+)
 
 
 def test_what_hfb_does_not_use_is_closed(eve: httpx.Client, admin: httpx.Client) -> None:
@@ -171,12 +199,16 @@ def test_what_hfb_does_not_use_is_closed(eve: httpx.Client, admin: httpx.Client)
 
 
 _SPELLED = (
-    "/api/2.0/mlflow//registered-models/create", "//api/2.0/mlflow/registered-models/create",
-    "/api/2.0/mlflow/%72egistered-models/create", "/api/2.0/mlflow/runs/../registered-models/create",
-    "/api/2.0/mlflow/registered-models/create/", "/api/2.0/mlflow/registered-models/create?x=/runs/search",
-    "/AJAX-API/2.0/mlflow/registered-models/create", "/static-files/../api/2.0/mlflow/registered-models/create",
+    "/api/2.0/mlflow//registered-models/create",
+    "//api/2.0/mlflow/registered-models/create",
+    "/api/2.0/mlflow/%72egistered-models/create",
+    "/api/2.0/mlflow/runs/../registered-models/create",
+    "/api/2.0/mlflow/registered-models/create/",
+    "/api/2.0/mlflow/registered-models/create?x=/runs/search",
+    "/AJAX-API/2.0/mlflow/registered-models/create",
+    "/static-files/../api/2.0/mlflow/registered-models/create",
     "/api/2.0/mlflow-artifacts/mpu/create/../../../mlflow/registered-models/create",
-)  # fmt: skip
+)
 
 
 def test_no_spelling_of_a_route_opens_it(eve: httpx.Client, admin: httpx.Client) -> None:

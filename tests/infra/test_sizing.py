@@ -23,8 +23,9 @@ def test_amounts_follow_from_measures() -> None:
     half = rows(Task(), measured | {"core_s": measured["core_s"] / 2})
     whole = rows(Task(), measured)
     assert [row.what for row, other in zip(half, whole, strict=True) if row.amount != other.amount] == [
-        "cores that compute", "their memory"
-    ]  # fmt: skip
+        "cores that compute",
+        "their memory",
+    ]
     found = limits(measured)
     assert found == sorted(found)
 

@@ -36,9 +36,12 @@ _METHODS = ("GET", "POST", "PUT", "PATCH", "DELETE")
 def _mlflow_routes() -> list[tuple[str, str]]:
     """Every method and path of MLflow's two applications, those of accounts among them."""
     told = subprocess.run(
-        [sys.executable, "-c", _TELL_ROUTES], capture_output=True, text=True, check=True,
+        [sys.executable, "-c", _TELL_ROUTES],
+        capture_output=True,
+        text=True,
+        check=True,
         env={"PATH": "", "MLFLOW_DISABLE_TELEMETRY": "true"},
-    )  # fmt: skip
+    )
     return [(method, filled(path)) for method, path in json.loads(told.stdout.splitlines()[-1])]
 
 
@@ -235,9 +238,10 @@ def test_a_backup_brings_everything_back(here: Team, deployed: dict[str, str], t
 def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict[str, str], tmp_path: Path) -> None:
     """Its own command line, with this machine's folders in place of its mounts."""
     (job,) = [
-        one for one in yaml.safe_load_all((ROOT / "infra" / "kubernetes" / "backup.yaml").read_text())
+        one
+        for one in yaml.safe_load_all((ROOT / "infra" / "kubernetes" / "backup.yaml").read_text())
         if one["kind"] == "CronJob"
-    ]  # fmt: skip
+    ]
     (container,) = job["spec"]["jobTemplate"]["spec"]["template"]["spec"]["containers"]
     (tmp_path / "store").mkdir()
     (tmp_path / "store" / "one").write_text("kept")
@@ -245,10 +249,12 @@ def test_the_nightly_job_of_kubernetes_makes_a_backup(here: Team, deployed: dict
     for folder in (*old, tmp_path / "backups" / "2020-01-01T023000.part"):
         folder.mkdir(parents=True)
     places = {
-        "/etc/hfb/": f"{ROOT}/infra/settings/", "/etc/backup/": f"{ROOT}/infra/compose/",
+        "/etc/hfb/": f"{ROOT}/infra/settings/",
+        "/etc/backup/": f"{ROOT}/infra/compose/",
         "/backups": f"{tmp_path}/backups",
-        "/run/secrets": f"{here.folder}/secrets", "/store": f"{tmp_path}/store",
-    }  # fmt: skip
+        "/run/secrets": f"{here.folder}/secrets",
+        "/store": f"{tmp_path}/store",
+    }
 
     def here_of(text: str) -> str:
         return re.sub("|".join(places), lambda found: places[found[0]], text)

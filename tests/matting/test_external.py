@@ -350,9 +350,12 @@ def test_a_script_that_names_an_operator_of_torchvision(tmp_path: Path) -> None:
     said = ""
     for program in ("make.py", "open.py"):
         done = subprocess.run(
-            [sys.executable, str(tmp_path / program)], capture_output=True, text=True, check=False,
+            [sys.executable, str(tmp_path / program)],
+            capture_output=True,
+            text=True,
+            check=False,
             env={"PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1", "PATH": ""},
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stderr
         said = done.stdout
     assert said.split() == ["alpha", "1.0"]

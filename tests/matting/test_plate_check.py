@@ -86,7 +86,8 @@ def test_real_clips_pass(shared_data: Path) -> None:
     room = shared_data / "bodypose3d_walkin"
     assert find_plate_mismatch(linear(room / "f006.png"), linear(room / "plate.png")) is None
     for folder, clip, plate in (
-        ("pose2sim_balancing", "cam01_f000-059.mp4", "cam01_plate.png"), ("sports2d_park", "demo.mp4", "plate.png")
-    ):  # fmt: skip
+        ("pose2sim_balancing", "cam01_f000-059.mp4", "cam01_plate.png"),
+        ("sports2d_park", "demo.mp4", "plate.png"),
+    ):
         frame = average_frames(read_frames(shared_data / folder / clip, 20, 26))
         assert find_plate_mismatch(frame, linear(shared_data / folder / plate)) is None

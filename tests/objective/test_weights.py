@@ -28,9 +28,17 @@ def test_the_warm_up_has_no_images_and_weaker_regularisers() -> None:
     of_stage = stage_weights(BEST, 1, "warm-up")
     nonzero = {name: value for name, value in of_stage.terms.model_dump().items() if value > 0}
     assert nonzero == pytest.approx(
-        {"pose": 0.0007, "shape": 0.002, "motion": 0.01, "boundary": 5, "start": 0.02, "joints": 1, "path": 0.3,
-         "height": 0.04}
-    )  # fmt: skip
+        {
+            "pose": 0.0007,
+            "shape": 0.002,
+            "motion": 0.01,
+            "boundary": 5,
+            "start": 0.02,
+            "joints": 1,
+            "path": 0.3,
+            "height": 0.04,
+        }
+    )
     assert (of_stage.xy_weight, stage_weights(BEST, 1, "full").xy_weight) == (1.0, 0.2)
 
 

@@ -37,9 +37,14 @@ def seen_by_another_camera(trajectory: Trajectory, seed: int = 1) -> Trajectory:
     place = torch.randn(3, generator=generator, dtype=torch.float64).to(trajectory.rotation)
     rotation, translation = trajectory.rotation.clone(), trajectory.translation.clone()
     w, x, y, z = _quaternion(turn)
-    left = torch.stack([
-        torch.stack([w, -x, -y, -z]), torch.stack([x, w, -z, y]), torch.stack([y, z, w, -x]), torch.stack([z, -y, x, w])
-    ])  # fmt: skip
+    left = torch.stack(
+        [
+            torch.stack([w, -x, -y, -z]),
+            torch.stack([x, w, -z, y]),
+            torch.stack([y, z, w, -x]),
+            torch.stack([z, -y, x, w]),
+        ]
+    )
     rotation[:, :, 0] = rotation[:, :, 0] @ left.T
     translation[..., :3] = translation[..., :3] @ turn.T
     translation[:, 0, :3] += place

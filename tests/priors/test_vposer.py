@@ -28,14 +28,24 @@ class Version2(nn.Module):
     def __init__(self, hidden: int = 32, latent: int = 8) -> None:
         super().__init__()
         self.encoder_net = nn.Sequential(
-            nn.Flatten(), nn.BatchNorm1d(63), nn.Linear(63, hidden), nn.LeakyReLU(), nn.BatchNorm1d(hidden),
-            nn.Dropout(0.1), nn.Linear(hidden, hidden), nn.Linear(hidden, hidden),
+            nn.Flatten(),
+            nn.BatchNorm1d(63),
+            nn.Linear(63, hidden),
+            nn.LeakyReLU(),
+            nn.BatchNorm1d(hidden),
+            nn.Dropout(0.1),
+            nn.Linear(hidden, hidden),
+            nn.Linear(hidden, hidden),
             nn.ModuleDict({"mu": nn.Linear(hidden, latent), "logvar": nn.Linear(hidden, latent)}),
-        )  # fmt: skip
+        )
         self.decoder_net = nn.Sequential(
-            nn.Linear(latent, hidden), nn.LeakyReLU(), nn.Dropout(0.1), nn.Linear(hidden, hidden), nn.LeakyReLU(),
+            nn.Linear(latent, hidden),
+            nn.LeakyReLU(),
+            nn.Dropout(0.1),
+            nn.Linear(hidden, hidden),
+            nn.LeakyReLU(),
             nn.Linear(hidden, 126),
-        )  # fmt: skip
+        )
 
     def encode(self, pose):
         return self.encoder_net[8]["mu"](self.encoder_net[:8](pose))

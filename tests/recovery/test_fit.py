@@ -72,8 +72,16 @@ def test_the_paper_preset_runs_every_term() -> None:
     )
     result = run(scene, scene.middle, config)
     assert set(result.history) == {
-        "total", "image", "matte", "texture", "pose", "shape", "motion", "background", "adversarial"
-    }  # fmt: skip
+        "total",
+        "image",
+        "matte",
+        "texture",
+        "pose",
+        "shape",
+        "motion",
+        "background",
+        "adversarial",
+    }
     assert np.isfinite(result.history["total"]).all()
 
 

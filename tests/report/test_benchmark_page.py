@@ -8,9 +8,9 @@ import pytest
 
 from hfb.evaluation.tables import summarize, table_markdown
 from hfb.io.media.images.image_io import write_png
-from hfb.report import benchmark_page as pages
-from hfb.report.benchmark_page import Answer, benchmark_page
-from hfb.report.markdown import markdown
+from hfb.report.pages import benchmark_page as pages
+from hfb.report.pages.benchmark_page import Answer, benchmark_page
+from hfb.report.pages.markdown import markdown
 from tests.browser import browser, opened
 
 METHOD, SOURCE = "mine <b>", '<script>alert(1)</script>.bvh & "more"'
@@ -35,9 +35,14 @@ def made_page(folder: Path, **more: str) -> str:
     summary = summarize(told, "bt-amass", 6, {"bad.bvh": "<u>no motion</u>"}, 3, [(0.0, 0.35), (0.35, 1.0)])
     answers = [Answer(row, folder / "look.png" if row["method"] == METHOD else None) for row in told]
     return benchmark_page(
-        summary, table_markdown(summary, ("motions: <em>",)), [folder / "ratio_by_blur.png"], folder / "gallery.png",
-        answers, {"spec.motions": "<img src=x>"}, **more,
-    )  # fmt: skip
+        summary,
+        table_markdown(summary, ("motions: <em>",)),
+        [folder / "ratio_by_blur.png"],
+        folder / "gallery.png",
+        answers,
+        {"spec.motions": "<img src=x>"},
+        **more,
+    )
 
 
 def test_everything_is_there_and_is_text(tmp_path: Path) -> None:

@@ -20,11 +20,11 @@ from hfb.interop.writers.joint_tables import csv_text
 from hfb.interop.writers.keys import even_keys
 from hfb.io.media.video.video_file import FRAME_LIMIT
 from hfb.motion.motion_file import load_motion, save_motion
-from hfb.report.limb_speed import exposure_s
-from hfb.report.page import checked_picture
-from hfb.report.result_curves import curve_charts, read_curves
-from hfb.report.result_facts import read_facts
-from hfb.report.slow_motion import film_instants
+from hfb.report.films.slow_motion import film_instants
+from hfb.report.pages.limb_speed import exposure_s
+from hfb.report.pages.page import checked_picture
+from hfb.report.pages.result_curves import curve_charts, read_curves
+from hfb.report.pages.result_facts import read_facts
 from tests.fuzz.hostile import _large_png
 from tests.fuzz.results import CURVES, FACTS, whole_motion, write_result
 
@@ -52,12 +52,28 @@ def arrays_of(path: Path, **changed: Any) -> None:
 @pytest.mark.parametrize(
     "entry",
     [
-        {"frames": 2.5}, {"frames": "2"}, {"frames": -1}, {"frames": 10**30}, {"matte_iou": "good"}, {"psnr_db": 1e300},
-        {"gaps": [[1]]}, {"gaps": "all"}, {"gaps": [[1, "b"]]}, {"directions": [3]}, {"directions": [{"right": []}]},
-        {"directions": [{"right": {"body": "yes"}}]}, {"remarks": [1]}, {"filled": {"a": 1}}, {"people": [{}]},
-        {"people": 3}, {"config": []}, {"inputs": {"frame_0": 3}}, {"out": 3}, {"mlflow_link": ["x"]},
+        {"frames": 2.5},
+        {"frames": "2"},
+        {"frames": -1},
+        {"frames": 10**30},
+        {"matte_iou": "good"},
+        {"psnr_db": 1e300},
+        {"gaps": [[1]]},
+        {"gaps": "all"},
+        {"gaps": [[1, "b"]]},
+        {"directions": [3]},
+        {"directions": [{"right": []}]},
+        {"directions": [{"right": {"body": "yes"}}]},
+        {"remarks": [1]},
+        {"filled": {"a": 1}},
+        {"people": [{}]},
+        {"people": 3},
+        {"config": []},
+        {"inputs": {"frame_0": 3}},
+        {"out": 3},
+        {"mlflow_link": ["x"]},
     ],
-)  # fmt: skip
+)
 def test_a_result_with_entries_of_other_types_is_refused(entry: dict[str, Any], result: Path) -> None:
     assert read_facts(result / "result.json") == FACTS
     rewritten(result / "result.json", lambda content: content | entry)
@@ -68,12 +84,19 @@ def test_a_result_with_entries_of_other_types_is_refused(entry: dict[str, Any], 
 @pytest.mark.parametrize(
     "entry",
     [
-        {"losses": [1]}, {"losses": {"total": "x"}}, {"losses": {"total": [[1]]}}, {"losses": {"total": [1e300]}},
-        {"losses": {f"t{number}": [1.0] for number in range(300)}}, {"windows": 3}, {"windows": [{"total": [None]}]},
-        {"frames": [1]}, {"frames": {"psnr_db": [[1]]}}, {"frames": {"psnr_db": [[10**12, 1.0]]}},
+        {"losses": [1]},
+        {"losses": {"total": "x"}},
+        {"losses": {"total": [[1]]}},
+        {"losses": {"total": [1e300]}},
+        {"losses": {f"t{number}": [1.0] for number in range(300)}},
+        {"windows": 3},
+        {"windows": [{"total": [None]}]},
+        {"frames": [1]},
+        {"frames": {"psnr_db": [[1]]}},
+        {"frames": {"psnr_db": [[10**12, 1.0]]}},
         {"windows": [{"total": [1.0] * 60_000}] + [{"total": []}] * 400},
     ],
-)  # fmt: skip
+)
 def test_curves_of_another_kind_are_refused(entry: dict[str, Any], result: Path) -> None:
     assert curve_charts(read_curves(result / "curves.json"), FACTS)
     rewritten(result / "curves.json", lambda content: content | entry)
@@ -90,10 +113,17 @@ def test_stages_that_are_none_leave_the_curves(result: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("times_s", 1e300), ("times_s", -1e300), ("frame_index", 10**9), ("frame_index", 2**62), ("joints", 1e300),
-        ("trans", -1e9), ("poses", 1e5), ("betas", 1e6), ("K", 1e12),
+        ("times_s", 1e300),
+        ("times_s", -1e300),
+        ("frame_index", 10**9),
+        ("frame_index", 2**62),
+        ("joints", 1e300),
+        ("trans", -1e9),
+        ("poses", 1e5),
+        ("betas", 1e6),
+        ("K", 1e12),
     ],
-)  # fmt: skip
+)
 def test_absurd_numbers_in_a_motion_are_refused(name: str, value: float, result: Path) -> None:
     motion, _ = load_motion(result / "motion.npz")
     array = getattr(motion, name).copy()
@@ -135,9 +165,12 @@ def test_many_frames_take_time_by_their_number(tmp_path: Path) -> None:
     """60,000 frames of a row each: a search of all rows for each of them would take minutes."""
     one, count = whole_motion(), 60_000
     motion = replace(
-        one, **{name: np.repeat(getattr(one, name)[:1], count, 0) for name in ("poses", "trans", "joints")},
-        times_s=np.arange(count) / 30, frame_index=np.arange(count), joint_radius_mm=None,
-    )  # fmt: skip
+        one,
+        **{name: np.repeat(getattr(one, name)[:1], count, 0) for name in ("poses", "trans", "joints")},
+        times_s=np.arange(count) / 30,
+        frame_index=np.arange(count),
+        joint_radius_mm=None,
+    )
     assert exposure_s(motion) == 0
     assert csv_text(motion).count("\n") == count + 1
     with pytest.raises(InputError, match="fewer than two sub-frames per frame"):
@@ -147,13 +180,18 @@ def test_many_frames_take_time_by_their_number(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "says"),
     [
-        ({"chosen": np.array(7)}, "no motion that was chosen"), ({"chosen": np.array(0.5)}, "its chosen is float64"),
-        ({"poses": np.zeros((2, 6, 72, 1))}, "its trans|its poses"), ({"frame_index": np.arange(6)}, "numbered from 0"),
-        ({"frame_index": np.full(6, 10**9)}, "numbered from 0"), ({"probability": np.array([np.nan, 1])}, "finite"),
-        ({"trans": np.full((2, 6, 3), 1e300)}, "beyond"), ({"joints": np.zeros((2, 5, 24, 3))}, "its joints"),
-        ({"reversed_limbs": np.zeros((2, 2, 5))}, "its reversed_limbs"), ({"scores": np.zeros(2)}, "its scores"),
+        ({"chosen": np.array(7)}, "no motion that was chosen"),
+        ({"chosen": np.array(0.5)}, "its chosen is float64"),
+        ({"poses": np.zeros((2, 6, 72, 1))}, "its trans|its poses"),
+        ({"frame_index": np.arange(6)}, "numbered from 0"),
+        ({"frame_index": np.full(6, 10**9)}, "numbered from 0"),
+        ({"probability": np.array([np.nan, 1])}, "finite"),
+        ({"trans": np.full((2, 6, 3), 1e300)}, "beyond"),
+        ({"joints": np.zeros((2, 5, 24, 3))}, "its joints"),
+        ({"reversed_limbs": np.zeros((2, 2, 5))}, "its reversed_limbs"),
+        ({"scores": np.zeros(2)}, "its scores"),
     ],
-)  # fmt: skip
+)
 def test_alternatives_that_do_not_belong_together_are_refused(changed: dict[str, Any], says: str, result: Path) -> None:
     load_alternatives(result / "alternatives.npz")
     arrays_of(result / "alternatives.npz", **changed)

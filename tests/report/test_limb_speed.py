@@ -7,8 +7,8 @@ import pytest
 
 from hfb.body.assets import load_default_body
 from hfb.motion.sampled import SampledMotion
-from hfb.report.limb_speed import LIMB_ENDS, exposure_s, instant_speeds, limb_speeds, shutter_for
-from hfb.report.result_speeds import shutter_advice, shutter_text
+from hfb.report.pages.limb_speed import LIMB_ENDS, exposure_s, instant_speeds, limb_speeds, shutter_for
+from hfb.report.pages.result_speeds import shutter_advice, shutter_text
 from tests.interop.writers.motions import motion_of
 
 WRIST = LIMB_ENDS["right wrist"]

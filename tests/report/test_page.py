@@ -14,8 +14,8 @@ from jinja2 import UndefinedError
 from markupsafe import Markup
 
 from hfb.body.assets import load_default_body
-from hfb.report.page import page, small_picture
-from hfb.report.viewer import ViewedMotion, viewer
+from hfb.report.pages.page import page, small_picture
+from hfb.report.pages.viewer import ViewedMotion, viewer
 from tests.interop.writers.motions import motion_of
 
 NASTY = """</script><script>alert(1)</script>"' onload=x <img src=//evil>"""
@@ -43,14 +43,34 @@ def test_every_text_and_attribute_is_escaped() -> None:
     table = {"title": NASTY, "rows": [(NASTY, NASTY, NASTY, None)], "empty": ""}
     look = {"name": NASTY, "viewer": None, "picture": b"\x89PNG"}
     whole = page(
-        "runs.html", NASTY, sentences=[NASTY], tables=[table], looks=[look, look], viewers=[], overlay=None,
+        "runs.html",
+        NASTY,
+        sentences=[NASTY],
+        tables=[table],
+        looks=[look, look],
+        viewers=[],
+        overlay=None,
         colours=[NASTY],
-    )  # fmt: skip
+    )
     body = _Read(whole.partition("<body>")[2])
     assert set(body.tags) <= {
-        "main", "h1", "h2", "p", "div", "table", "thead", "tbody", "tr", "th", "td", "section", "img", "figure",
-        "figcaption", "b",
-    }  # fmt: skip
+        "main",
+        "h1",
+        "h2",
+        "p",
+        "div",
+        "table",
+        "thead",
+        "tbody",
+        "tr",
+        "th",
+        "td",
+        "section",
+        "img",
+        "figure",
+        "figcaption",
+        "b",
+    }
     assert "<script" not in whole
     assert "<img src=//" not in whole
     assert {("class", NASTY), ("alt", f"what {NASTY} found")} <= body.attributes
@@ -66,7 +86,7 @@ def test_only_markup_is_taken_as_such() -> None:
 
 def test_no_template_marks_anything_as_safe() -> None:
     """Values that are markup are so where they are made, which is in Python."""
-    templates = [one for one in (files("hfb.report") / "templates").iterdir() if one.name.endswith(".html")]
+    templates = [one for one in (files("hfb.report.pages") / "templates").iterdir() if one.name.endswith(".html")]
     assert len(templates) > 5
     for template in templates:
         assert not re.search(r"\|\s*safe|autoescape|http-equiv.*{{ \w+ }}.*unsafe", template.read_text()), template.name

@@ -7,8 +7,8 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.rendering.backends import make_rasterizer
-from hfb.report.page_film import around_person, page_picture_count, page_pictures, page_slow_factor
-from hfb.report.slow_motion import FILM_FPS, Shot
+from hfb.report.films.page_film import around_person, page_picture_count, page_pictures, page_slow_factor
+from hfb.report.films.slow_motion import FILM_FPS, Shot
 from tests.interop.writers.motions import motion_of
 from tests.scenes import moving_scene
 

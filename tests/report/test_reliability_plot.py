@@ -8,7 +8,7 @@ from PIL import Image
 from hfb.evaluation.cells import by_method
 from hfb.evaluation.reliability import LEVELS, WITHIN
 from hfb.evaluation.tables import summarize
-from hfb.report.reliability_plot import reliability
+from hfb.report.plots.reliability_plot import reliability
 
 BLUE = (0x00, 0x72, 0xB2)
 
@@ -20,10 +20,18 @@ def _rows(off: float, sure: bool = True) -> list[dict]:
         wrong = float(rng.uniform() < 0.3)
         said = {name: min(level + off, 1.0) for name, level in zip(WITHIN, LEVELS, strict=True)}
         said |= {"radius_mm": 40.0, "direction_said": rng.uniform(0.5, 1)}
-        rows.append({
-            "case": case, "method": "best", "blur_rate": 0.4, "failed": None, "initial_mpjpe_mm": 100.0,
-            "mpjpe_mm": 60.0, "wrong_direction": wrong, **(said if sure else {}),
-        })  # fmt: skip
+        rows.append(
+            {
+                "case": case,
+                "method": "best",
+                "blur_rate": 0.4,
+                "failed": None,
+                "initial_mpjpe_mm": 100.0,
+                "mpjpe_mm": 60.0,
+                "wrong_direction": wrong,
+                **(said if sure else {}),
+            }
+        )
     return rows
 
 

@@ -13,10 +13,10 @@ from hfb.body.assets import load_default_body
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.io.media.video.video_writing import VideoWriter
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import page
-from hfb.report.result_page import ResultContents, result_page
-from hfb.report.result_unknown import alternatives_table, by_probability, reversed_text, unknown_sentences
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.pages.page import page
+from hfb.report.pages.result_page import ResultContents, result_page
+from hfb.report.pages.result_unknown import alternatives_table, by_probability, reversed_text, unknown_sentences
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import Opened, assert_body_moves, assert_film_plays, browser, new_tab, opened, shows
 from tests.interop.writers.motions import motion_of
 
@@ -62,21 +62,38 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     texture = np.zeros((8, 8, 3), np.uint8) + np.array([40, 90, 200], np.uint8)
     cv2.imwrite(str(folder / "strip.png"), np.full((60, 3000, 3), 128, np.uint8))
     facts = {
-        "matte_iou": 0.61, "frames": 3, "fit_seconds": 3.25, "remarks": [NASTY], "gaps": [[5, 9]], "filled": [1, 2, 4],
-        "mlflow_link": "javascript:alert(1)", "mlflow_run_id": NASTY, "unknown": NASTY, "inputs": {NASTY: NASTY},
+        "matte_iou": 0.61,
+        "frames": 3,
+        "fit_seconds": 3.25,
+        "remarks": [NASTY],
+        "gaps": [[5, 9]],
+        "filled": [1, 2, 4],
+        "mlflow_link": "javascript:alert(1)",
+        "mlflow_run_id": NASTY,
+        "unknown": NASTY,
+        "inputs": {NASTY: NASTY},
         "config": {"init": {"file": NASTY}, "fit": {"stages": [{"iterations": 3}, {"iterations": 2}]}},
         "directions": [{"right": {"body": 0.61}}],
         "warnings": [{"code": "matte_iou", "value": 0.5, "frames": [1], "message": f"the body is off {NASTY}"}],
-    }  # fmt: skip
+    }
     contents = ResultContents(
-        title=NASTY, facts=facts, motion=motion, body=BODY, texture_png=cv2.imencode(".png", texture)[1].tobytes(),
-        strip=folder / "strip.png", alternatives=weighed(motion),
+        title=NASTY,
+        facts=facts,
+        motion=motion,
+        body=BODY,
+        texture_png=cv2.imencode(".png", texture)[1].tobytes(),
+        strip=folder / "strip.png",
+        alternatives=weighed(motion),
         curves={
             "losses": {"total": [3.0, 2.0, 4.0, 1.0, 0.5], NASTY: [1.0, None, 0.0, 2.0, 1.0]},
-            "windows": [{"total": [2.0, 1.0]}, {"total": [3.0]}], "frames": {NASTY: [[0, 1.0], [2, 0.5]]},
+            "windows": [{"total": [2.0, 1.0]}, {"total": [3.0]}],
+            "frames": {NASTY: [[0, 1.0], [2, 0.5]]},
         },
-        film=short_film(folder / "film.mp4"), film_caption=NASTY, environment={NASTY: NASTY}, repeat=f"hfb {NASTY}",
-    )  # fmt: skip
+        film=short_film(folder / "film.mp4"),
+        film_caption=NASTY,
+        environment={NASTY: NASTY},
+        repeat=f"hfb {NASTY}",
+    )
     path = folder / f"{NASTY.replace('/', '_')}.html"
     path.write_text(result_page(contents))
     return path
@@ -112,9 +129,15 @@ def test_what_it_says(report: Path) -> None:
     said = report.read_text()
     for words in (
         "Warning: the body is off",
-        "frames 5\u20139", "In frames 1\u20132, 4 the pose", "1.", "80 % interval", "right arm the other way",
-        "61 % for the one shown", "agree to 0.61 only", "3.2 s",
-    ):  # fmt: skip
+        "frames 5\u20139",
+        "In frames 1\u20132, 4 the pose",
+        "1.",
+        "80 % interval",
+        "right arm the other way",
+        "61 % for the one shown",
+        "agree to 0.61 only",
+        "3.2 s",
+    ):
         assert words in said, words
     assert "javascript:alert(1)</p>" in said  # a word, not a link
     assert 'href="javascript' not in said
@@ -266,9 +289,10 @@ def test_controls(report: Path) -> None:
             seen.append(shows(canvas, lambda now: now not in seen))
         assert len(set(seen)) == len(seen)
         assert tab.locator("select.motions option").all_inner_texts() == [
-            "as fitted", "everything the other way (50 %)".replace("everything", "all"),
+            "as fitted",
+            "everything the other way (50 %)".replace("everything", "all"),
             "frame 1: right arm the other way (20 %)",
-        ]  # fmt: skip
+        ]
         tab.locator("button.play").click()
         tab.wait_for_function("() => hfb.viewers[0].position > 0 && hfb.viewers[0].playing")
         at = tab.evaluate("hfb.viewers[0].position")

@@ -12,9 +12,9 @@ import torch
 
 from hfb.body.assets import load_default_body
 from hfb.evaluation.motion_difference import motion_difference
-from hfb.report.run_page import PageTable, RunLook, run_page
-from hfb.report.several_motions import RUN_COLOURS, draw_motions, png_bytes, stack_pictures
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.images.several_motions import RUN_COLOURS, draw_motions, png_bytes, stack_pictures
+from hfb.report.pages.run_page import PageTable, RunLook, run_page
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 from tests.browser import browser, opened, shows
 from tests.evaluation.test_motion_difference import linear_motion
 from tests.interop.writers.motions import motion_of

@@ -8,7 +8,7 @@ from hfb.body.mesh import vertex_normals
 from hfb.geometry.camera import PinholeCamera
 from hfb.geometry.rotations import axis_angle_to_matrix
 from hfb.rendering.backends import make_rasterizer
-from hfb.report.shading import shade_bodies, side_view, time_colours
+from hfb.report.images.shading import shade_bodies, side_view, time_colours
 from tests.scenes import standing_pose
 
 RASTERIZER = make_rasterizer("coverage", "cpu", 1)

@@ -10,7 +10,7 @@ from hfb.body.assets import load_default_body
 from hfb.evaluation.protocol import reblur
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose
-from hfb.report import slow_motion as films
+from hfb.report.films import slow_motion as films
 from tests.interop.writers.motions import motion_of
 from tests.scenes import moving_scene
 

@@ -12,7 +12,7 @@ from hfb.evaluation.protocol import reblur
 from hfb.rendering.backends import make_rasterizer
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.report.strip import StripRow, draw_strip, lay_out
+from hfb.report.images.strip import StripRow, draw_strip, lay_out
 from tests.scenes import moving_scene
 
 RASTERIZER = make_rasterizer("coverage", "cpu", 1)

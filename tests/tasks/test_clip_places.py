@@ -100,8 +100,11 @@ def test_clips_of_one_name_are_not_lost(tmp_path: Path) -> None:
     touch(tmp_path / "walk.mp4", tmp_path / "walk.mov", tmp_path / "wave.mp4", tmp_path / "wave" / "clip.toml")
     places = {place.source.name: place for place in find_clips(tmp_path, tmp_path / "out")}
     assert {name: place.name for name, place in places.items()} == {
-        "walk.mov": "walk", "walk.mp4": "./walk.mp4", "wave": "wave", "wave.mp4": "./wave.mp4",
-    }  # fmt: skip
+        "walk.mov": "walk",
+        "walk.mp4": "./walk.mp4",
+        "wave": "wave",
+        "wave.mp4": "./wave.mp4",
+    }
     places["walk.mov"].check()
     places["wave"].check()
     with pytest.raises(InputError, match=r"walk\.mp4 and .*walk\.mov are clips of one name.*: rename one of them"):
@@ -186,11 +189,23 @@ def test_plates_of_names_that_mean_something_to_a_shell(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "0.png", "f2.JPG", "f10.png", "Plate.png", "BACKGROUND.JPG", "walk_plate.png", "walk_Background.tif",
-        "plates.png", "template.png", "backplate.png", "plate_1.png", "._0.png", "._plate.png",
-        ".hidden.png", "notes.txt",
+        "0.png",
+        "f2.JPG",
+        "f10.png",
+        "Plate.png",
+        "BACKGROUND.JPG",
+        "walk_plate.png",
+        "walk_Background.tif",
+        "plates.png",
+        "template.png",
+        "backplate.png",
+        "plate_1.png",
+        "._0.png",
+        "._plate.png",
+        ".hidden.png",
+        "notes.txt",
     ],
-)  # fmt: skip
+)
 def test_a_picture_is_a_frame_a_plate_or_neither(tmp_path: Path, name: str) -> None:
     """By the same rule wherever a folder of pictures is read, and what is no frame for its name is the plate."""
     touch(tmp_path / "f1.png", tmp_path / name)

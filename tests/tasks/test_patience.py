@@ -94,11 +94,26 @@ def test_a_dead_port() -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        "notaurl", "localhost:4200/api", "127.0.0.1:4200", "http//host/api", "http:host", "ftp://host/api", "http://",
-        "http:///api", "http://host:notaport/api", "http://host:70000/api", "http://[::1/api", "http://a b/api",
-        "http://host/api\n", " http://host/api", "file:///x", "http://\x00/api", "http://..:1/", "http://" + "a" * 80,
+        "notaurl",
+        "localhost:4200/api",
+        "127.0.0.1:4200",
+        "http//host/api",
+        "http:host",
+        "ftp://host/api",
+        "http://",
+        "http:///api",
+        "http://host:notaport/api",
+        "http://host:70000/api",
+        "http://[::1/api",
+        "http://a b/api",
+        "http://host/api\n",
+        " http://host/api",
+        "file:///x",
+        "http://\x00/api",
+        "http://..:1/",
+        "http://" + "a" * 80,
     ],
-)  # fmt: skip
+)
 def test_malformed_addresses(given: str) -> None:
     with pytest.raises(InputError, match=r"PREFECT_API_URL is .* like http://127.0.0.1:4200/api, or unset it"):
         check_address("PREFECT_API_URL", given, "http://127.0.0.1:4200/api")

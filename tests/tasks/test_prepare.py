@@ -76,9 +76,7 @@ def test_a_photographs_own_exposure_where_it_is_asked_for(tmp_path: Path, pictur
 )
 def test_light(picture: FileHandle, transfer: str, light: str, expected) -> None:
     clip = prepared(picture, {"transfer": transfer}, light=light)
-    torch.testing.assert_close(
-        load_image(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0
-    )  # fmt: skip
+    torch.testing.assert_close(load_image(picture, clip), expected(torch.full((40, 30, 3), 0.5)), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("transfer", ["srgb", "linear"])
@@ -86,9 +84,11 @@ def test_a_plate_beside_the_frame_or_in_another_exposure_is_told(tmp_path: Path,
     """By one sentence that names the fix, and only where every frame shows it."""
     scene = composite(generated_plate("clouds"), 16, 3)
     pictures = {
-        "right": scene.frame, "plate": scene.plate,
-        "beside": np.roll(scene.frame, (4, 3), (0, 1)), "bright": np.clip(1.6 * scene.frame, 0, 1),
-    }  # fmt: skip
+        "right": scene.frame,
+        "plate": scene.plate,
+        "beside": np.roll(scene.frame, (4, 3), (0, 1)),
+        "bright": np.clip(1.6 * scene.frame, 0, 1),
+    }
     for name, picture in pictures.items():
         write_png(tmp_path / f"{name}.png", linear_to_srgb(picture) if transfer == "srgb" else picture, bits=16)
     files = {name: FileHandle.of(tmp_path / f"{name}.png") for name in pictures}

@@ -74,14 +74,20 @@ def test_our_own_records_stay(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"serializer": {"jsonlib": "os"}}, {"serializer": {"object_decoder": "os.system"}},
-        {"serializer": {"type": "compressed/pickle"}}, {"serializer": {"loads_kwargs": {"cls": "a"}}},
+        {"serializer": {"jsonlib": "os"}},
+        {"serializer": {"object_decoder": "os.system"}},
+        {"serializer": {"type": "compressed/pickle"}},
+        {"serializer": {"loads_kwargs": {"cls": "a"}}},
         {"result": {"__class__": "subprocess.Popen", "data": ["touch", "x"]}},
-        {"result": {"__exc_type__": "builtins.SystemExit", "message": "0"}}, {"result": [{"__class__": 3}]},
-        {"name": "other"}, {"text": "{"}, {"text": "[" * 100_000}, {"text": '{"metadata": 3}'},
+        {"result": {"__exc_type__": "builtins.SystemExit", "message": "0"}},
+        {"result": [{"__class__": 3}]},
+        {"name": "other"},
+        {"text": "{"},
+        {"text": "[" * 100_000},
+        {"text": '{"metadata": 3}'},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_whatever_is_not_exactly_ours_goes(tmp_path: Path, change: dict[str, Any]) -> None:
     serializer = JSONSerializer().model_dump(mode="json") | change.get("serializer", {})
     result = change.get("result", {"__class__": "hfb.tasks.core.handles.FileHandle", "data": {}})

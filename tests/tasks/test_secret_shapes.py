@@ -22,23 +22,41 @@ TOKEN = "Zq7-s3cr3t_v4lue"
         f"https://b.s3.amazonaws.com/k?X-Amz-Credential=a&X-Amz-Signature={TOKEN}&X-Amz-Security-Token={TOKEN}",
         f"https://storage.googleapis.com/b/o?X-Goog-Credential=a&X-Goog-Signature={TOKEN}",
         f"https://storage.googleapis.com/b/o?GoogleAccessId={TOKEN}&Expires=1&Signature={TOKEN}",
-        f"http://h:5000/?access_token={TOKEN}", f"http://h:5000/#access_token={TOKEN}&state=1", f"see http://h/?token={TOKEN}.",
-        f"s3://bucket/p?secret_key={TOKEN}&endpoint=h", f"s3://bucket?aws_secret_access_key={TOKEN}",
-        f"s3://key:{TOKEN}@bucket/p", f"https://{TOKEN}@github.com/a/b.git", f"ray://u:{TOKEN}@h:10001",
-        f"tcp://u:{TOKEN}@h:8786 is not there", f"postgresql+psycopg2://u:{TOKEN}@h/db", f"mysql://u:{TOKEN}@h",
-        f"redis://:{TOKEN}@h:6379/0", f"cannot open https%3A%2F%2Fu%3A{TOKEN}%40h%2Fp now",
+        f"http://h:5000/?access_token={TOKEN}",
+        f"http://h:5000/#access_token={TOKEN}&state=1",
+        f"see http://h/?token={TOKEN}.",
+        f"s3://bucket/p?secret_key={TOKEN}&endpoint=h",
+        f"s3://bucket?aws_secret_access_key={TOKEN}",
+        f"s3://key:{TOKEN}@bucket/p",
+        f"https://{TOKEN}@github.com/a/b.git",
+        f"ray://u:{TOKEN}@h:10001",
+        f"tcp://u:{TOKEN}@h:8786 is not there",
+        f"postgresql+psycopg2://u:{TOKEN}@h/db",
+        f"mysql://u:{TOKEN}@h",
+        f"redis://:{TOKEN}@h:6379/0",
+        f"cannot open https%3A%2F%2Fu%3A{TOKEN}%40h%2Fp now",
         f"next=a%26token%3D{TOKEN}%26b",
-        f"Authorization: Bearer {TOKEN}", f"'Authorization': 'Basic {TOKEN}'", f'{{"authorization": "Bearer {TOKEN}"}}',
-        f"sent Authorization=Bearer {TOKEN} to h", f"Proxy-Authorization: Basic {TOKEN}", f"a bearer {TOKEN} b",
-        f"X-Api-Key: {TOKEN}", f"x-amz-security-token: {TOKEN}", f"Cookie: session={TOKEN}; a=b",
+        f"Authorization: Bearer {TOKEN}",
+        f"'Authorization': 'Basic {TOKEN}'",
+        f'{{"authorization": "Bearer {TOKEN}"}}',
+        f"sent Authorization=Bearer {TOKEN} to h",
+        f"Proxy-Authorization: Basic {TOKEN}",
+        f"a bearer {TOKEN} b",
+        f"X-Api-Key: {TOKEN}",
+        f"x-amz-security-token: {TOKEN}",
+        f"Cookie: session={TOKEN}; a=b",
         f"PGPASSWORD={TOKEN} psql",
         f"MLFLOW_TRACKING_TOKEN={TOKEN}",
-        f"host=h password={TOKEN} user=u", f"password='{TOKEN}'", f"--api-key={TOKEN}",
+        f"host=h password={TOKEN} user=u",
+        f"password='{TOKEN}'",
+        f"--api-key={TOKEN}",
         f"DefaultEndpointsProtocol=https;AccountName=a;AccountKey={TOKEN};EndpointSuffix=b",
         f"Endpoint=sb://a/;SharedAccessKeyName=b;SharedAccessKey={TOKEN}",
-        json.dumps({"api_key": TOKEN}), json.dumps(json.dumps({"token": TOKEN})), repr({"password": TOKEN}),
+        json.dumps({"api_key": TOKEN}),
+        json.dumps(json.dumps({"token": TOKEN})),
+        repr({"password": TOKEN}),
     ],
-)  # fmt: skip
+)
 def test_no_token_is_left(text: str) -> None:
     for words in (text, f"the server answers 401 for {text}, see its log", f"'{text}'"):
         shown = without_secrets(words)
@@ -49,12 +67,22 @@ def test_no_token_is_left(text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "the design has a signature: none", "token: expected", "basic information about it", "hfb.key=3", "a@b.c",
+        "the design has a signature: none",
+        "token: expected",
+        "basic information about it",
+        "hfb.key=3",
+        "a@b.c",
         "12:30 http://h/x",
-        "--matting.weights=a.onnx", "https://h/p?sv=1&se=2", "config.fit.weights.path=0.1", "C:\\a\\b", "ray://h:10001",
-        "sqlite:////a/b.db", "file:///a@b/c", "s3://bucket/a@b",
+        "--matting.weights=a.onnx",
+        "https://h/p?sv=1&se=2",
+        "config.fit.weights.path=0.1",
+        "C:\\a\\b",
+        "ray://h:10001",
+        "sqlite:////a/b.db",
+        "file:///a@b/c",
+        "s3://bucket/a@b",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_secret_stays(text: str) -> None:
     assert without_secrets(text) == text
 
@@ -125,9 +153,11 @@ def test_commands_leave_no_token_anywhere(
         (tmp_path / name).write_bytes(b"")
     fit = ["fit", str(tmp_path / "a.png"), "--background", str(tmp_path / "b.png"), "--out", str(tmp_path / "out")]
     stores = (
-        f"http://u:{TOKEN}@127.0.0.1:9/?access_token={TOKEN}", f"http://127.0.0.1:9/?sig={TOKEN}", f"file:///a?token={TOKEN}",
+        f"http://u:{TOKEN}@127.0.0.1:9/?access_token={TOKEN}",
+        f"http://127.0.0.1:9/?sig={TOKEN}",
+        f"file:///a?token={TOKEN}",
         f"https://{TOKEN}@127.0.0.1:9",
-    )  # fmt: skip
+    )
     for store in stores:
         monkeypatch.setenv("MLFLOW_TRACKING_URI", store)
         assert main([*fit, "--json"]) == 2

@@ -17,11 +17,14 @@ PASSWORD = "pa/ss:w@rd"
 @pytest.mark.parametrize(
     "text",
     [
-        f"postgresql+psycopg2://hfb:{PASSWORD}@db:5432/mlflow", f"http://hfb:{PASSWORD}@host:5000",
-        f"see http://host/x?token={PASSWORD}&a=1", f"s3://bucket?access_key={PASSWORD}", f"postgresql://:{PASSWORD}@db",
+        f"postgresql+psycopg2://hfb:{PASSWORD}@db:5432/mlflow",
+        f"http://hfb:{PASSWORD}@host:5000",
+        f"see http://host/x?token={PASSWORD}&a=1",
+        f"s3://bucket?access_key={PASSWORD}",
+        f"postgresql://:{PASSWORD}@db",
         f"API request to https://a:{PASSWORD}@b/api/2.0 failed, then https://a:{PASSWORD}@b/c",
     ],
-)  # fmt: skip
+)
 def test_what_stands_in_addresses(text: str) -> None:
     shown = without_secrets(text)
     assert PASSWORD not in shown

@@ -116,10 +116,20 @@ def test_postgres_is_told_its_name() -> None:
 @pytest.mark.parametrize(
     "given",
     [
-        "http://", "http:", "https:///x", "http:/host:5000", "http://ho st:5000", "http://host:port", "http://host:99999",
-        "http://[::1", "http://host:5000\n", "http://a..b:5000", "http://:5000", "http://host:0",
+        "http://",
+        "http:",
+        "https:///x",
+        "http:/host:5000",
+        "http://ho st:5000",
+        "http://host:port",
+        "http://host:99999",
+        "http://[::1",
+        "http://host:5000\n",
+        "http://a..b:5000",
+        "http://:5000",
+        "http://host:0",
     ],
-)  # fmt: skip
+)
 def test_an_address_that_is_none(given: str) -> None:
     with pytest.raises(InputError, match=r"MLFLOW_TRACKING_URI is .* set it to an address like http://127.0.0.1:5000"):
         check_store(given)

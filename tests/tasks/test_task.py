@@ -32,9 +32,12 @@ def test_key_of_inputs_and_options(handle: FileHandle, tmp_path: Path) -> None:
     assert key() == key(folder=tmp_path / "elsewhere")  # where results go does not change them
     assert key() == key(frame=moved)
     others = [
-        key("matte"), key(seed=1), key(config=FitConfig(degree=3)), key(config=MattingConfig()),
+        key("matte"),
+        key(seed=1),
+        key(config=FitConfig(degree=3)),
+        key(config=MattingConfig()),
         key(frame=handle.model_copy(update={"sha256": "0"})),
-    ]  # fmt: skip
+    ]
     assert len({key(), *others}) == 6
     assert "/" not in key()
 

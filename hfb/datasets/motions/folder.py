@@ -53,11 +53,15 @@ class FolderMotions:
         self._found = [(name, tuple(sorted(found[name]))) for name in sorted(found)]
 
     def names(self) -> Sequence[str]:
-        """Paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
+        """Return paths relative to the folder, with forward slashes; of a CAPE sequence that of its frames' folder."""
         return [name for name, _ in self._found]
 
     def load(self, index: int) -> MotionClip:
-        """Read one of them; see `MotionSource`."""
+        """Read one motion; see `MotionSource`.
+
+        Args:
+            index: of `names`.
+        """
         name, paths = self._found[index]
         return _load(name, paths)
 

@@ -31,11 +31,14 @@ class MotionSource(Protocol):
     """Motions by number, in an order that does not change between runs and machines."""
 
     def names(self) -> Sequence[str]:
-        """What there is; nothing is read beyond the folder's listing."""
+        """Return the names of the motions; nothing is read beyond the folder's listing."""
         ...
 
     def load(self, index: int) -> MotionClip:
-        """Read one of them.
+        """Read one motion.
+
+        Args:
+            index: of `names`.
 
         Raises:
             InputError: the file is damaged, of an unknown layout, shorter than two frames or not finite.

@@ -36,9 +36,10 @@ class Split:
 
 
 def split_motions(names: Sequence[str], test_patterns: Sequence[str], held_out_patterns: Sequence[str] = ()) -> Split:
-    """Motions whose name fits a pattern are tested, or held out.
+    """Split motions into those to learn from, to test and to hold out, by patterns of their names.
 
     Args:
+        names: of all motions.
         test_patterns: shell patterns of names, such as ``cmu_09_*``.
         held_out_patterns: of those that are left; every fourth of them, in their order, when none are given.
 
@@ -72,13 +73,17 @@ def draw_columns(
     refused: dict[str, str],
     on_progress: OnProgress | None = None,
 ) -> tuple[Float[Array, "n 3 25 4"], Float[Array, "n"]]:
-    """C of exposures at random times of some motions, and how long each lasted [s].
+    """Return C of exposures at random times of some motions, and their lengths [s].
 
     What is drawn from a motion depends on its name and the seed, not on the other motions.
 
     Args:
+        source: of the motions.
+        numbers: of the motions to use.
         per_second: how many exposures per second of recording.
+        seed: of the random times.
         refused: gets the reason by name for each motion that cannot be read.
+        on_progress: called with (motions done, motions in all).
     """
     columns, exposures = [np.zeros((0, 3, 25, 4), np.float32)], [np.zeros(0)]
     for done, clip in _clips(source, numbers, refused):
@@ -95,10 +100,16 @@ def draw_columns(
 def draw_exposures(
     clip: MotionClip, u: Float[Array, "S"], per_second: float, generator: np.random.Generator
 ) -> tuple[Float[Array, "n S 24 3"], Float[Array, "n S 3"], Float[Array, "n"]]:
-    """Poses (axis-angle [rad]) and translations [m] at u of exposures, in the clip's world, and their lengths [s].
+    """Draw random exposures: poses (axis-angle [rad]) and translations [m] at u, in the clip's world, and lengths [s].
 
     Exposures begin anywhere; their lengths are drawn evenly in their logarithm. Those in which the recording jumps
     are left out.
+
+    Args:
+        clip: the recorded motion.
+        u: times in exposures, from 0 to 1.
+        per_second: exposures per second of recording.
+        generator: of the times.
     """
     lasts_s = (len(clip.poses) - 1) / clip.fps
     longest = min(LONGEST_S, lasts_s)
@@ -121,7 +132,15 @@ def take_poses(
     refused: dict[str, str],
     on_progress: OnProgress | None = None,
 ) -> Float[Array, "n 69"]:
-    """Axis-angles of joints 1 to 23 [rad] at regular times of some motions."""
+    """Return axis-angles of joints 1 to 23 [rad] at regular times of some motions.
+
+    Args:
+        source: of the motions.
+        numbers: of the motions to use.
+        per_second: poses per second of recording.
+        refused: gets the reason by name for each motion that cannot be read.
+        on_progress: called with (motions done, motions in all).
+    """
     poses = [np.zeros((0, 69))]
     for done, clip in _clips(source, numbers, refused):
         times_s = np.arange(0, (len(clip.poses) - 1) / clip.fps, 1 / per_second)

@@ -17,12 +17,13 @@ _FASTEST_RAD_S = 55.0
 
 
 def resample(clip: MotionClip, times_s: Float[Array, "S"]) -> tuple[Float[Array, "S 24 3"], Float[Array, "S 3"]]:
-    """Joint rotations (axis-angle [rad], angles in [0, pi]) and translations [m] at the given instants.
+    """Return joint rotations (axis-angle [rad], angles in [0, pi]) and translations [m] at the given instants.
 
     Catmull-Rom splines (Catmull & Rom, A Class of Local Interpolating Splines, 1974): through the clip's own frames,
     with a continuous velocity. Rotations are interpolated as quaternions of one hemisphere and normalised.
 
     Args:
+        clip: the recorded motion.
         times_s: seconds from the clip's first frame, in any order, within [0, (F - 1) / fps].
 
     Raises:
@@ -64,10 +65,14 @@ def _spline(
 
 
 def has_jump(clip: MotionClip, start_s: float, end_s: float) -> bool:
-    """Whether a joint turns from one frame to the next faster than any person moves, as where a recording has an error.
+    """Return whether a joint turns from one frame to the next faster than a person can: an error of the recording.
 
-    Published conversions have limbs that turn round by half a turn within a frame; what is made of such a window is
-    no motion. Only frames from `start_s` to `end_s` [s from the clip's first frame] are looked at.
+    Published conversions have limbs that turn by half a turn within a frame; such a window shows no motion.
+
+    Args:
+        clip: the recorded motion.
+        start_s: of the window, seconds from the clip's first frame.
+        end_s: of the window, likewise.
     """
     first = max(int(np.floor(start_s * clip.fps)), 0)
     poses = clip.poses[first : int(np.ceil(end_s * clip.fps)) + 1].astype(np.float64)

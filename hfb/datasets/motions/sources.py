@@ -10,7 +10,11 @@ from hfb.errors import InputError
 
 
 def open_motions(folder: Path | None, seed: int) -> MotionSource:
-    """The motions of a folder, or for None built-in ones from the seed.
+    """Return the motions of a folder, or for None built-in ones from the seed.
+
+    Args:
+        folder: of recordings, or None.
+        seed: of the built-in motions.
 
     Raises:
         InputError: no such folder, or no motion in it.
@@ -21,9 +25,10 @@ def open_motions(folder: Path | None, seed: int) -> MotionSource:
 def usable(
     source: MotionSource, on_progress: Callable[[int, int], None] | None = None
 ) -> tuple[list[int], dict[str, str]]:
-    """Load each motion once: the numbers of those that load, and why the others do not, by name.
+    """Load each motion once; return the numbers of those that load, and the others' reasons by name.
 
     Args:
+        source: of the motions.
         on_progress: called with (motions looked at, motions in all) after each.
     """
     good, bad = [], {}

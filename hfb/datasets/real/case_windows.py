@@ -46,9 +46,12 @@ class _Seen:
 
 
 def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
-    """(every window of every usable video for every K, by path, K and time; video -> why it is not used).
+    """Return every window of every usable video for every K, by path, K and time, and why a video is not used.
 
     A window has no dropped frame and, where joints were measured, a row of them for each of its frames.
+
+    Args:
+        spec: of the set.
 
     Raises:
         InputError: a folder is missing or holds no video.
@@ -83,7 +86,11 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
 
 
 def place_names(folders: Iterable[Path]) -> dict[Path, str]:
-    """A name for each folder: the end of its path, as short as no other folder's path ends so."""
+    """Name each folder: the end of its path, as short as no other folder's path ends so.
+
+    Args:
+        folders: some may be named twice.
+    """
     parts = {folder: folder.resolve().parts for folder in folders}
 
     def name(own: tuple[str, ...]) -> str:
@@ -96,11 +103,16 @@ def place_names(folders: Iterable[Path]) -> dict[Path, str]:
 
 
 def choose(windows: Sequence[RealWindow], count: int, seed: int) -> list[RealWindow]:
-    """Up to `count` windows, spread evenly over videos and K and, within both, over time.
+    """Choose up to `count` windows, spread evenly over videos and K and, within both, over time.
 
     Every pair of a video and a K takes its turn before one has its second; within a round the next pair is of the
     video and the K that have had the fewest. Within a pair the windows come in bit-reversed order (van der Corput),
     rotated by the seed: every prefix is spread out, and a longer choice begins with the shorter one.
+
+    Args:
+        windows: to choose from.
+        count: largest number of chosen windows.
+        seed: rotates the order.
     """
     rng = np.random.default_rng(seed)
     cells: dict[tuple[Path, int], list[RealWindow]] = {}

@@ -41,7 +41,11 @@ class Inspection:
 
 
 def inspect(recording: Recording, footage: Footage) -> Inspection:
-    """Look at the beginning of a video, a few seconds at most.
+    """Check the beginning of a video, a few seconds at most.
+
+    Args:
+        recording: the video with its plate, camera and joints.
+        footage: of the video.
 
     Raises:
         InputError: the camera moves, or the joints do not lie on the person.
@@ -76,11 +80,14 @@ def inspect(recording: Recording, footage: Footage) -> Inspection:
 
 
 def joint_shift(inspections: Sequence[Inspection]) -> int:
-    """By how many frames the rows of the joints lie before the pictures (negative) or behind them.
+    """Estimate by how many frames the rows of the joints are early (negative) or late.
 
     A file whose rows are numbered from another frame than the video is quietly wrong by a frame or two, which at
     60 frames per second is some centimetres at the hands. The shift at which the limbs lie deepest inside what moved
     is taken where it is clearly better than none.
+
+    Args:
+        inspections: of the videos that share the joints.
     """
     total = np.sum([inspection.depths for inspection in inspections], axis=0)
     if not inspections or not total.any():
@@ -92,7 +99,12 @@ def joint_shift(inspections: Sequence[Inspection]) -> int:
 
 
 def camera_moves(looks: Sequence[Float[Array, "h w 3"]], empty: Float[Array, "h w 3"]) -> bool:
-    """Whether most edges of most looks are elsewhere in the empty picture; a person covers fewer."""
+    """Return whether most edges of most frames are elsewhere in the plate; a person covers fewer.
+
+    Args:
+        looks: reduced frames, sRGB.
+        empty: reduced plate, sRGB.
+    """
     gray_empty = empty.mean(-1)
     kept = []
     for look in looks:

@@ -43,11 +43,16 @@ class Markers:
     views_known: bool = False
 
     def turned(self) -> "Markers":
-        """The same points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
+        """Return the points with z up where y was up (y, z, x become z, x, y), as Pose2Sim's .trc files need it."""
         return replace(self, xyz_m=np.ascontiguousarray(self.xyz_m[..., [2, 0, 1]]))
 
     def rows(self, first: int, count: int) -> Float[Array, "n M 3"]:
-        """The points of consecutive frames; NaN for frames that the file does not have."""
+        """Return the points of consecutive frames [m]; NaN for frames that the file does not have.
+
+        Args:
+            first: number of the first frame.
+            count: number of frames.
+        """
         found = np.full((count, len(self.names), 3), np.nan)
         at = np.searchsorted(self.frames, np.arange(first, first + count))
         known = at < len(self.frames)
@@ -57,7 +62,11 @@ class Markers:
 
 
 def smpl_joint(name: str) -> int | None:
-    """The SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like."""
+    """Return the SMPL joint that a marker shows, or None: RHip, right_hip, "Left Knee", LWrist and the like.
+
+    Args:
+        name: of the marker.
+    """
     word = "".join(letter for letter in name.lower() if letter.isalnum())
     for limb in _LIMBS:
         side = _SIDES.get(word.removesuffix(limb)) or _SIDES.get(word.removeprefix(limb))
@@ -67,7 +76,11 @@ def smpl_joint(name: str) -> int | None:
 
 
 def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """(columns of the markers that show SMPL joints, those joints), by joint; the first of doubles."""
+    """Return the columns of the markers that show SMPL joints, and those joints, by joint; the first of doubles.
+
+    Args:
+        names: of the markers.
+    """
     joints: dict[int, int] = {}
     for column, name in enumerate(names):
         joint = smpl_joint(name)
@@ -78,6 +91,9 @@ def body_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
 
 def read_joints_npz(path: Path) -> Markers:
     """Read joints3d.npz: frames (F,), names (M,), xyz (F,M,3) in metres in the calibration's world.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: missing, damaged, too large, or of other shapes.
@@ -103,6 +119,9 @@ def read_trc(path: Path) -> Markers:
     """Read OpenSim's .trc: tab-separated, a header of five lines, then frame number, time and x y z per marker.
 
     A gap is an empty cell. Rows are placed by their time: frame = time * rate.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: missing, no .trc, or inconsistent; the text says in which line.

@@ -42,7 +42,12 @@ from hfb.typing import Array, Float
 
 
 def make_numbered_real_case(spec: RealSpec, number: int, folder: Path) -> Case:
-    """Case `number` (from 1) of the set: the windows in the order of `choose` with the set's own seed.
+    """Make case `number` (from 1) of the set: the windows in the order of `choose` with the set's own seed.
+
+    Args:
+        spec: of the set.
+        number: of the case, from 1.
+        folder: written to.
 
     Raises:
         InputError: there are fewer windows, or no case can be made from this one.
@@ -59,6 +64,12 @@ def make_real_case(spec: RealSpec, number: int, window: RealWindow, folder: Path
 
     The truth holds the joints at the middle of every sharp frame's exposure; shutter.py says how these instants lie
     on the clock of a fit. Mattes and cut-outs come from the default matting of the sharp frames: pseudo truths.
+
+    Args:
+        spec: of the set.
+        number: of the case, from 1.
+        window: of a video.
+        folder: written to.
 
     Raises:
         InputError: nobody moves in the window, or the files have changed since it was found.

@@ -37,7 +37,7 @@ class Exposure:
     middle: Float[Array, "H W 3"]
 
     def blur_rate(self) -> float:
-        """|union of the masks| / |one mask| - 1.
+        """Return |union of the masks| / |one mask| - 1.
 
         The median mask stands for the first one, and masks of an unusual area are left out: one bad matte must not
         decide.
@@ -59,10 +59,12 @@ def expose(
     """Average the windows of a case, one frame in memory at a time.
 
     Args:
+        view: window onto the video.
         plate: through the same view, linear.
         first: number of the case's first frame in the video.
+        shutter: sharp frames per blurred one, and blurred frames.
         boxes: where the person may be in each sharp frame, in the case's pictures; None for everywhere in the view.
-        on_frame: is shown every sharp frame and its matte.
+        on_frame: called with every sharp frame and its matte.
 
     Raises:
         InputError: a frame cannot be read or shows nobody.

@@ -40,7 +40,7 @@ class Shutter:
         return self.average / self.fps
 
     def instants(self) -> tuple[Float[Array, "R"], Int[Array, "R"]]:
-        """Times [s] of the R = T * K sharp frames since the first shutter opened, and the window each belongs to."""
+        """Return times [s] of the R = T * K sharp frames since the first shutter opened, and the window of each."""
         if self.average == 1:
             index = np.arange(self.frames)
             return index * self.interval_s + self.exposure_s / 2, index

@@ -61,7 +61,11 @@ class Footage:
         return len(self.steady) + 1
 
     def stored_frames(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """The frames from `start` up to `stop` as stored in [0, 1], one after another (see `to_linear`).
+        """Yield the frames from `start` up to `stop` as stored in [0, 1], one after another (see `to_linear`).
+
+        Args:
+            start: first frame.
+            stop: frame after the last one.
 
         Raises:
             InputError: a frame cannot be read, or the video ends before `stop`.
@@ -74,7 +78,11 @@ class Footage:
             raise InputError(f"{self.path}: ends at frame {start + given}, before frame {stop}; convert it to H.264.")
 
     def to_linear(self, stored: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-        """A stored picture, or a part of one, in linear light."""
+        """Convert a stored image, or a part of one, to linear light.
+
+        Args:
+            stored: image or part of one, as stored in [0, 1].
+        """
         return stored if self.clip.transfer == "linear" else srgb_to_linear(as_srgb(stored, self.clip.transfer))
 
     def _stored(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
@@ -84,7 +92,10 @@ class Footage:
 
 
 def find_footage(folder: Path) -> tuple[list[Footage], dict[str, str]]:
-    """(videos in the order of their relative paths, relative path -> why it can't be used).
+    """Return the videos in the order of their relative paths, and by relative path why others cannot be used.
+
+    Args:
+        folder: searched with its subfolders.
 
     Raises:
         InputError: the folder is missing or holds no video at all.
@@ -182,10 +193,12 @@ def _clip_beside(path: Path, stem: str) -> Clip:
 
 
 def _timing(path: Path, told_fps: float | None) -> tuple[float, Bool[Array, "n"], tuple[str, ...]]:
-    """(frames per second, which frames are followed by a regular interval, remarks), from what the container says.
+    """Return frames per second, which frames are followed by a regular interval, and remarks, from the container.
 
     Args:
-        told_fps: by the user; wins over the rate of the capture, which wins over that of the time stamps.
+        path: of the video.
+        told_fps: by the user; it has priority over the rate of the capture, which has priority over that of the time
+            stamps.
     """
     fps, steady, capture = _time_stamps(path)
     if told_fps or not differs(capture, fps) or capture is None:

@@ -40,7 +40,12 @@ class SeenJoints:
 
 
 def pixels_of(points_m: Float[Array, "R P 3"], camera: PinholeCamera) -> Float[Array, "R P 2"]:
-    """Where points in camera coordinates are in the picture; NaN where unknown or not in front of the lens."""
+    """Project points in camera coordinates; NaN where unknown or not in front of the lens.
+
+    Args:
+        points_m: camera coordinates.
+        camera: pinhole camera of the image.
+    """
     ahead = np.where(points_m[..., 2:] > 0.05, points_m, np.nan)
     return camera.project(torch.from_numpy(ahead)).numpy()
 
@@ -48,9 +53,16 @@ def pixels_of(points_m: Float[Array, "R P 3"], camera: PinholeCamera) -> Float[A
 def measured_joints(
     markers: Markers, camera: CalibratedCamera, first: int, count: int, kind: TruthKind = "measured"
 ) -> SeenJoints:
-    """The measured points that show SMPL's joints, in consecutive rows.
+    """Return the measured points that show SMPL's joints, in consecutive rows, camera coordinates.
 
     They lie where their source puts them, some centimetres from SMPL's own joints (see truth_source.py).
+
+    Args:
+        markers: measured points.
+        camera: of the video.
+        first: number of the first frame in the video.
+        count: number of frames.
+        kind: how the points were measured.
     """
     columns, joints = body_columns(markers.names)
     rows = markers.rows(first, count)[:, columns]
@@ -58,13 +70,25 @@ def measured_joints(
 
 
 def all_points(markers: Markers, camera: CalibratedCamera, first: int, count: int) -> Float[Array, "R M 3"]:
-    """Every measured point, also those that SMPL lacks, in camera coordinates: for where the person is."""
+    """Return every measured point but the nose, also those that SMPL lacks, in camera coordinates: the person's extent.
+
+    Args:
+        markers: measured points.
+        camera: of the video.
+        first: number of the first frame in the video.
+        count: number of frames.
+    """
     kept = [column for column, name in enumerate(markers.names) if name.lower() != "nose"]  # often far off
     return camera.to_camera(markers.rows(first, count))[:, kept]
 
 
 def share_inside(pixels: Float[Array, "R P 2"], masks: Bool[Array, "R H W"]) -> float:
-    """Share of the known joints that fall on the mask of their own frame."""
+    """Return the share of the known joints that project onto the mask of their own frame.
+
+    Args:
+        pixels: of the joints [px], NaN where unknown.
+        masks: of the frames.
+    """
     rows, _ = np.nonzero(np.isfinite(pixels).all(-1))
     x, y = np.floor(pixels[np.isfinite(pixels).all(-1)]).astype(int).T
     height, width = masks.shape[1:]
@@ -83,7 +107,12 @@ class SharpEstimates:
         self._sources: list[str] = []
 
     def add(self, frame_linear: Float[Array, "H W 3"], matte: Float[Array, "H W"]) -> None:
-        """Estimate one frame; where the estimator finds nobody the row is unknown."""
+        """Estimate one frame; where the estimator finds nobody the row is unknown.
+
+        Args:
+            frame_linear: sharp frame, linear light.
+            matte: of the frame.
+        """
         try:
             first = self._initializer(frame_linear, self._plate, matte, self._camera, self._body)
         except InputError:
@@ -97,7 +126,7 @@ class SharpEstimates:
         self._sources.append(first.source)
 
     def joints(self) -> SeenJoints:
-        """All frames, without what leaps (see `without_leaps`).
+        """Return the joints of all frames, leaps removed (see `without_leaps`).
 
         Raises:
             InputError: more than half of the frames have no estimate.
@@ -110,10 +139,13 @@ class SharpEstimates:
 
 
 def without_leaps(joints: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
-    """The joints, NaN where one is over half a metre from the median of its neighbours in time.
+    """Set joints to NaN that are over half a metre from the median of their neighbours in time.
 
-    Seen from the pelvis: how far away the whole person is may flicker, as it does in a single view. A frame in which
+    Distances are taken about the pelvis, since a single view's depth of the whole person may flicker. A frame in which
     more than half of the joints leap is unknown as a whole.
+
+    Args:
+        joints: camera coordinates [m].
     """
     centred = joints - joints[:, :1]
     leaps: Bool[Array, "R 24"] = np.zeros(joints.shape[:2], bool)

@@ -32,10 +32,11 @@ SMPL's are regressed from a surface. Of knees, ankles, elbows and wrists no offs
 
 
 def truth_kind(markers: Markers, cameras: int) -> TruthKind:
-    """What measured joints are, as far as the file tells.
+    """Return how the joints were measured, as far as the file tells.
 
     Args:
-        cameras: in the calibration: one camera triangulates nothing.
+        markers: measured points.
+        cameras: number of cameras in the calibration: one alone triangulates nothing.
     """
     if markers.views_known:
         return "multi-view"
@@ -45,7 +46,11 @@ def truth_kind(markers: Markers, cameras: int) -> TruthKind:
 
 
 def truth_offsets_mm(joints: tuple[int, ...]) -> dict[str, tuple[int, int]]:
-    """`OFFSET_MM` of those SMPL joints, by their names."""
+    """Return `OFFSET_MM` of some SMPL joints, by their names.
+
+    Args:
+        joints: numbers of SMPL joints.
+    """
     return {
         JOINT_NAMES[joint]: OFFSET_MM[part]
         for joint in joints

@@ -42,39 +42,46 @@ class Recording:
     shift: int = 0
 
     def footage(self) -> Footage:
-        """The video itself."""
+        """Open the video."""
         return _footage(self.video)
 
     def camera(self) -> CalibratedCamera | None:
-        """The calibrated camera, where there is one."""
+        """Read the calibrated camera; None where there is none."""
         return camera_of(read_calibration(self.calibration), self.video.name) if self.calibration else None
 
     def markers(self) -> Markers | None:
-        """The measured joints in the calibration's world."""
+        """Read the measured joints in the calibration's world."""
         if self.joints is None:
             return None
         read = read_trc(self.joints) if self.joints.suffix.lower() == ".trc" else read_joints_npz(self.joints)
         return read.turned() if self.y_up else read
 
     def camera_count(self) -> int:
-        """How many cameras the calibration has."""
+        """Return the number of cameras in the calibration."""
         return len(read_calibration(self.calibration)) if self.calibration else 0
 
     def row_of(self, frame: int) -> int:
-        """The number that a frame of the video has on the joints' clock."""
+        """Return the number of a frame of the video on the joints' clock.
+
+        Args:
+            frame: number in the video.
+        """
         camera = self.camera()
         return frame + self.shift + (camera.first_frame if camera else 0)
 
     def stored_plate(self) -> Float[Array, "H W 3"]:
-        """The clean background as the video stores pictures, in [0, 1], as distorted as its frames."""
+        """Read the clean background as the video stores images, in [0, 1], as distorted as its frames."""
         return read_picture_srgb(self.plate) if self.plate else _median(self.video)
 
 
 def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
-    """The files that belong to a video, as far as names tell, and what is amiss in one sentence each.
+    """Find the files that belong to a video by their names; return them and a sentence per problem.
 
     Searched: the video's folder, and beside it the folders `calibration` and `pose-3d` of a Pose2Sim project. Where
     several .trc files lie there the filtered one counts; whether it has y up is not decided here.
+
+    Args:
+        footage: the video.
 
     Raises:
         InputError: a calibration or a joint file that cannot be read, or a picture size that is not the video's.
@@ -101,7 +108,11 @@ def find_recording(footage: Footage) -> tuple[Recording, list[str]]:
 
 
 def find_plate(footage: Footage) -> Path | None:
-    """``<name>_plate.png`` with the longest name that the video's begins with, else ``plate.png``, else None."""
+    """Return ``<name>_plate.png`` with the longest name that the video's begins with, else ``plate.png``, else None.
+
+    Args:
+        footage: the video.
+    """
     found: list[tuple[int, Path]] = []
     for path in _matching(footage.path.parent, ("*",)):
         named = _PLATE.fullmatch(path.name)
@@ -154,7 +165,12 @@ def _check_markers(recording: Recording, footage: Footage) -> None:
 
 
 def changed(picture: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> Bool[Array, "H W"]:
-    """Where a stored picture clearly differs from the stored plate: coarse, for checks only."""
+    """Return where a stored image clearly differs from the stored plate: coarse, for checks only.
+
+    Args:
+        picture: as stored in [0, 1].
+        plate: as stored in [0, 1].
+    """
     difference = np.abs(picture - plate).max(-1)
     usual = float(np.median(difference))
     return np.asarray(cv2.blur(difference, (3, 3)) > max(0.06, 3 * usual))

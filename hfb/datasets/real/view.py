@@ -31,7 +31,11 @@ class Box:
     bottom: float
 
     def grown(self, share: float) -> "Box":
-        """Wider on each side by a share of the longer side."""
+        """Widen the box on each side by a share of the longer side.
+
+        Args:
+            share: of the longer side.
+        """
         pad = share * max(self.right - self.left, self.bottom - self.top)
         return Box(self.left - pad, self.top - pad, self.right + pad, self.bottom + pad)
 
@@ -57,7 +61,11 @@ class View:
     body: Bool[Array, "a b"] | None = None
 
     def see(self, stored: Float[Array, "H W 3"]) -> Float[Array, "h w 3"]:
-        """A stored full picture through the window, in linear light; every pixel the mean of what it covers."""
+        """Return a stored full image through the window, in linear light; every pixel the mean of what it covers.
+
+        Args:
+            stored: full image as stored in [0, 1].
+        """
         if self.source is None:
             window = stored[self.top : self.top + self.height, self.left : self.left + self.width]
             linear = self.footage.to_linear(np.ascontiguousarray(window))
@@ -80,10 +88,13 @@ def make_view(
     size_px: int,
     body: Bool[Array, "h w"] | None = None,
 ) -> View:
-    """The window around a person's box.
+    """Build the window around a person's box.
 
     Args:
-        box: of the person in all frames of the case. full: the camera of the undistorted full picture.
+        footage: the video.
+        box: of the person in all frames of the case.
+        full: the camera of the undistorted full picture.
+        calibrated: the lens, or None.
         size_px: longer side of the case's pictures; a smaller window is not enlarged.
         body: where the person may be, in a small full picture; None for everywhere.
 
@@ -105,7 +116,10 @@ def make_view(
 
 
 def box_of_joints(pixels: Float[Array, "*n 2"]) -> Box:
-    """The box around projected joints, with room for what reaches beyond them.
+    """Return the box around projected joints, with a margin for the body's surface.
+
+    Args:
+        pixels: projected joints [px], NaN where unknown.
 
     Raises:
         InputError: none is known.
@@ -118,7 +132,13 @@ def box_of_joints(pixels: Float[Array, "*n 2"]) -> Box:
 
 
 def box_of_change(recording: Recording, footage: Footage, first: int, count: int) -> tuple[Box, Bool[Array, "h w"]]:
-    """The box of the largest thing that moved in some frames, and its region in a small picture.
+    """Return the box of the largest thing that moved in some frames, and its region in a small image.
+
+    Args:
+        recording: the video with its plate.
+        footage: the video.
+        first: number of the first frame.
+        count: number of frames.
 
     Raises:
         InputError: nothing differs from the plate.

@@ -7,7 +7,13 @@ from hfb.typing import Array, Float
 
 
 def room_background(height: int, width: int, rng: np.random.Generator) -> Float[Array, "H W 3"]:
-    """A soft-lit wall and floor with a few pictures and boxes, sRGB in [0, 1]."""
+    """Paint a soft-lit wall and floor with a few pictures and boxes, sRGB in [0, 1].
+
+    Args:
+        height: of the image [px].
+        width: of the image [px].
+        rng: of colours and things.
+    """
     wall, floor = (rng.uniform(low, high) + rng.uniform(-0.07, 0.07, 3) for low, high in ((0.5, 0.8), (0.2, 0.45)))
     horizon = int(height * rng.uniform(0.62, 0.75))
     rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)

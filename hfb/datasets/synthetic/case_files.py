@@ -42,9 +42,12 @@ class Story:
 
 
 def write_case(folder: Path, story: Story, plate_linear: Float[Tensor, "H W 3"], rng: np.random.Generator) -> Case:
-    """Write all files, case.json last: a folder that has it is whole.
+    """Write all files, case.json last: a folder that has it is complete.
 
     Args:
+        folder: of the case.
+        story: shots, motion and facts of the case.
+        plate_linear: background, linear light.
         rng: of the sensor's noise.
     """
     case = Case(folder, story.number, story.spec.frames, float(np.mean(story.blur_rates)), {})

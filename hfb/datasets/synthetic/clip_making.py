@@ -76,20 +76,29 @@ def make_clip(
     noise: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> MadeClip:
-    """Make a clip in a folder: ``frames/00000.png`` ... (or ``clip.mp4``), ``background.png``, ``clip.toml``, ``truth.npz``.
+    """Make a clip in a folder.
+
+    It gets ``frames/00000.png`` ... (or ``clip.mp4``), ``background.png``, ``clip.toml`` and ``truth.npz``.
 
     Args:
+        folder: written to.
+        frames: number of frames.
+        height: of the frames [px].
+        width: of the frames [px].
+        seed: of person, scenery, motion and noise.
+        fps: frames per second.
         shutter: share of the frame interval for which the shutter is open.
         gesture: number of the built-in motion; drawn by the seed where not given. A motion that is shorter than the
             clip swings back and forth without a stop.
         instants: per exposure; 7 k + 1 of them hold those of a fit with eight sub-frames.
-        leaves: (first, last) frame in which nobody is there.
-        noise: of the sensor.
+        video: write ``clip.mp4`` in place of ``frames/``.
+        leaves: (first, last) frame without the person.
+        noise: add the sensor's noise.
         on_progress: called after every frame with (frames done, of how many).
 
     Raises:
         TemporaryError: files lie there that no earlier call of this has put there.
-    """  # noqa: E501
+    """
     _make_room(folder)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 3]))
     for_person, for_scenery, for_motion, for_sensor = rng.spawn(4)

@@ -21,9 +21,13 @@ _SLEEVES, _LEGS = ("left_elbow", "right_elbow"), ("left_knee", "right_knee")
 
 
 def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
-    """A random outfit: 5 to 40 mm off the skin of torso, upper arms and thighs, less below; sleeves, legs may be bare.
+    """Draw a random outfit: 5 to 40 mm off the skin of torso, upper arms and thighs, less below.
 
-    Along the rest surface's normals, so never inward [m].
+    Sleeves and legs may be bare. Displacements are along the rest surface's normals, so never inward [m].
+
+    Args:
+        body: the undressed body.
+        rng: of the outfit.
     """
     loose = dict.fromkeys(_TRUNK, 1.0) | dict.fromkeys(_CLOSE, 0.8)
     for part in (_SLEEVES, _LEGS):
@@ -45,18 +49,32 @@ def draw_clothing(body: Body, rng: np.random.Generator) -> Float[Array, "V 3"]:
 
 
 def dress(body: Body, clothing: Float[Array, "V 3"]) -> Body:
-    """The body with its clothed surface as template: shape, skinning and joints stay those of the person inside."""
+    """Return the body with its clothed surface as template; shape, skinning and joints stay the undressed body's.
+
+    Args:
+        body: the undressed body.
+        clothing: displacement of each vertex in the rest pose [m].
+    """
     return replace(body, template=body.template + torch.from_numpy(clothing).to(body.template.dtype))
 
 
 def on_subdivided(body: Body, clothing: Float[Array, "V 3"]) -> Float[Array, "W 3"]:
-    """A displacement of a body for `hfb.body.subdivision.subdivide` of it: midpoints keep it outward."""
+    """Extend a body's displacement to its `hfb.body.subdivision.subdivide`; midpoints keep it outward.
+
+    Args:
+        body: the undressed body.
+        clothing: displacement of each vertex in the rest pose [m].
+    """
     ends = body.mesh.edge_vertices.numpy()
     return np.concatenate([clothing, (clothing[ends[:, 0]] + clothing[ends[:, 1]]) / 2])
 
 
 def vertex_normals(body: Body) -> Float[Array, "V 3"]:
-    """Unit normals of the mean rest surface, pointing outward; means of the faces', weighted by area."""
+    """Return unit normals of the mean rest surface, pointing outward: means of the faces', weighted by area.
+
+    Args:
+        body: the undressed body.
+    """
     vertices, faces = body.template.double().numpy(), body.mesh.faces.numpy()
     corners = vertices[faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

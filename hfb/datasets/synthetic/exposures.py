@@ -39,7 +39,7 @@ class Clock:
         return 1 / self.interval_s
 
     def times_s(self) -> Float[Array, "R"]:
-        """Every instant in the recording's time, frame after frame."""
+        """Return every instant in the recording's time, frame after frame."""
         return self.start_s + subframe_times_s(self.frames, self.instants, self.exposure_s, self.interval_s)[0]
 
 
@@ -55,15 +55,23 @@ class Shutter:
     grid_hz: int | None
 
     def nearest(self, exposure_s: float) -> int:
-        """Which possible exposure is nearest, by ratio."""
+        """Return the number of the possible exposure that is nearest by ratio.
+
+        Args:
+            exposure_s: wanted exposure.
+        """
         return int(np.abs(np.log(np.asarray(self.exposures_s) / exposure_s)).argmin())
 
     def clock(self, exposure: int, start_s: float, gap: float, frames: int, motion_px: float) -> Clock:
-        """The clock of a possible exposure.
+        """Return the clock of a possible exposure.
 
         Args:
-            gap: between exposures, in units of an exposure. motion_px: greatest speed of a joint [px per exposure];
-                it moves at most two pixels from instant to instant, as far as 71 instants allow.
+            exposure: its number in `exposures_s`.
+            start_s: first opening of the shutter in the motion.
+            gap: between exposures, in units of an exposure.
+            frames: number of exposures.
+            motion_px: greatest speed of a joint [px per exposure]; it moves at most two pixels from instant to instant,
+                as far as 71 instants allow.
         """
         exposure_s = self.exposures_s[exposure]
         gap_s = gap * exposure_s
@@ -84,7 +92,13 @@ def _instant_sevenths(steps: int) -> list[int]:
 
 
 def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
-    """BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them."""
+    """Return the shutter of a set.
+
+    BT-AMASS: 5 to 60 frames of 120 fps. BC-CAPE: instants of 600 fps, 58 to 467 ms of them.
+
+    Args:
+        name: of the set.
+    """
     if name == "bt-amass":
         return Shutter(tuple(count / _AMASS_HZ for count in _AMASS_FRAMES), None)
     longest = _SEVENTHS[-1] * 4 * 7
@@ -93,5 +107,9 @@ def shutter_of(name: Literal["bt-amass", "bc-cape"]) -> Shutter:
 
 
 def draw_gap(rng: np.random.Generator) -> float:
-    """The time between two exposures, in units of one."""
+    """Draw the time between two exposures, in units of one.
+
+    Args:
+        rng: of the gap.
+    """
     return float(rng.uniform(0, _LARGEST_GAP))

@@ -64,15 +64,21 @@ def candidates(
     size_px: int,
     rng: np.random.Generator,
 ) -> Iterator[Candidate]:
-    """Pieces whose rough blur rate is wanted, as many as a few hundred draws yield.
+    """Yield pieces of motion whose approximate blur rate is wanted, as many as a few hundred draws give.
 
     A motion, a start, a gap and a camera are drawn; the exposure time follows from the wanted blur rate, which grows
     with it nearly in proportion.
 
     Args:
-        load: a motion by its number. usable: the numbers to draw from.
+        load: a motion by its number.
+        usable: the numbers to draw from.
         dressed: the person who makes the motion, on a mesh that is quick to draw.
+        shutter: possible exposures.
+        wanted: interval of blur rates.
         any_length: draw the exposure time too and take what blur comes of it.
+        frames: exposures per case.
+        size_px: side of the square images.
+        rng: of motions, times and cameras.
     """
     clip, number, person = None, -1, None
     for attempt in range(_DRAWS):

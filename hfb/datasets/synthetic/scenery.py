@@ -48,11 +48,14 @@ class Scenery:
 def draw_scenery(
     backgrounds: Path | None, textures: Path | None, body: Body, size_px: int, rng: np.random.Generator
 ) -> Scenery:
-    """A random background and a person who stands in its light.
+    """Draw a random background and a texture of a person in its light.
 
     Args:
-        backgrounds, textures: folders of pictures, searched with their subfolders; generated where not given.
+        backgrounds: folder of images, searched with its subfolders; generated where not given.
+        textures: folder of images, likewise.
         body: whose texture coordinates the texture is for.
+        size_px: side of the square background.
+        rng: of the choice.
 
     Raises:
         InputError: a folder holds no picture that can be read.
@@ -137,5 +140,9 @@ def _light_from_above(body: Body) -> Float[Tensor, "A A 1"]:
 
 
 def to_file_and_back(plate_linear: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """The plate as an 8-bit sRGB file holds it."""
+    """Round the plate to an 8-bit sRGB file's values.
+
+    Args:
+        plate_linear: linear light.
+    """
     return srgb_to_linear((linear_to_srgb(plate_linear.clamp(0, 1)) * 255).round() / 255)

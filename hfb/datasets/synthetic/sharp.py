@@ -17,9 +17,13 @@ SHARP_SUBFRAMES = 8
 
 
 def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:
-    """Write premultiplied linear sub-frames as straight sRGB with alpha, 8 bit; returns their common box.
+    """Write premultiplied linear sub-frames as straight sRGB with alpha, 8 bit; return their common box.
 
     The box is (left, top, width, height) [px] within the full picture; the file holds eight of it, side by side.
+
+    Args:
+        path: of the PNG.
+        pictures: premultiplied linear colour and silhouette.
     """
     alphas = pictures[..., 3].max(0)
     rows, columns = (np.flatnonzero(alphas.max(axis) > 0.5 / 255) for axis in (1, 0))
@@ -38,9 +42,13 @@ def save_sharp(path: Path, pictures: Float[Array, "8 H W 4"]) -> list[int]:
 
 
 def load_sharp(case: Case, frame: int) -> Float[Array, "8 H W 4"]:
-    """The true sub-frames of one frame at u = i / 7 in the full picture: premultiplied linear colour and silhouette.
+    """Return the true sub-frames of one frame at u = i / 7, full size: premultiplied linear colour and silhouette.
 
     Colours are those of the 8-bit file.
+
+    Args:
+        case: of a set.
+        frame: its number.
 
     Raises:
         InputError: the file is missing or damaged, or case.json has no box for it.

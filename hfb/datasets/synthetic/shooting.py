@@ -45,14 +45,24 @@ class Sensor:
     def expose(
         self, linear: Float[Tensor, "H W 3"], rng: np.random.Generator, share: float = 1.0
     ) -> Float[Array, "H W 3"]:
-        """The picture with `share` of the noise, clipped and encoded as sRGB."""
+        """Return the image with `share` of the noise, clipped and encoded as sRGB.
+
+        Args:
+            linear: linear light.
+            rng: of the noise.
+            share: of the standard deviation.
+        """
         light = linear.double().numpy()
         sigma = share * np.sqrt(self.read**2 + self.shot * np.clip(light, 0, None))
         return linear_to_srgb(np.clip(light + sigma * rng.standard_normal(light.shape), 0, 1)).astype(np.float32)
 
 
 def draw_sensor(rng: np.random.Generator) -> Sensor:
-    """Noise of .004 to .01 at half of full light, one part of it read noise."""
+    """Draw a noise of .004 to .01 at half of full light, one part of it read noise.
+
+    Args:
+        rng: of the sensor.
+    """
     total, read, plate = rng.uniform(*_HALF_LIGHT_NOISE), rng.uniform(0.2, 0.6), rng.uniform(*_PLATE_NOISE)
     return Sensor(float(total * read), float(2 * total**2 * (1 - read**2)), float(plate))
 
@@ -63,7 +73,15 @@ NO_NOISE = Sensor(0.0, 0.0, 0.0)
 def shoot(
     motion: SampledMotion, frame: int, body: Body, texture: Float[Tensor, "A A 3"], camera: PinholeCamera
 ) -> Shot:
-    """Draw every instant of one frame of a motion."""
+    """Render every instant of one frame of a motion.
+
+    Args:
+        motion: camera coordinates.
+        frame: its number.
+        body: model of the motion.
+        texture: linear light.
+        camera: of the frame.
+    """
     rows = motion.rows_of(frame)
     rotations = axis_angle_to_matrix(torch.from_numpy(motion.poses[rows]).float().unflatten(1, (24, 3)))
     translations = torch.from_numpy(motion.trans[rows]).float()
@@ -86,12 +104,24 @@ def shoot(
 def develop(
     shot: Shot, plate_linear: Float[Tensor, "H W 3"], sensor: Sensor, rng: np.random.Generator
 ) -> Float[Array, "H W 3"]:
-    """The blurred frame as the camera stores it, sRGB."""
+    """Return the blurred frame as the camera stores it, sRGB.
+
+    Args:
+        shot: sub-frames of one frame.
+        plate_linear: background, linear light.
+        sensor: its noise.
+        rng: of the noise.
+    """
     return sensor.expose(compose(shot.mean, plate_linear), rng)
 
 
 def touches_border(shot: Shot, margin_px: int) -> bool:
-    """Does the person come nearer than this to the picture's border?"""
+    """Return whether the person comes nearer than this to the image's border.
+
+    Args:
+        shot: sub-frames of one frame.
+        margin_px: least distance.
+    """
     seen = shot.mean[..., 3] > 0
     inner = seen[margin_px:-margin_px, margin_px:-margin_px]
     return bool(seen.sum() != inner.sum())

@@ -51,7 +51,10 @@ def make_case(spec: SetSpec, number: int, usable: Sequence[int], folder: Path) -
     The same bytes for the same set, number and usable motions, whatever else is made, where and by how many.
 
     Args:
+        spec: of the set.
+        number: of the case, from 1.
         usable: numbers of the motions that can be read, see `hfb.datasets.motions.sources.usable`.
+        folder: written to.
 
     Raises:
         InputError: no motion has the blur that is wanted, or a folder of pictures holds none.

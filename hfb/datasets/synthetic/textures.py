@@ -19,10 +19,15 @@ _GARMENT_OF_JOINT = {
 
 
 def clothes_texture(body: Body, size: int, rng: np.random.Generator) -> Float[Tensor, "A A 3"]:
-    """A person in a patterned shirt, trousers and shoes, with skin and hair; linear light.
+    """Draw a person's texture: patterned shirt, trousers and shoes, skin and hair; linear light.
 
     Garments follow the skinning weights, so they fit every body of the layout; the pattern is drawn in the
     rest body's own coordinates and so runs across the atlas' seams.
+
+    Args:
+        body: whose texture coordinates are used.
+        size: A, the texture's side [texels].
+        rng: of colours and pattern.
     """
     faces = texel_faces(body.mesh, size).numpy()
     face_vertices = body.mesh.faces.numpy()

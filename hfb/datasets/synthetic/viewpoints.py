@@ -47,7 +47,11 @@ class PlacedCamera:
 
 
 def draw_view(rng: np.random.Generator) -> View:
-    """A camera anywhere in front of the person, mostly a little above the hips."""
+    """Draw a camera in front of the person, mostly a little above the hips.
+
+    Args:
+        rng: of the view.
+    """
     x, y = rng.uniform(-1, 1, 2)
     return View(
         azimuth_deg=float(rng.uniform(-_AZIMUTH_DEG, _AZIMUTH_DEG)),
@@ -60,9 +64,12 @@ def draw_view(rng: np.random.Generator) -> View:
 
 
 def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
-    """The horizontal direction that a person with this root rotation (axis-angle, world) faces.
+    """Return the horizontal direction that a person with this root rotation faces.
 
     Where the face looks up or down, the direction from hips to head stands in; then +z.
+
+    Args:
+        root: axis-angle [rad], body to world.
     """
     turn = Rotation.from_rotvec(root).as_matrix()
     for direction in (turn[:, 2], turn[:, 1] * -np.sign(turn[1, 2] or 1.0), np.array([0.0, 0.0, 1.0])):
@@ -74,10 +81,13 @@ def front_of(root: Float[Array, "3"]) -> Float[Array, "3"]:
 
 
 def place(view: View, front: Float[Array, "3"], points: Float[Array, "N 3"], size_px: int) -> PlacedCamera:
-    """The camera of a view at the distance, and aimed so, that all points lie in its square picture as the view says.
+    """Place the camera of a view so that all points lie in its square image as the view specifies.
 
     Args:
-        front: unit, horizontal. points: on the person's surface, over the whole time that is seen [m, world].
+        view: angles, field of view and framing.
+        front: unit, horizontal.
+        points: on the person's surface, over the whole time that is seen [m, world].
+        size_px: side of the square image.
     """
     away = Rotation.from_euler("y", view.azimuth_deg, degrees=True).apply(front)
     elevation, roll = np.deg2rad((view.elevation_deg, view.roll_deg))
@@ -110,10 +120,16 @@ def in_camera(
     translations: Float[Array, "S 3"],
     rest_pelvis: Float[Array, "3"],
 ) -> tuple[Float[Array, "S 24 3"], Float[Array, "S 3"]]:
-    """A world motion in camera coordinates.
+    """Transform a world motion to camera coordinates.
 
     SMPL's root turns about the rest pelvis p, x -> R (x - p) + p + t, so the translation of the turned motion is
     R_camera_world (p + t) + offset - p: it depends on the person's shape.
+
+    Args:
+        camera: its pose in the world.
+        poses: axis-angle [rad], the root's in the world.
+        translations: SMPL's [m], world.
+        rest_pelvis: p [m].
     """
     turn = camera.R_camera_world
     poses = poses.copy()

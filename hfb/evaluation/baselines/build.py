@@ -21,9 +21,10 @@ from hfb.initialization.initializer import make_initializer
 
 
 def make_method(spec: MethodSpec, body: Body) -> Method:
-    """The method that a spec describes.
+    """Build the method that a spec describes.
 
     Args:
+        spec: by `method_spec`.
         body: the model in which starts and predictions are given.
 
     Raises:

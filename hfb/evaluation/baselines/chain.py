@@ -82,7 +82,11 @@ class Chain:
 
 
 def found_in(estimate: Callable[[int], Estimate], count: int) -> list[Estimate | None]:
-    """Estimates of a frame's sub-frames; None where nobody was found, as long as somebody is somewhere.
+    """Estimate the body in each of a frame's sub-frames; None where nobody was found, as long as one succeeds.
+
+    Args:
+        estimate: returns the estimate of a sub-frame by its number.
+        count: number of sub-frames.
 
     Raises:
         InputError: the last reason, where no sub-frame shows anybody.

@@ -110,13 +110,16 @@ class ChainSpec(Record):
         return self
 
     def paths(self) -> list[Path]:
-        """Every file and folder that it names."""
+        """Return every file and folder that the chain names."""
         named = (self.deblurrer, self.pictures, self.estimator, self.poses)
         return [path for path in named if isinstance(path, Path)]
 
 
 def read_chains(path: Path) -> dict[str, ChainSpec]:
-    """The methods of a chains file, their paths made absolute.
+    """Read the methods of a chains file; relative paths are resolved against its folder.
+
+    Args:
+        path: a chains.toml, a table per method.
 
     Raises:
         InputError: no such file, no TOML, or a table with an unknown or impossible entry.

@@ -61,7 +61,12 @@ class Deblurrer:
 
 
 def subframe_times(count: int, given: tuple[float, ...] | None) -> Float[Array, "M"]:
-    """When a system's sub-frames are, in exposures: as given, else evenly from 0 to 1 (a single one in the middle)."""
+    """Return the times of a system's sub-frames in exposures: as given, else evenly from 0 to 1 (a single one at 0.5).
+
+    Args:
+        count: sub-frames per frame.
+        given: times in exposures, or None.
+    """
     if given is not None:
         if len(given) != count:
             raise InputError(f"times has {len(given)} entries for {count} sub-frames per frame; give one for each")

@@ -31,7 +31,11 @@ class Estimate:
 
     @staticmethod
     def of(first: FirstBody) -> "Estimate":
-        """What an initialiser found."""
+        """Convert a first body.
+
+        Args:
+            first: result of an initialiser.
+        """
         return Estimate(first.pose, first.translation, first.betas)
 
 
@@ -43,7 +47,7 @@ def interpolate(
     body: Body,
     subframes: int,
 ) -> tuple[SampledMotion | None, Float[Array, "R 24 3"] | None]:
-    """(motion, None), or (None, joints) where no poses are known, at a prediction's rows.
+    """Interpolate estimates to a prediction's rows: (motion, None), or (None, joints) where no poses are known.
 
     Between its estimates a frame's body moves along straight lines and great circles, beyond them it is held. One
     estimate per frame is interpolated from frame to frame.
@@ -51,6 +55,10 @@ def interpolate(
     Args:
         estimates: of each frame's sub-frames, None where the person was not found; at least one per frame.
         times: of the sub-frames, in exposures.
+        observation: the blurred frames with their clock.
+        starts: first body of each frame, used for what an estimate lacks.
+        body: model of the result.
+        subframes: rows per frame.
     """
     rows_s, frame_index = row_times_s(observation, subframes)
     pieces = []

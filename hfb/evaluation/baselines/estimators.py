@@ -129,7 +129,12 @@ def _points(outputs: Outputs, key: int | str) -> Float[Array, "n 3"]:
 
 
 def regress_joints(vertices: Float[Array, "V 3"], body: Body, source: str) -> Float[Array, "24 3"]:
-    """SMPL's joints of a mesh.
+    """Regress SMPL's joints from a mesh.
+
+    Args:
+        vertices: of the mesh [m].
+        body: the model whose regressor is used.
+        source: where the mesh is from, for the error message.
 
     Raises:
         InputError: the mesh is not the body model's.

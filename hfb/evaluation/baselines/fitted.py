@@ -39,7 +39,11 @@ class HumanFromBlur:
         self._rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def told(self, height_m: float) -> "HumanFromBlur":
-        """The same method, which knows how tall the person is."""
+        """Return the same method with the person's height fixed.
+
+        Args:
+            height_m: of the person, soles to crown.
+        """
         other = copy.copy(self)
         fit = self._config.fit.model_copy(update={"height_m": height_m})
         other._config = self._config.model_copy(update={"fit": fit})
@@ -52,7 +56,7 @@ class HumanFromBlur:
             pictures = self._draw(result, observation)
             return Prediction(
                 result.motion, None, pictures, result.seconds, None, result.alternatives, result.joint_features
-            )  # fmt: skip
+            )
         frames = one_by_one(observation)
         results = [self._fit(frame, [start]) for frame, start in zip(frames, starts, strict=True)]
         pictures = np.concatenate([self._draw(one, frame) for one, frame in zip(results, frames, strict=True)])
@@ -62,9 +66,14 @@ class HumanFromBlur:
 
     def _fit(self, observation: Observation, starts: Sequence[FirstBody]) -> FitResult:
         return fit(
-            observation, starts, self._body, self._config.fit, self._config.seed, self._prior,
+            observation,
+            starts,
+            self._body,
+            self._config.fit,
+            self._config.seed,
+            self._prior,
             motion_prior=self._motion_prior,
-        )  # fmt: skip
+        )
 
     def _draw(self, result: FitResult, observation: Observation) -> Float[Array, "R H W 4"]:
         with torch.no_grad(), one_torch_thread():

@@ -124,14 +124,15 @@ class MethodSpec(Record):
     digests: tuple[FileDigest, ...] = ()
 
     def files(self) -> list[Path]:
-        """Every single file that it reads, those in its folders too."""
+        """Return every file that the method reads, also those in its folders."""
         return [inner for one in self.digests for inner in ([one.path] if one.path.is_file() else _within(one.path))]
 
 
 def method_spec(text: str, chains: Path | None = None) -> MethodSpec:
-    """Understand one entry of `--methods`.
+    """Parse one entry of `--methods`.
 
     Args:
+        text: such as `best`, `best@true-matte` or `name=FILE`.
         chains: a chains file, whose tables are methods too.
 
     Raises:
@@ -219,7 +220,10 @@ def _within(folder: Path) -> list[Path]:
 
 
 def digest(path: Path) -> str:
-    """sha256 of a file, or of a folder's files with their names.
+    """Return the sha256 of a file, or of a folder's files with their names.
+
+    Args:
+        path: of a file or a folder.
 
     Raises:
         InputError: nothing lies there, or it cannot be read.

@@ -18,12 +18,21 @@ from hfb.typing import Array, Float, Int, Tensor
 
 
 def row_times_s(observation: Observation, subframes: int) -> tuple[Float[Array, "R"], Int[Array, "R"]]:
-    """Times [s] and frames of a prediction's rows."""
+    """Return times [s] and frame numbers of a prediction's rows.
+
+    Args:
+        observation: the blurred frames with their clock.
+        subframes: rows per frame.
+    """
     return subframe_times_s(len(observation.mattes), subframes, observation.exposure_s, observation.interval_s)
 
 
 def middle_times_s(observation: Observation) -> Float[Array, "T"]:
-    """The middle of every exposure [s]: where a static estimate belongs."""
+    """Return the middle of every exposure [s], the time of a static estimate.
+
+    Args:
+        observation: the blurred frames with their clock.
+    """
     return np.arange(len(observation.mattes)) * observation.interval_s + observation.exposure_s / 2
 
 
@@ -34,7 +43,15 @@ def motion_of_rows(
     observation: Observation,
     body: Body,
 ) -> SampledMotion:
-    """A prediction's motion from one pose [rad] and translation [m] per row, R being frames x sub-frames."""
+    """Return a prediction's motion from one pose [rad] and translation [m] per row, R being frames x sub-frames.
+
+    Args:
+        poses: axis-angle [rad], camera coordinates.
+        translations: SMPL's [m], camera coordinates.
+        betas: shape coefficients.
+        observation: the blurred frames with their clock.
+        body: model of the poses.
+    """
     times_s, frame_index = row_times_s(observation, len(poses) // len(observation.mattes))
     exact = body.template.dtype
     with torch.no_grad():
@@ -54,10 +71,12 @@ def motion_of_rows(
 def poses_at(
     times_s: Float[Array, "R"], known_s: Float[Array, "M"], poses: Float[Tensor, "M 24 3"]
 ) -> Float[Tensor, "R 24 3"]:
-    """Every joint's rotation (axis-angle) between its neighbouring estimates, by slerp; held beyond the ends.
+    """Interpolate every joint's rotation (axis-angle) between neighbouring estimates by slerp; held beyond the ends.
 
     Args:
+        times_s: of the rows.
         known_s: when the estimates hold, increasing.
+        poses: axis-angle of the estimates [rad].
     """
     before, after, share = _between(times_s, known_s)
     known = axis_angle_to_quaternion(poses.double())
@@ -76,7 +95,13 @@ def poses_at(
 def points_at(
     times_s: Float[Array, "R"], known_s: Float[Array, "M"], points: Float[Tensor, "M *n"]
 ) -> Float[Tensor, "R *n"]:
-    """Points on the straight lines between neighbouring estimates, one after another; held beyond the ends."""
+    """Interpolate points linearly between neighbouring estimates; held beyond the ends.
+
+    Args:
+        times_s: of the rows.
+        known_s: times of the estimates, increasing.
+        points: of the estimates, in any unit.
+    """
     before, after, share = _between(times_s, known_s)
     weight = share.to(points).view(-1, *(1,) * (points.ndim - 1))
     return (1 - weight) * points[before] + weight * points[after]

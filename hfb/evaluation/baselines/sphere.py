@@ -39,12 +39,20 @@ class Sphere:
     smoothing: Float[Tensor, "V V"]
 
     def laplacian(self, offsets: Float[Tensor, "V 3"]) -> Float[Tensor, "V 3"]:
-        """How far each vertex's offset lies from the mean of its neighbours'."""
+        """Return each vertex's offset minus the mean of its neighbours'.
+
+        Args:
+            offsets: of the vertices, in radii.
+        """
         return offsets - torch.sparse.mm(self.smoothing, offsets)
 
 
 def make_sphere(subdivisions: int = 3) -> Sphere:
-    """An icosahedron whose faces are split into four, again and again: 10 * 4^n + 2 vertices (642 for n = 3)."""
+    """Build a sphere from an icosahedron by splitting its faces into four: 10 * 4^n + 2 vertices (642 for n = 3).
+
+    Args:
+        subdivisions: n, how often the faces are split.
+    """
     vertices, faces = _ICOSAHEDRON / np.linalg.norm(_ICOSAHEDRON[0]), _TRIANGLES
     for _ in range(subdivisions):
         vertices, faces = _split(vertices, faces)

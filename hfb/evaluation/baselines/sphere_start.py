@@ -27,17 +27,26 @@ class SphereStart:
 
 
 def shutter_tau(observation: Observation, subframes: int) -> Float[Tensor, "T S"]:
-    """The sub-frames' times, all frames together from -0.5 to 0.5: one polynomial runs through every exposure."""
+    """Return the sub-frames' times, from -0.5 to 0.5 over all frames: one polynomial runs through every exposure.
+
+    Args:
+        observation: the blurred frames with their mattes and clock.
+        subframes: per frame.
+    """
     frames = len(observation.mattes)
     times = subframe_times_s(frames, subframes, observation.exposure_s, observation.interval_s)[0]
     return torch.from_numpy(times / times[-1] - 0.5).float().unflatten(0, (frames, subframes))
 
 
 def sphere_starts(observation: Observation, degree: int) -> list[SphereStart]:
-    """The guesses, from the mattes' moments; an empty matte has none and is left out.
+    """Return start guesses from the mattes' moments; an empty matte has none and is left out.
 
     A single frame gives three: the object is as large as its matte and rests, or half of the matte's variance across
     (or down) the picture is motion. Several frames tell the motion by where their mattes lie.
+
+    Args:
+        observation: the blurred frames with their mattes and clock.
+        degree: of the path's polynomial.
     """
     moments = [_moments(matte) for matte in observation.mattes if matte.sum() > 0]
     centres, variances = (torch.stack(list(part)) for part in zip(*moments, strict=True))

@@ -18,7 +18,12 @@ _KNOWN = ("poses", "joints", "vertices", "trans")
 
 
 def read_estimates(path: Path, frames: int, body: Body) -> list[list[Estimate | None]]:
-    """The estimates of every frame's sub-frames; rows of NaN are instants at which the system found nobody.
+    """Read the estimates of every frame's sub-frames; rows of NaN are instants at which the system found nobody.
+
+    Args:
+        path: the .npz.
+        frames: number of blurred frames.
+        body: model of the poses or meshes.
 
     Raises:
         InputError: no such file, damaged, nothing known in it, or rows that do not fit the frames.

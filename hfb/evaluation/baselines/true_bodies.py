@@ -55,9 +55,13 @@ def true_bodies(case: Case, body: Body) -> TrueBodies:
         return _laid_on(truth, body, case)
     motion, same = truth.motion, truth.betas_space == body.betas_space
     return TrueBodies(
-        motion.times_s, motion.frame_index, motion.joints, torch.from_numpy(motion.poses).unflatten(1, (24, 3)),
-        torch.from_numpy(motion.trans), torch.from_numpy(motion.betas) if same else None,
-    )  # fmt: skip
+        motion.times_s,
+        motion.frame_index,
+        motion.joints,
+        torch.from_numpy(motion.poses).unflatten(1, (24, 3)),
+        torch.from_numpy(motion.trans),
+        torch.from_numpy(motion.betas) if same else None,
+    )
 
 
 def bodies_on_joints(case: Case, body: Body) -> TrueBodies:

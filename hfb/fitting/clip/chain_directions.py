@@ -72,9 +72,7 @@ def agree_on_directions(
         options = trajectory, reverse_columns(trajectory, limb_columns(backwards))
         joints = np.stack([_joints(one, shaped)[:, :, list(LIMB_JOINTS[limb])] for one in options])
         states = _least_contradiction(joints, nodes, gaps_u)
-        turned += [
-            Turned(ordered[nodes.owner[n]].frames, int(nodes.frame[n]), name) for n in np.flatnonzero(states)
-        ]  # fmt: skip
+        turned += [Turned(ordered[nodes.owner[n]].frames, int(nodes.frame[n]), name) for n in np.flatnonzero(states)]
         backwards[:, limb] = torch.from_numpy(states)
         trajectory = reverse_columns(trajectory, limb_columns(backwards))
     return [_with_motion(found, trajectory, nodes, index) for index, found in enumerate(ordered)], tuple(turned)
@@ -137,7 +135,5 @@ def _least_contradiction(
 
 def _with_motion(found: WindowFit, trajectory: Trajectory, nodes: _Nodes, index: int) -> WindowFit:
     rows = torch.from_numpy(np.flatnonzero(nodes.owner == index))
-    motion = replace(
-        found.trajectory, rotation=trajectory.rotation[rows], translation=trajectory.translation[rows]
-    )  # fmt: skip
+    motion = replace(found.trajectory, rotation=trajectory.rotation[rows], translation=trajectory.translation[rows])
     return replace(found, trajectory=motion)

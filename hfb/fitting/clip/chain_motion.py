@@ -59,7 +59,7 @@ class ChainMotion:
 
     @staticmethod
     def of(ordered: Sequence[WindowFit], gaps_u: Float[Array, "T"]) -> "ChainMotion":
-        """The chain of windows in the order of the clip.
+        """Build the chain of windows in the order of the clip.
 
         Args:
             ordered: windows in the order of the clip.
@@ -83,7 +83,7 @@ class ChainMotion:
         return replace(chain, meeting=chain._meeting(chain.rows, 1 + half, chain.rows + 1, -half))
 
     def at(self, u: Float[Tensor, "F S"]) -> tuple[Float[Tensor, "F S 24 4"], Float[Tensor, "F S 3"]]:
-        """Unit quaternions and translations [m] of every frame at its own times u, in exposures since its opening.
+        """Return unit quaternions and translations [m] of every frame at its own times, exposures since its opening.
 
         Args:
             u: times of each frame [exposures].
@@ -107,7 +107,7 @@ class ChainMotion:
     def bridges(
         self, openings_u: Float[Array, "T"], clock: Float[Tensor, "S"], longest: int
     ) -> tuple[Int[Array, "B"], Float[Tensor, "B S 24 4"], Float[Tensor, "B S 3"]]:
-        """(frames, unit quaternions, translations [m]) through stretches without the person, of `longest` at most.
+        """Return (frames, unit quaternions, translations [m]) through stretches without the person, `longest` at most.
 
         Args:
             openings_u: of every frame of the clip's shutter, in exposures.
@@ -128,7 +128,7 @@ class ChainMotion:
         return frame, *ends.bridge(share, span)
 
     def edges(self, shaped: ShapedBody) -> tuple[Edge, ...]:
-        """What was found and what is left at every closed edge.
+        """Return the gap as fitted and the gap that is left at every closed edge.
 
         Args:
             shaped: the clip's person, in double precision.
@@ -154,7 +154,7 @@ class ChainMotion:
         return tuple(Edge(int(self.frames[row]), *one) for row, one in zip(self.rows, numbers, strict=True))
 
     def radius_mm(self, ordered: Sequence[WindowFit], u: Float[Array, "S"]) -> Float[Array, "F S 24"] | None:
-        """The windows' own radii, blended as their motions are; None where a window has none.
+        """Return the windows' own radii, blended as their motions are; None where a window has none.
 
         Args:
             ordered: windows in the order of the clip.

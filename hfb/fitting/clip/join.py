@@ -96,10 +96,15 @@ def join_windows(
     lasted = np.minimum(timing.exposure_s, until_next)[frames]
     times_s = (timing.openings_s[frames][:, None] + clock.numpy() * lasted[:, None]).reshape(-1)
     motion = SampledMotion(
-        poses=quaternion_to_axis_angle(quaternions).flatten(1).numpy(), trans=path.numpy(),
-        betas=identity.betas.double().numpy(), joints=shaped.joints_of(quaternion_to_matrix(quaternions), path).numpy(),
-        times_s=times_s, frame_index=np.repeat(frames, subframes), K=np.asarray(K, np.float64), joint_radius_mm=radius,
-    )  # fmt: skip
+        poses=quaternion_to_axis_angle(quaternions).flatten(1).numpy(),
+        trans=path.numpy(),
+        betas=identity.betas.double().numpy(),
+        joints=shaped.joints_of(quaternion_to_matrix(quaternions), path).numpy(),
+        times_s=times_s,
+        frame_index=np.repeat(frames, subframes),
+        K=np.asarray(K, np.float64),
+        joint_radius_mm=radius,
+    )
     seen = np.zeros(len(timing.openings_s), bool)
     seen[frames] = True
     gaps = tuple((run.start, run.stop - 1) for run in runs(~seen))

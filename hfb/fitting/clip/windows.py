@@ -90,7 +90,7 @@ def plan_windows(usable: Bool[Array, "T"], length: int) -> tuple[ClipWindow, ...
 
 
 def runs(usable: Bool[Array, "T"]) -> list[range]:
-    """The unbroken runs of true entries, in order.
+    """Return the unbroken runs of true entries, in order.
 
     Args:
         usable: one entry per frame.
@@ -100,7 +100,7 @@ def runs(usable: Bool[Array, "T"]) -> list[range]:
 
 
 def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"], count: int) -> tuple[int, ...]:
-    """Which windows settle the person: from the middle of each equal part of the clip, where most of them is seen.
+    """Choose windows that determine the person: in the middle of equal parts of the clip, where most is seen.
 
     Args:
         windows: of one clip.
@@ -116,7 +116,7 @@ def person_windows(windows: Sequence[ClipWindow], matte_areas: Float[Array, "T"]
 
 
 def window_config(config: RunConfig) -> FitConfig:
-    """How a window is fitted once the person is known: fewer and smaller steps than a fit that starts from nothing.
+    """Return the options of a window once the person is known: fewer and smaller steps than from scratch.
 
     Args:
         config: options of the run.
@@ -132,7 +132,7 @@ def window_config(config: RunConfig) -> FitConfig:
 
 
 def person_config(config: RunConfig) -> FitConfig:
-    """How the windows that settle the person are fitted: as `hfb fit` would, without the search for directions.
+    """Return the options of windows that determine the person: those of `hfb fit`, without the search for directions.
 
     Args:
         config: options of the run.
@@ -185,9 +185,8 @@ def fit_windows(
                 problems, body, config, seed, pose_prior, motion_prior=motion_prior, batch_size=batch_size
             )
             found |= {
-                place: _window_fit(scenes[place], result, config)
-                for place, result in zip(some, results, strict=True)
-            }  # fmt: skip
+                place: _window_fit(scenes[place], result, config) for place, result in zip(some, results, strict=True)
+            }
     return [found[place] for place in range(len(scenes))]
 
 
@@ -228,11 +227,17 @@ def save_window(path: Path, found: WindowFit) -> None:
     """
     motion = found.trajectory
     arrays: dict[str, Array] = {
-        "frames": np.array(found.frames), "segment": np.array(found.segment), "betas": found.betas.double().numpy(),
-        "rotation": motion.rotation.detach().numpy(), "translation": motion.translation.detach().numpy(),
-        "anchor": motion.anchor.detach().numpy(), "kind": np.array(motion.kind), "origin": np.array(motion.origin),
-        "loss": np.array(found.loss), "history": np.array(json.dumps(found.history)),
-    }  # fmt: skip
+        "frames": np.array(found.frames),
+        "segment": np.array(found.segment),
+        "betas": found.betas.double().numpy(),
+        "rotation": motion.rotation.detach().numpy(),
+        "translation": motion.translation.detach().numpy(),
+        "anchor": motion.anchor.detach().numpy(),
+        "kind": np.array(motion.kind),
+        "origin": np.array(motion.origin),
+        "loss": np.array(found.loss),
+        "history": np.array(json.dumps(found.history)),
+    }
     if found.texture is not None:
         arrays["texture"] = found.texture.detach().numpy()
     if found.joint_radius_mm is not None:

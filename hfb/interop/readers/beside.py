@@ -7,7 +7,11 @@ _TRAM_CAMERA = "camera.npy"
 
 
 def companions(path: Path) -> tuple[Path, ...]:
-    """What has to be read together with a result file."""
+    """Return the files that must be read together with a result file.
+
+    Args:
+        path: the result file.
+    """
     if path.suffix != ".npy" or not path.name.startswith("hps_track"):
         return ()
     places = (path.parent / _TRAM_CAMERA, path.parent.parent / _TRAM_CAMERA)

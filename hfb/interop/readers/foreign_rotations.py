@@ -11,9 +11,12 @@ _HALF_TURN = np.diag([1.0, -1.0, -1.0])
 
 
 def from_matrices(matrices: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """A network's matrix is a rotation only nearly: its first two columns, made orthonormal, are one.
+    """Convert matrices that are only nearly rotations, by orthonormalising their first two columns.
 
-    Single ones that are none, or not finite, become NaN.
+    Single ones that are no rotations, or not finite, become NaN.
+
+    Args:
+        matrices: of another system.
 
     Raises:
         InputError: none of them is a rotation.
@@ -27,14 +30,23 @@ def from_matrices(matrices: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 
 def from_quaternions(quaternions: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
-    """(w, x, y, z), of any length but zero, which becomes NaN."""
+    """Convert quaternions (w, x, y, z) of any length; a zero one becomes NaN.
+
+    Args:
+        quaternions: (w, x, y, z).
+    """
     length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     length[length < 1e-6] = np.nan
     return quaternion_to_axis_angle(torch.from_numpy(quaternions / length)).numpy()
 
 
 def turned(R: Float[Array, "3 3"] | Float[Array, "R 3 3"], poses: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
-    """The root turned in the world; the other joints turn with it."""
+    """Turn the roots in the world; the other joints turn with them.
+
+    Args:
+        R: one rotation, or one per row.
+        poses: axis-angle [rad].
+    """
     roots = axis_angle_to_matrix(torch.from_numpy(poses[:, 0].copy()))
     result = poses.copy()
     result[:, 0] = matrix_to_axis_angle(torch.from_numpy(np.asarray(R, np.float64)) @ roots).numpy()
@@ -42,5 +54,9 @@ def turned(R: Float[Array, "3 3"] | Float[Array, "R 3 3"], poses: Float[Array, "
 
 
 def y_up_to_camera(poses: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
-    """From a world with y up, z towards the viewer, to the camera's axes."""
+    """Rotate poses from a world with y up and z towards the viewer to the camera's axes.
+
+    Args:
+        poses: axis-angle [rad].
+    """
     return turned(_HALF_TURN, poses)

@@ -28,21 +28,33 @@ class ClipPictures:
 
 
 def stem(name: str) -> str:
-    """A picture's name without folders, endings and what systems add to it."""
+    """Return an image's name without folders, endings and what systems add to it.
+
+    Args:
+        name: of an image, with or without folders.
+    """
     plain = re.split(r"[/\\]", name)[-1]
     return _ADDED.sub("", _SUFFIX.sub("", plain)).lower()
 
 
 def number_in(name: str) -> int | None:
-    """The last number in a picture's name."""
+    """Return the last number in an image's name.
+
+    Args:
+        name: of an image, with or without folders.
+    """
     found = _NUMBER.findall(stem(name))
     return int(found[-1]) if found else None
 
 
 def by_pictures(tracks: Sequence[PoseTrack], clip: ClipPictures) -> list[PoseTrack]:
-    """The tracks with the clip's own frame numbers where they know the names of their pictures.
+    """Return the tracks with the clip's own frame numbers where they know the names of their images.
 
     Rows of pictures that the clip does not have are left out. Where no name fits all stay as they are.
+
+    Args:
+        tracks: of one result.
+        clip: names of its frames' files.
     """
     images = {name for track in tracks for name in track.images or ()}
     frames = _frames_of(images, clip) if images else {}

@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 
 def joined(tracks: Sequence[PoseTrack]) -> list[PoseTrack]:
-    """Tracks that never share a frame and continue one another as one, named after all of them, with a remark.
+    """Join tracks that never share a frame and continue one another, named after all of them, with a remark.
 
     Args:
         tracks: in the order of time each, every frame once.

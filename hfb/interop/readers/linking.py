@@ -30,9 +30,10 @@ SeenT = TypeVar("SeenT", bound=Seen)
 
 
 def linked(seen: Sequence[SeenT], ways: Callable[[list[SeenT], list[SeenT]], Float[Array, "b n"]]) -> list[list[SeenT]]:
-    """Everybody's rows, in the order in which they appear. The order within a frame says nothing.
+    """Group rows by person, in the order of appearance. The order within a frame has no meaning.
 
     Args:
+        seen: a row per person and frame.
         ways: between the people of two frames, 1 being as far as somebody goes from one frame to the next.
 
     Raises:

@@ -17,12 +17,21 @@ _MAX_ROWS, _MAX_ENTRIES = 1 << 20, 1 << 22
 
 
 def has_keys(value: Any, needed: Collection[str]) -> bool:
-    """Whether it is a dictionary that has these names, as texts or as old pickles' bytes."""
+    """Return whether a value is a dictionary with these names, as texts or as old pickles' bytes.
+
+    Args:
+        value: of an unpickled result.
+        needed: names.
+    """
     return isinstance(value, dict) and all(name in value or name.encode() in value for name in needed)
 
 
 def named_all(parts: Iterable[Any], needed: Collection[str]) -> list[dict[str, Any]] | None:
-    """Dictionaries by texts; None where a part is none, or lacks a name that is needed.
+    """Convert dictionaries to text keys; None where a part is no dictionary, or lacks a needed name.
+
+    Args:
+        parts: of an unpickled result.
+        needed: names.
 
     Raises:
         InputError: together they have more entries than any result.
@@ -36,7 +45,13 @@ def named_all(parts: Iterable[Any], needed: Collection[str]) -> list[dict[str, A
 
 
 def numbers_at(one: dict[str, Any], name: str, *shape: int | None, finite: bool = True) -> Float[Array, "..."]:
-    """As `numbers`, of a part by its name, which an error tells.
+    """Return `numbers` of an entry; errors name it.
+
+    Args:
+        one: dictionary of a result.
+        name: of the entry.
+        *shape: as in `numbers`; None for any length.
+        finite: refuse values that are not finite.
 
     Raises:
         InputError: there is none of that name, or as `numbers`.
@@ -52,10 +67,12 @@ def numbers_at(one: dict[str, Any], name: str, *shape: int | None, finite: bool 
 def read_people(
     content: Any, needed: Collection[str], read_one: Callable[[str, dict[str, Any]], PoseTrack]
 ) -> list[PoseTrack] | None:
-    """The persons of {person: {name: array}}; None where it is something else.
+    """Read the persons of {person: {name: array}}; None where it is something else.
 
     Args:
+        content: of the unpickled file.
         needed: names that every person has.
+        read_one: converts a person's name and entries.
 
     Raises:
         InputError: together they have more rows than any clip, and as `read_one`.

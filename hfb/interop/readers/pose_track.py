@@ -61,14 +61,22 @@ class PoseTrack:
         return len(self.frames)
 
     def rows(self, chosen: Int[Array, "n"]) -> "PoseTrack":
-        """Some of its frames."""
+        """Return some of the frames.
+
+        Args:
+            chosen: numbers of rows.
+        """
         arrays = {name: getattr(self, name) for name in OPTIONAL}
         cut: dict[str, Any] = {name: None if array is None else array[chosen] for name, array in arrays.items()}
         images = None if self.images is None else tuple(self.images[row] for row in chosen)
         return replace(self, frames=self.frames[chosen], images=images, **cut)
 
     def at_size(self, height: int, width: int) -> "PoseTrack":
-        """For pictures of another resolution.
+        """Scale the camera to images of another resolution.
+
+        Args:
+            height: of the images [px].
+            width: of the images [px].
 
         Raises:
             InputError: pictures of another shape: they are not the same ones.
@@ -86,7 +94,11 @@ class PoseTrack:
 
 
 def tidy(track: PoseTrack) -> PoseTrack:
-    """In the order of time, every frame once, without rows of which no body can be made: one line says how many."""
+    """Sort by time and keep every frame once; drop unusable rows and log their number.
+
+    Args:
+        track: as read.
+    """
     usable = np.flatnonzero(_usable(track))
     if len(usable) < len(track):
         _log.warning(
@@ -120,10 +132,11 @@ def _usable(track: PoseTrack) -> Bool[Array, "R"]:
 
 
 def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int]:
-    """(height, width) [px] of what a system saw whose camera looks through the middle of the picture.
+    """Return (height, width) [px] of a system's images, whose camera's axis is assumed in the middle.
 
     Args:
-        K: its cameras, NaN where unknown. size: of the frames, which is meant where the other is nearly the same.
+        K: its cameras, NaN where unknown.
+        size: of the frames, which is meant where the other is nearly the same.
     """
     centres = K[:, [1, 0], 2]
     centres = centres[np.isfinite(centres).all(1)]
@@ -137,12 +150,23 @@ def size_seen(K: Float[Array, "R 3 3"], size: tuple[int, int]) -> tuple[int, int
 
 
 def pinhole(focal_px: float, cx: float, cy: float) -> Float[Array, "3 3"]:
-    """K of one focal length [px]."""
+    """Return K of one focal length.
+
+    Args:
+        focal_px: focal length.
+        cx: principal point [px].
+        cy: principal point [px].
+    """
     return np.array([[focal_px, 0, cx], [0, focal_px, cy], [0, 0, 1]], np.float64)
 
 
 def save_track(path: Path, track: PoseTrack) -> None:
-    """Write the canonical .npz, whole or not at all; no pickle."""
+    """Write the canonical .npz, whole or not at all; no pickle.
+
+    Args:
+        path: of the .npz.
+        track: to write.
+    """
     arrays = {name: getattr(track, name) for name in _SAVED if getattr(track, name) is not None}
     facts = {name: np.array(getattr(track, name)) for name in ("system", "person", "betas_space", "turn_is_known")}
     known = {name: np.array(getattr(track, name)) for name in ("size", "rate_hz") if getattr(track, name) is not None}
@@ -151,6 +175,9 @@ def save_track(path: Path, track: PoseTrack) -> None:
 
 def load_track(path: Path) -> PoseTrack:
     """Read a canonical .npz.
+
+    Args:
+        path: of the .npz.
 
     Raises:
         InputError: damaged, or something else.
@@ -162,7 +189,14 @@ def load_track(path: Path) -> PoseTrack:
 
 
 def track_of(content: dict[str, Any]) -> PoseTrack:
-    """The record out of a canonical file's members.
+    """Build the record from a canonical file's members.
+
+    Args:
+        content: members by name.
+
+    Raises:
+        InputError: numbers of other shapes.
+        KeyError: it is no such file.
 
     Raises:
         InputError: numbers of other shapes. KeyError: it is no such file.

@@ -45,11 +45,12 @@ SYSTEMS = (
 def read_tracks(
     files: Sequence[Path], height: int, width: int, clip: ClipPictures = _ANY_CLIP
 ) -> tuple[PoseTrack, ...]:
-    """Everybody in a result.
+    """Read all people of a result.
 
     Args:
         files: the result, then what lies beside it (`hfb.interop.readers.beside.companions`).
-        height, width: of the pictures [px], for systems that do not say.
+        height: of the pictures [px], for systems that do not say.
+        width: of the pictures [px], for systems that do not say.
         clip: the names of the pictures, for systems that go by names.
 
     Raises:
@@ -96,9 +97,11 @@ def _holds_nothing(content: Any) -> bool:
 def choose_person(
     tracks: Sequence[PoseTrack], person: str | None, shown: Callable[[PoseTrack], float] | None = None
 ) -> PoseTrack:
-    """The named one, else the one who is shown most, else the one seen in most frames.
+    """Return the named person, else the one with the largest `shown`, else the one seen in most frames.
 
     Args:
+        tracks: of one result.
+        person: name, or None.
         shown: how much of a person the pictures show.
 
     Raises:

@@ -17,7 +17,7 @@ _log = logging.getLogger(__name__)
 
 
 def in_metres(joints: Float[Array, "R 24 3"]) -> Float[Array, "R 24 3"]:
-    """Joints in metres; as they are where too few are known for a bone.
+    """Convert joints to metres; they stay as they are where too few are known for a bone.
 
     Args:
         joints: SMPL's, in any place; NaN where unknown.

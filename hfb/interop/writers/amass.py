@@ -19,7 +19,7 @@ _Z_UP = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])
 
 
 def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate = 120) -> dict[str, Array]:
-    """The members of the file.
+    """Return the members of the file.
 
     AMASS's own are ``poses`` (F, 156): root, 21 body joints, fingers at rest; ``trans``, ``betas``, ``dmpls``,
     ``gender``, ``mocap_framerate``. Betas that are not SMPL's would be read as if they were: ``betas`` is then zero,
@@ -28,6 +28,11 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
     ``betas_space``.
 
     The camera is taken to be level: up in the picture is up in the world.
+
+    Args:
+        motion: camera coordinates.
+        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        rate: frames per second of the file.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -58,5 +63,12 @@ def amass_arrays(motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate
 
 
 def write_amass(path: Path, motion: SampledMotion, betas_space: BetasSpace, rate: AmassRate = 120) -> None:
-    """Write the file whole or not at all; see `amass_arrays`."""
+    """Write the file whole or not at all; see `amass_arrays`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+        betas_space: whose betas these are, ``smpl`` or ``hfb``.
+        rate: frames per second of the file.
+    """
     write_arrays(path, amass_arrays(motion, betas_space, rate))

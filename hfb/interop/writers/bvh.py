@@ -23,7 +23,10 @@ _END = 0.5  # an end site continues the bone before it by this share
 
 
 def bvh_text(motion: SampledMotion) -> str:
-    """The whole file.
+    """Return the file's text.
+
+    Args:
+        motion: camera coordinates.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -41,7 +44,12 @@ def bvh_text(motion: SampledMotion) -> str:
 
 
 def write_bvh(path: Path, motion: SampledMotion) -> None:
-    """Write the file whole or not at all; see `bvh_text`."""
+    """Write the file whole or not at all; see `bvh_text`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+    """
     write_bytes_atomic(path, bvh_text(motion).encode())
 
 

@@ -19,8 +19,12 @@ _MOST_FRAMES = 65_000  # the format counts them in 16 bits
 
 
 def c3d_bytes(motion: SampledMotion) -> bytes:
-    """The whole file: millimetres, y up, the even rate of the sub-frames; points are lost while the person was absent
-    (coordinates zero, residual -1).
+    """Return the file's bytes: millimetres, y up, the even rate of the sub-frames.
+
+    Points are marked lost while the person was absent (coordinates zero, residual -1).
+
+    Args:
+        motion: camera coordinates.
 
     Raises:
         InputError: the library is missing, or the motion is too long for the format.
@@ -59,5 +63,10 @@ def _zero_lost_points(data: bytes, known: Bool[Array, "F 24"]) -> bytes:
 
 
 def write_c3d(path: Path, motion: SampledMotion) -> None:
-    """Write the file whole or not at all; see `c3d_bytes`."""
+    """Write the file whole or not at all; see `c3d_bytes`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+    """
     write_bytes_atomic(path, c3d_bytes(motion))

@@ -39,6 +39,13 @@ NEEDS_BODY: tuple[MotionFormat, ...] = ("glb",)
 
 
 def check_formats(formats: Sequence[MotionFormat]) -> None:
-    """Raises InputError where a format needs a library that is not installed."""
+    """Check that libraries for the formats are installed.
+
+    Args:
+        formats: to be written.
+
+    Raises:
+        InputError: one is missing.
+    """
     if "c3d" in formats and find_spec("c3d") is None:
         raise InputError("joints.c3d needs the c3d library: pip install 'hfb[c3d]', or leave c3d out of the formats")

@@ -49,7 +49,11 @@ class GlbBuffer:
         return len(self._accessors) - 1
 
     def add_file(self, data: bytes) -> int:
-        """Append a file, such as a picture; returns its buffer view."""
+        """Append a file, such as an image; return the number of its buffer view.
+
+        Args:
+            data: content of the file.
+        """
         return self._view(data, None)
 
     def _view(self, data: bytes, target: int | None) -> int:
@@ -60,7 +64,11 @@ class GlbBuffer:
         return len(self._views) - 1
 
     def glb(self, document: dict[str, Any]) -> bytes:
-        """The whole file: a document without its buffers, and what was collected."""
+        """Return the file: a document without its buffers, and the collected buffers.
+
+        Args:
+            document: the JSON part.
+        """
         whole = document | {
             "accessors": self._accessors,
             "bufferViews": self._views,

@@ -12,11 +12,14 @@ from hfb.typing import Array, Float
 
 
 def csv_text(motion: SampledMotion) -> str:
-    """One row per sub-frame, as motion.npz has them: camera coordinates, exact times.
+    """Return a table with one row per sub-frame, as in motion.npz: camera coordinates, exact times.
 
     Columns: ``frame``, ``sub_frame``, ``time_s``, per joint ``NAME_x_m``, ``NAME_y_m``, ``NAME_z_m``, and where the
     motion says how sure it is ``NAME_radius_mm``: the error is below it with a probability of one half; empty where
     unknown.
+
+    Args:
+        motion: camera coordinates.
     """
     head = ["frame", "sub_frame", "time_s", *(f"{name}_{axis}_m" for name in JOINT_NAMES for axis in "xyz")]
     radius = motion.joint_radius_mm
@@ -36,7 +39,10 @@ def csv_text(motion: SampledMotion) -> str:
 
 
 def marker_table(motion: SampledMotion) -> tuple[float, Float[Array, "F"], Float[Array, "F 24 3"]]:
-    """(rate [1/s], times [s], places [mm]) at the even rate of the sub-frames, y up; NaN where the person was absent.
+    """Return (rate [1/s], times [s], places [mm]) at the even rate of the sub-frames, y up; NaN while absent.
+
+    Args:
+        motion: camera coordinates.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -49,9 +55,13 @@ def marker_table(motion: SampledMotion) -> tuple[float, Float[Array, "F"], Float
 
 
 def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
-    """OpenSim's table: millimetres, y up, the even rate of the sub-frames; NaN while the person was absent.
+    """Return OpenSim's table: millimetres, y up, the even rate of the sub-frames; NaN while the person was absent.
 
     OpenSim 4.6 reads NaN as a gap; it refuses rows that end in empty cells.
+
+    Args:
+        motion: camera coordinates.
+        name: that the first line states.
 
     Raises:
         InputError: the motion's instants are not in order.
@@ -77,10 +87,20 @@ def trc_text(motion: SampledMotion, name: str = "joints.trc") -> str:
 
 
 def write_csv(path: Path, motion: SampledMotion) -> None:
-    """Write the file whole or not at all; see `csv_text`."""
+    """Write the file whole or not at all; see `csv_text`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+    """
     write_bytes_atomic(path, csv_text(motion).encode())
 
 
 def write_trc(path: Path, motion: SampledMotion) -> None:
-    """Write the file whole or not at all; see `trc_text`."""
+    """Write the file whole or not at all; see `trc_text`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+    """
     write_bytes_atomic(path, trc_text(motion).encode())

@@ -59,7 +59,10 @@ class _Knots:
 
 
 def exact_keys(motion: SampledMotion) -> MotionKeys:
-    """The motion's own instants; where two exposures share one, the mean of both poses.
+    """Return the motion at its own instants; where two exposures share one, the mean of both poses.
+
+    Args:
+        motion: camera coordinates.
 
     Raises:
         InputError: the instants are not in order.
@@ -69,7 +72,11 @@ def exact_keys(motion: SampledMotion) -> MotionKeys:
 
 
 def even_keys(motion: SampledMotion, rate_hz: float) -> MotionKeys:
-    """The motion at steps of 1 / rate_hz [s] from its first instant, as far as it reaches.
+    """Return the motion at steps of 1 / rate_hz [s] from its first instant to its last.
+
+    Args:
+        motion: camera coordinates.
+        rate_hz: keys per second.
 
     Raises:
         InputError: the instants are not in order, or so many keys that no program would open them.
@@ -86,7 +93,11 @@ def even_keys(motion: SampledMotion, rate_hz: float) -> MotionKeys:
 
 
 def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
-    """The motion at any instants from its first to its last, in order.
+    """Return the motion at any instants from its first to its last.
+
+    Args:
+        motion: camera coordinates.
+        times_s: from the motion's first to its last instant, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.
@@ -95,7 +106,11 @@ def keys_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> MotionKeys:
 
 
 def present_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> Bool[Array, "F"]:
-    """`MotionKeys.present` at any instants, without the poses.
+    """Return `MotionKeys.present` at any instants, without the poses.
+
+    Args:
+        motion: camera coordinates.
+        times_s: from the motion's first to its last instant, in order.
 
     Raises:
         InputError: the motion's own instants are not in order.
@@ -107,7 +122,10 @@ def present_at(motion: SampledMotion, times_s: Float[Array, "F"]) -> Bool[Array,
 
 
 def subframe_rate_hz(motion: SampledMotion) -> float:
-    """Sub-frames per second while the shutter is open; one that is whole but for rounding is whole.
+    """Return the sub-frames per second while the shutter is open; rounding errors are removed.
+
+    Args:
+        motion: camera coordinates.
 
     Raises:
         InputError: no frame has two sub-frames at different times.
@@ -121,10 +139,13 @@ def subframe_rate_hz(motion: SampledMotion) -> float:
 
 
 def rest_joints(motion: SampledMotion) -> Float[Array, "24 3"]:
-    """Joints of the person in the rest pose [m], from the motion alone.
+    """Return the person's joints in the rest pose [m], from the motion alone.
 
     A bone is the same vector in its parent joint's frame at every instant, and the pelvis is at its rest position plus
     SMPL's translation.
+
+    Args:
+        motion: camera coordinates.
     """
     local = axis_angle_to_quaternion(torch.from_numpy(motion.poses).unflatten(1, (24, 3)))
     world = list(quaternion_to_matrix(local).numpy().transpose(1, 0, 2, 3))
@@ -139,7 +160,12 @@ def rest_joints(motion: SampledMotion) -> Float[Array, "24 3"]:
 
 
 def turned(quaternions: Float[Array, "F 24 4"], by: Float[Array, "4"]) -> Float[Array, "F 24 4"]:
-    """The same poses in another world: the root's rotation followed by a rotation from the camera's frame to it."""
+    """Return the poses in another world: the root's rotation followed by a rotation from the camera's frame to it.
+
+    Args:
+        quaternions: of each joint (w, x, y, z).
+        by: rotation from the camera's frame to the other world (w, x, y, z).
+    """
     w, x, y, z = by
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     result = quaternions.copy()

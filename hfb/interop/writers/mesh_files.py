@@ -28,13 +28,23 @@ _TRIMESH_COMMENT = b"comment https://github.com/mikedh/trimesh"
 
 
 def mesh_name(motion: SampledMotion, row: int, form: MeshFormat) -> str:
-    """``frame_0003_sub_05.obj``: the sixth sub-frame of frame 3."""
+    """Return a mesh's file name: ``frame_0003_sub_05.obj`` is the sixth sub-frame of frame 3.
+
+    Args:
+        motion: camera coordinates.
+        row: of the motion.
+        form: ``obj`` or ``ply``.
+    """
     frame = int(motion.frame_index[row])
     return f"frame_{frame:04d}_sub_{row - int(motion.rows_of(frame)[0]):02d}.{form}"
 
 
 def earlier_meshes(folder: Path, form: MeshFormat) -> list[Path]:
-    """What an earlier export left: of a longer one, meshes would stay among the new ones.
+    """Return the meshes of an earlier export: those of a longer one would stay among the new ones.
+
+    Args:
+        folder: of the meshes.
+        form: ``obj`` or ``ply``.
 
     Raises:
         TemporaryError: a file of such a name is not from hfb.
@@ -62,9 +72,13 @@ def _is_material(path: Path) -> bool:
 def write_meshes(
     folder: Path, motion: SampledMotion, body: Body, form: MeshFormat, texture_png: bytes | None = None
 ) -> Iterator[Path]:
-    """Write one file per sub-frame in place of earlier ones, each whole or not at all; yields each when it is finished.
+    """Write one file per sub-frame in place of earlier ones, each whole or not at all; yield each when it is finished.
 
     Args:
+        folder: of the meshes.
+        motion: camera coordinates.
+        body: model of the motion.
+        form: ``obj`` or ``ply``.
         texture_png: the person's texture as an sRGB picture; .obj files refer to it.
 
     Raises:

@@ -35,6 +35,11 @@ class Exported:
 def write_motion_file(folder: Path, form: MotionFormat, exported: Exported) -> Path:
     """Write one format's file, whole or not at all.
 
+    Args:
+        folder: to write to.
+        form: name of the format.
+        exported: the motion with its body and texture.
+
     Raises:
         InputError: the motion's instants are not in order, or a library is missing.
         ValueError: the format has a surface and no body model is given.

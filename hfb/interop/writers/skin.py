@@ -31,7 +31,12 @@ class Skin:
 
 
 def skin_of(body: Body, betas: Float[Tensor, "K"]) -> Skin:
-    """The skin of a body model with some shape; its pose correctives are no part of a skin."""
+    """Return the skin of a body model with some shape; pose correctives are no part of a skin.
+
+    Args:
+        body: the body model.
+        betas: shape coefficients.
+    """
     pairs = torch.stack([body.mesh.faces, body.mesh.uv_faces], -1).reshape(-1, 2).numpy()
     points, index = np.unique(pairs, axis=0, return_inverse=True)
     vertices = body.shape(betas).vertices

@@ -30,14 +30,19 @@ _PLAIN_COLOUR = (0.72, 0.66, 0.62, 1.0)
 
 
 def slow_factor(motion: SampledMotion) -> float:
-    """How many times slower the second animation is: one sub-frame per picture of a film."""
+    """Return how many times slower the second animation is: one sub-frame per film frame.
+
+    Args:
+        motion: camera coordinates.
+    """
     return max(1.0, subframe_rate_hz(motion) / _SLOW_FPS)
 
 
 def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = None) -> bytes:
-    """The whole file.
+    """Return the file's bytes.
 
     Args:
+        motion: camera coordinates.
         body: the model that the motion was fitted with.
         texture_png: the person's texture as an sRGB picture; a plain colour where there is none.
 
@@ -81,7 +86,14 @@ def skinned_glb(motion: SampledMotion, body: Body, texture_png: bytes | None = N
 
 
 def write_glb(path: Path, motion: SampledMotion, body: Body, texture_png: bytes | None = None) -> None:
-    """Write the file whole or not at all; see `skinned_glb`."""
+    """Write the file whole or not at all; see `skinned_glb`.
+
+    Args:
+        path: of the file.
+        motion: camera coordinates.
+        body: the model that the motion was fitted with.
+        texture_png: the person's texture as an sRGB image; a plain colour where there is none.
+    """
     write_bytes_atomic(path, skinned_glb(motion, body, texture_png))
 
 

@@ -19,9 +19,10 @@ _UNIT = 0x10000  # 1.0 in fixed point 16.16
 
 
 def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
-    """What a file says of its capture rate: Android's entry, Sony's XML or GoPro's settings; None where nothing.
+    """Read a file's capture rate: Android's entry, Sony's XML or GoPro's settings; None where there is none.
 
     Args:
+        path: of the video.
         metadata: the container's and the stream's.
     """
     for name, text in sorted(metadata.items()):
@@ -35,12 +36,23 @@ def stated_capture_rate(path: Path, metadata: Mapping[str, str]) -> Rate | None:
 
 
 def differs(capture: Rate | None, stored_fps: float) -> bool:
-    """Whether the capture rate is another one than that of the time stamps; cameras round theirs."""
+    """Return whether the capture rate differs from that of the time stamps; cameras round theirs.
+
+    Args:
+        capture: the capture rate and its source.
+        stored_fps: rate of the time stamps.
+    """
     return capture is not None and abs(capture[0] / stored_fps - 1) > _SAME_SHARE
 
 
 def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
-    """What a user should know of a file whose capture rate is taken instead of its time stamps'."""
+    """Return the remark that a file's capture rate is used instead of its time stamps' rate.
+
+    Args:
+        name: of the video.
+        capture: the capture rate and its source.
+        stored_fps: rate of the time stamps.
+    """
     return (
         f"{name} was captured at {capture[0]:.6g} frames per second, by {capture[1]}, and plays at {stored_fps:.6g}: "
         "the capture's rate counts (fps in clip.toml or --exposure.fps, if that is not right)"
@@ -48,9 +60,12 @@ def capture_remark(name: str, capture: Rate, stored_fps: float) -> str:
 
 
 def is_time_mapped(path: Path) -> bool:
-    """Whether an MP4's or MOV's list of edits plays parts of it slower or faster, as a telephone's slow motion does.
+    """Return whether an MP4's or MOV's edit list changes the speed of parts of it, as a telephone's slow motion does.
 
     FFmpeg takes every edit for one at full speed and repeats frames; the tracks' own time stamps are the camera's.
+
+    Args:
+        path: of the video.
     """
     for _, content in _boxes_of(path, (b"moov", b"trak", b"edts", b"elst")):
         size, at = (20, 16) if content[:1] == b"\x01" else (12, 8)  # version, of 64 or 32 bits
@@ -62,7 +77,11 @@ def is_time_mapped(path: Path) -> bool:
 
 
 def is_apple_slow_motion(metadata: Mapping[str, str]) -> bool:
-    """Whether a telephone of Apple's recorded it to be shown in slow motion; its time stamps are the camera's own."""
+    """Return whether an Apple telephone recorded it as slow motion; its time stamps are the camera's own.
+
+    Args:
+        metadata: the container's and the stream's.
+    """
     return metadata.get(_APPLE_INTENT, "").strip() == "0"
 
 

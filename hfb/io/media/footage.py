@@ -72,11 +72,19 @@ class Footage:
         return len(self.times_s)
 
     def through(self, lens: Lens | None) -> "Footage":
-        """The same footage with a lens' distortion taken out of every frame."""
+        """Return the footage with a lens' distortion removed from every frame.
+
+        Args:
+            lens: to remove; None for none.
+        """
         return replace(self, lens=lens)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames from `start` up to `stop` in [0, 1], encoded as `transfer` says, one after another.
+        """Yield frames from `start` up to `stop` in [0, 1], encoded as `transfer` says.
+
+        Args:
+            start: first frame.
+            stop: frame after the last one; None for all.
 
         Raises:
             InputError: the range is not within the footage, or the file is no longer what it was.
@@ -96,7 +104,11 @@ class Footage:
             yield mean if self.transfer == "linear" else linear_to_srgb(mean).astype(np.float32)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
-        """Some frames, given in ascending order, as `frames` has them; cheaper than one call each."""
+        """Yield some frames as `frames` does; cheaper than one call each.
+
+        Args:
+            numbers: of the frames, ascending.
+        """
         if self.index is None or self.average > 1:
             for number in numbers:
                 yield from self.frames(number, number + 1)
@@ -120,7 +132,11 @@ class Footage:
             raise InputError(f"{self.source}: gives fewer frames than when it was opened; was it replaced or cut off?")
 
     def developed(self, stored: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-        """A picture as the camera stored it, encoded and undistorted like the frames: for a plate from a file."""
+        """Encode and undistort a stored image like the frames: for a plate from a file.
+
+        Args:
+            stored: as the camera stored it, in [0, 1].
+        """
         frame = as_srgb(stored, self.stored)
         return frame if self.lens is None else self.lens.undistorted(frame)
 
@@ -151,11 +167,13 @@ def open_footage(
 
     Args:
         source: a video, a folder of pictures (in the natural order of their names), or pictures in the given order.
-        start, stop: range of frames of the file, `stop` exclusive. start_s, stop_s: the same in seconds, on the file's
-            clock from its first frame.
+        start: range of frames of the file, `stop` exclusive.
+        stop: range of frames of the file, `stop` exclusive.
+        start_s: the same in seconds, on the file's clock from its first frame.
+        stop_s: the same in seconds, on the file's clock from its first frame.
         average: so many neighbouring frames become one, averaged in linear light.
-        transfer: how the file stores light. fps: of pictures, which have no clock; wins over a video's own rate:
-            its times are scaled.
+        transfer: how the file stores light.
+        fps: of pictures, which have no clock; wins over a video's own rate: its times are scaled.
         scan: ``progressive``: frames are whole pictures, whatever their flags say.
         on_progress: called with (frames looked at, of how many).
 
@@ -210,10 +228,14 @@ def _of_pictures(place: Path, files: tuple[Path, ...], fps: float | None, transf
 def _of_video(
     place: Path, files: tuple[Path, ...], wanted: _Wanted, watched: bool, on_progress: OnProgress | None
 ) -> tuple[Footage, int, int]:
-    """With what is lost of it, and (first, last + 1) of the wanted frames that can be read.
+    """Return the footage, the number of frames lost, and the wanted frames that can be read as (first, last + 1).
 
     Args:
+        place: of the footage.
+        files: the video alone.
+        wanted: range of frames.
         watched: refuse interlaced frames.
+        on_progress: called with (frames done, of how many).
     """
     name, index = place.name, index_video(files[0])
     first, last = _range(index.times_s, *wanted)

@@ -11,7 +11,10 @@ from hfb.photometry import Transfer
 
 
 def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
-    """A video by itself, the pictures of a folder in their natural order, or the given pictures.
+    """Return a video by itself, the images of a folder in their natural order, or the given images.
+
+    Args:
+        source: a video, a folder, or images.
 
     Raises:
         InputError: nothing there.
@@ -33,7 +36,13 @@ def footage_files(source: Path | Sequence[Path]) -> tuple[Path, ...]:
 
 
 def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
-    """height, width, bits; the files' heads alone are read.
+    """Return height, width and bits; only the files' heads are read.
+
+    Args:
+        files: images of a clip, in order.
+
+    Raises:
+        InputError: one is no picture, of another size, or too large.
 
     Raises:
         InputError: one is no picture, of another size, or too large.
@@ -52,7 +61,11 @@ def one_size(files: Sequence[Path]) -> tuple[int, int, int]:
 
 
 def sample_remarks(files: Sequence[Path], transfer: Transfer) -> tuple[str, ...]:
-    """What a user should know of the pictures of a clip, by the first, the middle and the last of them.
+    """Return remarks on the images of a clip, from the first, the middle and the last of them.
+
+    Args:
+        files: images of a clip, in order.
+        transfer: the light that the user states.
 
     Raises:
         InputError: one is no picture, or all seem to be of fewer bits than their files are.

@@ -16,7 +16,11 @@ _PLATE_NAME = re.compile(r"(.*_)?(plate|background)", re.IGNORECASE)
 
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:
-    """By name, numbers in it as numbers: ``f2.png`` before ``f10.png``."""
+    """Sort by name, numbers in it as numbers: ``f2.png`` before ``f10.png``.
+
+    Args:
+        paths: to sort.
+    """
 
     def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
         parts = re.split(r"(\d+)", path.name)
@@ -28,24 +32,40 @@ def natural_order(paths: Iterable[Path]) -> list[Path]:
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder in their natural order; none where it cannot be read."""
+    """Return the images of a folder in their natural order; none where it cannot be read.
+
+    Args:
+        folder: to list.
+    """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in PICTURE_SUFFIXES and not is_hidden(path)
     )
 
 
 def others_in(folder: Path) -> list[Path]:
-    """Files of a folder that a user may take for pictures although hfb reads none of their kind."""
+    """Return files of a folder that a user may take for images although hfb reads none of their kind.
+
+    Args:
+        folder: to list.
+    """
     return natural_order(
         path for path in folder.glob("*") if path.suffix.lower() in _FOREIGN_SUFFIXES and not is_hidden(path)
     )
 
 
 def is_plate(path: Path) -> bool:
-    """A picture of the empty scene that lies among the frames is none of them."""
+    """Return whether `path` is named like a background plate, which is no frame.
+
+    Args:
+        path: of a file.
+    """
     return _PLATE_NAME.fullmatch(path.stem) is not None
 
 
 def is_hidden(path: Path) -> bool:
-    """Such as the ._NAME that macOS puts beside NAME on foreign disks."""
+    """Return whether a file is hidden, such as the ._NAME that macOS puts beside NAME on foreign disks.
+
+    Args:
+        path: of a file.
+    """
     return path.name.startswith(".")

@@ -37,11 +37,12 @@ hardly moved looks like a ghost (49 of 240 such empty plates over two frames, 20
 def find_plate(
     footage: Footage, how: Path | Literal["median", "still"], on_progress: OnProgress | None = None
 ) -> tuple[Float[Array, "H W 3"], str]:
-    """The background as the footage stores pictures, in [0, 1], and one sentence on where it is from.
+    """Return the background as the footage stores images, in [0, 1], and a sentence on its source.
 
     Args:
-        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that
-            of the longest stretch in which nothing moves and nobody stands.
+        footage: of the clip.
+        how: a picture's file; ``median``: each pixel's median over frames spread over the footage; ``still``: that of
+            the longest stretch in which nothing moves and nobody stands.
         on_progress: called with (frames looked at, of how many).
 
     Raises:
@@ -94,9 +95,11 @@ def _best_still(footage: Footage, on_progress: OnProgress | None) -> tuple[Float
 
 
 def check_plate(plate: Float[Array, "h w 3"], footage: Footage, sure: bool = True) -> str | None:
-    """Does a plate belong to the footage, and is the scene empty in it?
+    """Check that a plate belongs to the footage, and that the scene is empty in it.
 
     Args:
+        plate: encoded like the frames.
+        footage: of the clip.
         sure: refuse it where it seems to hold a person; else that is returned as a doubt.
 
     Raises:
@@ -119,11 +122,14 @@ def check_plate(plate: Float[Array, "h w 3"], footage: Footage, sure: bool = Tru
 
 
 def seems_to_hold_person(frame: Float[Array, "H W 3"], plate: Float[Array, "H W 3"]) -> bool:
-    """`check_plate`'s judgement where there is one frame, encoded as sRGB like the plate: for a warning, not for more.
+    """Return whether a plate seems to hold a person, judged by one frame: only for a warning.
 
     One frame cannot show that an area always differs in the same way. Of 80 plates with somebody beside the person 56
-    were told; of 200 empty ones none was taken for such a one, of 400 behind a smeared figure (bricks, stripes, noise)
-    four.
+    were recognised; of 200 empty ones none was mistaken, of 400 behind a smeared figure (bricks, stripes, noise) four.
+
+    Args:
+        frame: sRGB.
+        plate: sRGB.
     """
     empty, looks = _small(plate), _small(frame)[None]
     return _holds_person(looks, empty, changed_pixels(looks, empty), least=1)
@@ -138,7 +144,12 @@ def _check_size(plate: Float[Array, "h w 3"], footage: Footage) -> None:
 
 
 def changed_pixels(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"]) -> Bool[Array, "n h w"]:
-    """Where small pictures clearly differ from the small plate."""
+    """Return where reduced frames clearly differ from the reduced plate.
+
+    Args:
+        looks: reduced frames.
+        empty: reduced plate.
+    """
     difference = np.abs(looks - empty).max(-1)
     usual = np.median(difference, axis=(1, 2), keepdims=True)
     smooth = np.stack([cv2.blur(one, (3, 3)) for one in difference.astype(np.float32)])
@@ -148,13 +159,16 @@ def changed_pixels(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"])
 def _holds_person(
     looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"], changed: Bool[Array, "n h w"], least: int = 2
 ) -> bool:
-    """A ghost: an area of a person's size that differs always in the same way and whose outline the plate has.
+    """Return whether a ghost of a person's size is found: it always differs in the same way, its edge is in the plate.
 
     Where a plate holds a person, frames show the constant background, without an edge along the person's outline; where
     a person stands in the frames, it is the frames that have the edge.
 
     Args:
-        least: so many frames have to show it.
+        looks: reduced frames.
+        empty: reduced plate.
+        changed: by `changed_pixels`.
+        least: fewest frames that have to show it.
     """
     ghost = _constant(looks, changed, max(least, _GHOST_RATE * len(looks)))
     person = float(np.median([size for size in map(_largest_area, changed) if size] or [0]))
@@ -173,7 +187,13 @@ def _holds_person(
 
 
 def constant_changes(looks: Float[Array, "n h w 3"], empty: Float[Array, "h w 3"], share: float) -> Bool[Array, "h w"]:
-    """Where small pictures differ from the small plate always in the same way, in at least this share of them."""
+    """Return where reduced frames always differ from the reduced plate in the same way.
+
+    Args:
+        looks: reduced frames.
+        empty: reduced plate.
+        share: least share of the frames.
+    """
     return _constant(looks, changed_pixels(looks, empty), share * len(looks)).astype(bool)
 
 

@@ -33,10 +33,16 @@ _POSITION = {"start": 0.0, "middle": 0.5, "end": 1.0}
 
 
 def settle_timing(footage: Footage, exposure: ClipExposure, config: ExposureConfig) -> Timing:
-    """What an option says wins over clip.toml, which wins over the footage's own metadata, which wins over a guess.
+    """Determine when the shutter was open.
 
-    Frames keep their own time stamps. Where these are irregular, exposure fractions are of the nominal interval, and a
-    window is fitted as if its frames followed at it.
+    Options have priority over clip.toml, then come the footage's metadata, then a guess. Frames keep their own time
+    stamps. Where these are irregular, exposure fractions are of the nominal interval, and a window is fitted as if its
+    frames had that interval.
+
+    Args:
+        footage: of the clip.
+        exposure: entries of clip.toml.
+        config: options.
 
     Raises:
         InputError: the exposure is longer than the interval between frames.
@@ -73,7 +79,12 @@ def _exposure(footage: Footage, exposure: ClipExposure, config: ExposureConfig) 
 
 
 def regular(times_s: Float[Array, "T"], share: float = 0.25) -> bool:
-    """Whether the frames follow at one interval, give or take a share of it."""
+    """Return whether all intervals between frames equal the median within a share of it.
+
+    Args:
+        times_s: of the frames.
+        share: largest relative deviation.
+    """
     if len(times_s) < 3:
         return True
     steps = np.diff(times_s)

@@ -16,7 +16,11 @@ MAX_BYTES = UNPACKED_LIMIT
 
 
 def read_arrays(path: Path, wanted: Collection[str]) -> tuple[dict[str, Shaped[Array, "..."]], frozenset[str]]:
-    """(the wanted arrays that the file has, the names of everything in it).
+    """Return the wanted arrays that the file has, and the names of everything in it.
+
+    Args:
+        path: .npz or .pkl.
+        wanted: names.
 
     Raises:
         InputError: no file there, too large, not an archive or pickle of arrays, or a pickle that names code.

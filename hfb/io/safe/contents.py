@@ -32,8 +32,13 @@ _WHAT = "give a result file of PyMAF, HybrIK, PHALP / 4D-Humans, WHAM, TRAM, GVH
 
 
 def read_contents(path: Path) -> Any:
-    """Dictionaries, lists, numbers, texts, and what stands for arrays (see `numbers`): pickles, joblib's pickles
-    (compressed ones too), files of torch.save, .npy, .npz and JSON.
+    """Read a file of another system, of whatever container.
+
+    The result consists of dictionaries, lists, numbers, texts and placeholders of arrays (see `numbers`). Containers
+    are pickles, joblib's pickles (compressed ones too), files of torch.save, .npy, .npz and JSON.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: not there, too large, damaged, or a pickle that names code: the sentence says which.
@@ -59,10 +64,11 @@ def read_contents(path: Path) -> Any:
 
 
 def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array, "..."]:
-    """The array that a part of a file stands for, as float64; sides of size 1 may be missing or too many.
+    """Return the array of a part of a file as float64; sides of size 1 may be missing or too many.
 
     Args:
-        shape: what it must be; None for a side of any length.
+        value: part of a file.
+        *shape: what it must be; None for a side of any length.
         finite: false where a row that is not finite leaves the others as they are.
 
     Raises:
@@ -85,7 +91,11 @@ def numbers(value: Any, *shape: int | None, finite: bool = True) -> Float[Array,
 
 
 def frame_numbers(values: Shaped[Array, "R"], most: float = 1e9) -> Int[Array, "R"]:
-    """Frames' numbers as whole ones.
+    """Convert frame numbers to whole ones.
+
+    Args:
+        values: numbers of frames.
+        most: largest possible number.
 
     Raises:
         InputError: one is so large that no recording has so many; the text continues "FILE cannot be used: ".
@@ -96,7 +106,10 @@ def frame_numbers(values: Shaped[Array, "R"], most: float = 1e9) -> Int[Array, "
 
 
 def array_in(value: Any) -> Float[Array, "..."]:
-    """As `numbers`, of any shape and not necessarily finite: what is in a file goes to numpy through here alone.
+    """Return `numbers` of any shape, also not finite; every array of a file passes through this function.
+
+    Args:
+        value: part of a file.
 
     Raises:
         InputError: no numbers, or more of them than any file of motions has.
@@ -108,8 +121,10 @@ def array_in(value: Any) -> Float[Array, "..."]:
 
 
 class _Room:
-    """How much more is looked at. In a pickle a list may hold itself, or the same one ten times, and that one another
-    ten times, or one large tensor: a few hundred bytes are endless.
+    """The entries and numbers that may still be read.
+
+    In a pickle a list may hold itself, or another one ten times, and that one another ten times, or one large tensor:
+    a few hundred bytes can stand for an endless content.
     """
 
     def __init__(self) -> None:
@@ -138,7 +153,11 @@ def _gathered(value: Any, room: _Room, depth: int = 0) -> Any:
 
 
 def texts(value: Any) -> list[str]:
-    """Texts of a list, or of a numpy array of texts; empty where it is neither."""
+    """Return the texts of a list, or of a numpy array of texts; empty where it is neither.
+
+    Args:
+        value: part of a file.
+    """
     if isinstance(value, list | tuple):
         return [one for one in value if isinstance(one, str)]
     if isinstance(value, NumpyArray) and isinstance(value.state, tuple) and len(value.state) == 4:
@@ -160,12 +179,20 @@ def texts(value: Any) -> list[str]:
 
 
 def text_of(value: Any) -> str:
-    """A key or name as text."""
+    """Return a key or name as text.
+
+    Args:
+        value: text or bytes.
+    """
     return value.decode("latin1") if isinstance(value, bytes) else str(_plain(value))
 
 
 def named(value: Any) -> dict[str, Any]:
-    """A dictionary by texts; empty where it is none."""
+    """Return a dictionary with texts for keys; empty where the value is none.
+
+    Args:
+        value: part of a file.
+    """
     return {text_of(key): one for key, one in value.items()} if isinstance(value, dict) else {}
 
 
@@ -203,7 +230,7 @@ def _loaded(data: bytes, steps: Steps) -> Any:
 
 
 def _loaded_inside(data: bytes, steps: Steps) -> Any:
-    """joblib compresses pickles; a file within a file within a file is nobody's."""
+    """Read a decompressed pickle, as joblib writes them; deeper nesting of files is not supported."""
     return load_pickle(data, steps)
 
 

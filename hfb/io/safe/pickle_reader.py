@@ -8,10 +8,11 @@ from hfb.io.safe.torch_files import load_torch
 
 
 def load_pickle(data: bytes, steps: Steps | None = None) -> Any:
-    """What a pickle holds, with placeholders for everything that is not a plain Python value.
+    """Read a pickle, with placeholders for everything that is not a plain Python value.
 
     Args:
-        steps: what reading it takes from, where it is a part of a file, or was compressed.
+        data: content of the pickle.
+        steps: limit of the work, shared where it is a part of a file, or was compressed.
 
     Raises:
         InputError: it names anything but arrays, or is not a whole pickle; the text continues "FILE cannot be

@@ -22,7 +22,10 @@ class Steps:
         self.left = _LEAST_STEPS + _STEPS_PER_BYTE * file_bytes
 
     def take(self, count: int) -> None:
-        """So many steps more.
+        """Subtract steps from those left.
+
+        Args:
+            count: number of steps.
 
         Raises:
             InputError: there are not so many left.
@@ -32,7 +35,7 @@ class Steps:
             raise self.spent()
 
     def spent(self) -> InputError:
-        """What is to be said when none is left."""
+        """Build the error for no steps left."""
         return InputError(
             "it takes millions of steps to read, far more than a file of arrays of its size: save it without masks "
             "and features, or split it into shorter files"
@@ -52,11 +55,14 @@ class Bytes(io.BytesIO):
         self.steps = Steps(len(data)) if steps is None else steps
 
     def room(self) -> int:
-        """How many bytes are to come."""
+        """Return the number of bytes to come."""
         return len(self._whole) - self.tell()
 
     def view(self, size: int) -> memoryview:
-        """The next bytes.
+        """Return the next bytes.
+
+        Args:
+            size: number of bytes.
 
         Raises:
             InputError: there are not so many.
@@ -69,14 +75,21 @@ class Bytes(io.BytesIO):
 
 
 def weight_of(argument: Any) -> int:
-    """Steps for what a function looks at, or copies."""
+    """Return the steps that a function spends on an argument.
+
+    Args:
+        argument: of the function.
+    """
     if isinstance(argument, list | tuple | dict):
         return len(argument)
     return len(argument) // _BYTES_PER_STEP if isinstance(argument, str | bytes | bytearray) else 0
 
 
 def sides_of(shape: Any) -> tuple[int, ...]:
-    """The sides of an array as a pickle has them: a text among them would be repeated, not multiplied.
+    """Check the sides of an array in a pickle: a text among them would be repeated, not multiplied.
+
+    Args:
+        shape: as the pickle has it.
 
     Raises:
         InputError: something else, or beyond what any array has.
@@ -89,7 +102,10 @@ def sides_of(shape: Any) -> tuple[int, ...]:
 
 
 def item_bytes(code: Any) -> int:
-    """Bytes of one entry of numpy's type code, such as "f4" or "U12".
+    """Return the bytes of one entry of numpy's type code, such as "f4" or "U12".
+
+    Args:
+        code: text or bytes.
 
     Raises:
         InputError: no such code.

@@ -26,7 +26,10 @@ _MAX_ENTRIES = 1 << 26  # 0.5 GB of float64
 
 
 def to_array(value: Any) -> Shaped[Array, "..."]:
-    """The numpy array that a loaded value stands for.
+    """Build the numpy array of a placeholder.
+
+    Args:
+        value: loaded from a pickle.
 
     Raises:
         InputError: it stands for none.

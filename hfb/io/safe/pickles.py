@@ -254,9 +254,10 @@ class _Unpickler(_PythonUnpickler):
 
 
 def load_from(stream: Bytes, load_torch: TorchReader, outside: Callable[[Any], Any] | None = None) -> Any:
-    """The next pickle of a stream, which is left at its end.
+    """Read the next pickle of a stream, which is left at its end.
 
     Args:
+        stream: of bytes, with its limit of steps.
         load_torch: reads a file of torch that the pickle holds.
         outside: gives what the pickle refers to outside itself; without it that is an error.
 

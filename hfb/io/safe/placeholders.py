@@ -23,7 +23,14 @@ class Placeholder:
         self.state = state
 
     def field(self, *names: str) -> Any:
-        """The first of these attributes that the pickled object had."""
+        """Return the first of these attributes that the pickled object had.
+
+        Args:
+            *names: of attributes.
+
+        Raises:
+            InputError: it had none.
+        """
         state = self.state if isinstance(self.state, dict) else {}
         for name in names:
             if name in state:
@@ -101,8 +108,16 @@ class PlainDict(dict[Any, Any]):
 
 
 def check_keys(keys: Sequence[Any]) -> None:
-    """Texts, numbers, and a text with a number: large integers, floats and other tuples can be chosen so that a
-    dictionary's time is quadratic. A text's hash is secret, and beside the same text no two numbers have the same.
+    """Check a dictionary's keys: texts, numbers, and pairs of a text and a number are accepted.
+
+    Large integers, floats and other tuples can be chosen so that a dictionary's time is quadratic. A text's hash is
+    secret, and beside the same text no two numbers have the same.
+
+    Args:
+        keys: of the dictionary.
+
+    Raises:
+        InputError: a key is something else.
 
     Raises:
         InputError: a key is something else.
@@ -117,7 +132,10 @@ def check_keys(keys: Sequence[Any]) -> None:
 
 
 def check_number(key: Any) -> None:
-    """A number below which integers are their own hash.
+    """Check that a number is below the limit up to which integers are their own hash.
+
+    Args:
+        key: of a dictionary.
 
     Raises:
         InputError: it is something else.
@@ -127,19 +145,34 @@ def check_number(key: Any) -> None:
 
 
 def reconstruct(*_arguments: Any) -> NumpyArray:
-    """numpy's constructor of empty arrays, whose state follows."""
+    """Stand for numpy's constructor of empty arrays, whose state follows.
+
+    Args:
+        *_arguments: ignored.
+    """
     return NumpyArray()
 
 
 def from_buffer(data: Any, dtype: Any, shape: Any, order: Any) -> NumpyArray:
-    """numpy's constructor of arrays in pickles of protocol 5."""
+    """Stand for numpy's constructor of arrays in pickles of protocol 5.
+
+    Args:
+        data: bytes of the array.
+        dtype: placeholder of the type.
+        shape: sides.
+        order: C or F.
+    """
     array = NumpyArray()
     array.state = (shape, dtype, order == "F", data)
     return array
 
 
 def encode(text: Any, encoding: Any = "latin1") -> bytes:
-    """How pickles of Python 2 say bytes.
+    """Encode text as pickles of Python 2 store bytes.
+
+    Args:
+        text: to encode.
+        encoding: Latin-1.
 
     Raises:
         InputError: no text, or another encoding.
@@ -150,7 +183,11 @@ def encode(text: Any, encoding: Any = "latin1") -> bytes:
 
 
 def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
-    """bytes() and bytearray(), but never of a bare size.
+    """Stand for bytes() and bytearray(), but never of a bare size.
+
+    Args:
+        data: bytes, or text.
+        encoding: of a text.
 
     Raises:
         InputError: it was given something else.
@@ -163,7 +200,11 @@ def raw_bytes(data: Any = b"", encoding: Any = "latin1") -> bytes:
 
 
 def new_object(cls: Any, *_arguments: Any) -> Any:
-    """What makes the objects of old pickles.
+    """Stand for the constructor of old pickles' objects.
+
+    Args:
+        cls: placeholder class.
+        *_arguments: ignored.
 
     Raises:
         InputError: of a class that is none of ours.
@@ -174,11 +215,18 @@ def new_object(cls: Any, *_arguments: Any) -> Any:
 
 
 def nothing(*_arguments: Any) -> None:
-    """Sets and the like, which chumpy keeps beside its values; they are of no use here."""
+    """Stand for sets and the like, which chumpy keeps beside its values; they are not used.
+
+    Args:
+        *_arguments: ignored.
+    """
 
 
 def size_of(values: Any = ()) -> tuple[object, ...]:
-    """torch.Size.
+    """Stand for torch.Size.
+
+    Args:
+        values: sides.
 
     Raises:
         InputError: it was given no row of sides.
@@ -189,5 +237,10 @@ def size_of(values: Any = ()) -> tuple[object, ...]:
 
 
 def parameter(tensor: Any = None, *_arguments: Any) -> Any:
-    """torch's parameters are read as their tensors."""
+    """Stand for torch's parameters, which are read as their tensors.
+
+    Args:
+        tensor: placeholder.
+        *_arguments: ignored.
+    """
     return tensor

@@ -15,10 +15,11 @@ _ITEM_BYTES = {"bf2": 2}
 
 
 def load_torch(data: bytes, steps: Steps | None = None) -> Any:
-    """What torch.save wrote, with placeholders for its tensors (see `hfb.io.safe.pickled_arrays.to_array`).
+    """Read a file of torch.save, with placeholders for tensors (see `hfb.io.safe.pickled_arrays.to_array`).
 
     Args:
-        steps: what reading it takes from, where it is a part of a file.
+        data: content of the file.
+        steps: limit of the work, shared where it is a part of a file.
 
     Raises:
         InputError: no such file, a damaged one, or one whose pickle names anything but tensors; the text continues
@@ -29,7 +30,11 @@ def load_torch(data: bytes, steps: Steps | None = None) -> Any:
 
 
 def looks_like_torch(data: bytes) -> bool:
-    """Whether a file that is no archive begins as torch.save's older files do."""
+    """Return whether a file that is no archive begins like torch.save's older files.
+
+    Args:
+        data: content of the file.
+    """
     return data[:14] in (b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19", b"\x80\x03\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19")
 
 

@@ -58,10 +58,19 @@ def _blend_and_skin_block(table, feature, rest, directions, steps, starts, joint
 
 @entry
 def blend_and_skin(transforms, rotations, rest, directions, steps, starts, joints, weights, points, vertices):
-    """Fill `vertices` (S, V, 3) by skinning (SMPL's eq. 2) of the rest vertices (V, 3) plus pose blend shapes, and
-    `points` (S / LANES, V, 3 x LANES), these vertices before they were skinned.
+    """Fill `vertices` by skinning (SMPL's eq. 2) of the rest vertices plus pose blend shapes.
 
-    directions: (V, 3, FEATURES) in `steps` (V, 3). starts: (V + 1), where each vertex's joints and weights begin.
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame.
+        rest: (V, 3), rest vertices [m].
+        directions: (V, 3, FEATURES), pose blend shapes in units of `steps`.
+        steps: (V, 3), unit of each row of `directions` [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        points: (S / LANES, V, 3 x LANES), filled with the vertices before skinning.
+        vertices: (S, V, 3), filled.
     """
     table, feature = np.empty((transforms.shape[1], 12 * LANES), rest.dtype), np.zeros((LANES, FEATURES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
@@ -122,8 +131,23 @@ def _gradient_block(
 def blend_and_skin_gradient(
     transforms, directions, steps, starts, joints, weights, points, given, of_transforms, of_rotations, of_rest
 ):
-    """Fill `of_transforms` and, but for the root, `of_rotations`; add to `of_rest`. What the camera does not see asks
-    for nothing and is passed over, half of the work."""
+    """Compute the gradients of `blend_and_skin`.
+
+    Vertices that the camera does not see have no gradient and are skipped, half of the work.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        directions: (V, 3, FEATURES), pose blend shapes in units of `steps`.
+        steps: (V, 3), unit of each row of `directions` [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        points: (S / LANES, V, 3 x LANES), vertices before skinning.
+        given: (S, V, 3), gradient by the vertices.
+        of_transforms: gradient, filled.
+        of_rotations: gradient, filled but for the root.
+        of_rest: gradient, added to.
+    """
     kind = transforms.dtype
     table, of_feature = np.empty((transforms.shape[1], 12 * LANES), kind), np.empty((LANES, FEATURES), kind)
     asking = np.empty(given.shape[1] + 1, np.int64)

@@ -14,11 +14,14 @@ from hfb.typing import Tensor
 def add_shape(
     betas: Tensor, template: Tensor, joint_template: Tensor, rows: Tensor, joint_rows: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Vertices (V, 3) and joints (24, 3) [m] of the person with these betas (K) in the rest pose (SMPL's eq. 8).
+    """Return vertices (V, 3) and joints (24, 3) [m] of the person with some betas in the rest pose (SMPL's eq. 8).
 
     Args:
-        template, joint_template: where they are with betas of zero [m]. rows: (K, 3 V), displacements per unit of each
-            beta, joint_rows: (K, 72), of the joints; all four are constants.
+        betas: (K), shape coefficients.
+        template: (V, 3), vertices with betas of zero [m]; a constant, as all that follow.
+        joint_template: (24, 3), joints with betas of zero [m].
+        rows: (K, 3 V), displacements per unit of each beta [m].
+        joint_rows: (K, 72), of the joints, likewise.
     """
     vertices, joints = template.new_empty(template.shape), joint_template.new_empty(joint_template.shape)
     for start, directions, place in ((template, rows, vertices), (joint_template, joint_rows, joints)):
@@ -35,7 +38,14 @@ def _(
 
 @operator("hfb::add_shape_gradient")
 def add_shape_gradient(rows: Tensor, joint_rows: Tensor, of_vertices: Tensor, of_joints: Tensor) -> Tensor:
-    """Gradient of the betas."""
+    """Return the gradient by the betas.
+
+    Args:
+        rows: (K, 3 V), displacements per unit of each beta [m].
+        joint_rows: (K, 72), of the joints, likewise.
+        of_vertices: gradient by the vertices.
+        of_joints: gradient by the joints.
+    """
     of_betas = rows.new_empty(rows.shape[0])
     given = arrays(rows, joint_rows, of_vertices.flatten(), of_joints.flatten())
     kernels_skinning.add_shape_gradient(*given, of_betas.numpy())
@@ -62,10 +72,12 @@ add_shape.register_autograd(_shape_backward, _keep_shape)
 def place_joints(
     rotations: Tensor, translations: Tensor, rest_joints: Tensor, parents: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """World transforms of the rest body (N, 24, 3, 4) and joints (N, 24, 3) [m].
+    """Return world transforms of the rest body (N, 24, 3, 4) and joints (N, 24, 3) [m].
 
     Args:
-        rotations: (N, 24, 3, 3), each in its parent's frame. translations: (N, 3) [m]. rest_joints: (24, 3) [m].
+        rotations: (N, 24, 3, 3), each in its parent's frame.
+        translations: (N, 3) [m].
+        rest_joints: (24, 3) [m].
         parents: (24) int32, -1 for the root, which comes first; a parent comes before its children.
     """
     transforms = rotations.new_empty(*rotations.shape[:2], 3, 4)
@@ -89,7 +101,16 @@ def place_joints_gradient(
     of_transforms: Tensor,
     of_joints: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradients of the rotations, the translations and the rest joints."""
+    """Return the gradients by the rotations, the translations and the rest joints.
+
+    Args:
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame.
+        rest_joints: (24, 3) [m].
+        parents: (24) int32, -1 for the root.
+        transforms: (S, 24, 3, 4), rest body to world.
+        of_transforms: gradient by the transforms.
+        of_joints: gradient by the joints.
+    """
     of_rotations = rotations.new_empty(rotations.shape)
     of_translations, of_rest = rotations.new_empty(rotations.shape[0], 3), rest_joints.new_zeros(rest_joints.shape)
     given = arrays(rotations, rest_joints, parents, transforms, of_transforms, of_joints)
@@ -124,11 +145,14 @@ place_joints.register_autograd(_chain_backward, _keep_chain)
 
 @operator("hfb::skin")
 def skin(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor) -> Tensor:
-    """Vertices (S, V, 3) [m] of the rest body turned by the transforms of the joints that hold them.
+    """Return vertices (S, V, 3) [m] of the rest body moved by the transforms of their joints.
 
     Args:
-        transforms: (S, 24, 3, 4), rest body to world. rest: (V, 3) [m]. starts, joints, weights: of each vertex in
-            turn, see `hfb.body.skinning.sparse_weights`.
+        transforms: (S, 24, 3, 4), rest body to world.
+        rest: (V, 3) [m].
+        starts: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        joints: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
+        weights: of each vertex in turn, see `hfb.body.skinning.sparse_weights`.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     kernels_skinning.skin(*arrays(transforms, rest, starts, joints, weights), vertices.numpy())
@@ -144,7 +168,17 @@ def _(transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights:
 def skin_gradient(
     transforms: Tensor, rest: Tensor, starts: Tensor, joints: Tensor, weights: Tensor, given: Tensor, wants_rest: bool
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the transforms and of the rest vertices; the second empty where not asked for."""
+    """Return the gradients by the transforms and by the rest vertices.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        rest: (V, 3), rest vertices [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        given: (S, V, 3), gradient by the vertices.
+        wants_rest: compute the second one, else it is empty.
+    """
     of_transforms = transforms.new_empty(transforms.shape)
     of_rest = rest.new_zeros(rest.shape if wants_rest else (0, 3))
     known = arrays(transforms, rest, starts, joints, weights, given)
@@ -188,11 +222,17 @@ def blend_and_skin(
     joints: Tensor,
     weights: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """`skin` of a rest body with pose blend shapes (SMPL's eq. 9): vertices (S, V, 3) [m], and what its way back needs.
+    """Apply `skin` to a rest body with pose blend shapes (SMPL's eq. 9): vertices (S, V, 3) [m], and saved values.
 
     Args:
-        rotations: (S, 24, 3, 3), of each joint in its parent's frame, which tell the displacements.
-        directions, steps: (V, 3, 208) in units of (V, 3) [m], see `hfb.body.skinning.rounded`; constants.
+        transforms: (S, 24, 3, 4), rest body to world.
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame, which determine the displacements.
+        rest: (V, 3), rest vertices [m].
+        directions: (V, 3, 208) in units of `steps`, see `hfb.body.skinning.rounded`; a constant.
+        steps: (V, 3) [m]; a constant.
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
     """
     vertices = rest.new_empty(transforms.shape[0], *rest.shape)
     points = rest.new_empty(_kept(transforms, rest))
@@ -226,7 +266,18 @@ def blend_and_skin_gradient(
     points: Tensor,
     given: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Gradients of the transforms, the rotations by their displacements, and the rest vertices."""
+    """Return the gradients by the transforms, the rotations through their displacements, and the rest vertices.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        directions: (V, 3, 208), pose blend shapes in units of `steps`.
+        steps: (V, 3) [m].
+        starts: (V + 1), where each vertex's joints and weights begin.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        points: vertices before skinning, by the forward pass.
+        given: (S, V, 3), gradient by the vertices.
+    """
     of_transforms = transforms.new_empty(transforms.shape)
     of_rotations = transforms.new_zeros(*transforms.shape[:2], 3, 3)
     of_rest = transforms.new_zeros(given.shape[1:])

@@ -27,7 +27,14 @@ from hfb.kernels.simd import (  # instants at once: a number that the compiler k
 
 @loop_entry
 def add_shape(betas, template, rows, shaped):
-    """Fill `shaped` (n) with the template plus every beta times its row (K, n): SMPL's eq. 8."""
+    """Fill `shaped` with the template plus every beta times its row: SMPL's eq. 8.
+
+    Args:
+        betas: (K).
+        template: (n).
+        rows: (K, n).
+        shaped: (n), filled.
+    """
     whole = template.shape[0] - template.shape[0] % LANES
     for n in range(0, whole, LANES):
         total = load_lanes(template, n)
@@ -59,14 +66,31 @@ def _inner_product(rows, k, given):
 
 @loop_entry
 def add_shape_gradient(rows, joint_rows, of_vertices, of_joints, of_betas):
-    """Way back of `add_shape` from vertices and joints: fills `of_betas`."""
+    """Compute the gradient of `add_shape` by the betas.
+
+    Args:
+        rows: (K, 3 V), of the vertices.
+        joint_rows: (K, 72), of the joints.
+        of_vertices: (3 V), gradient by the vertices.
+        of_joints: (72), gradient by the joints.
+        of_betas: (K), filled.
+    """
     for k in range(of_betas.shape[0]):
         of_betas[k] = _inner_product(rows, k, of_vertices) + _inner_product(joint_rows, k, of_joints)
 
 
 @loop_entry
 def place(rotations, translations, rest, parents, transforms, joints):
-    """Fill `transforms` (N, 24, 3, 4), rest body to world, and `joints` (N, 24, 3): SMPL's eq. 4 along every chain."""
+    """Fill transforms and joints: SMPL's eq. 4 along every chain.
+
+    Args:
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame.
+        translations: (S, 3) [m].
+        rest: (24, 3), rest joints [m].
+        parents: (24), -1 for the root.
+        transforms: (N, 24, 3, 4), rest body to world, filled.
+        joints: (N, 24, 3), filled.
+    """
     for n in range(rotations.shape[0]):
         for j in range(rest.shape[0]):
             p = parents[j]
@@ -94,7 +118,19 @@ def place(rotations, translations, rest, parents, transforms, joints):
 def place_gradient(
     rotations, rest, parents, transforms, of_transforms, of_joints, of_rotations, of_translations, of_rest
 ):
-    """Fill the first two gradients and add to the third, from those of what `place` filled."""
+    """Compute the gradients of `place`.
+
+    Args:
+        rotations: (S, 24, 3, 3), of each joint in its parent's frame.
+        rest: (24, 3), rest joints [m].
+        parents: (24), -1 for the root.
+        transforms: (S, 24, 3, 4), rest body to world.
+        of_transforms: gradient by the transforms.
+        of_joints: gradient by the joints.
+        of_rotations: gradient, filled.
+        of_translations: gradient, filled.
+        of_rest: (24, 3), gradient, added to.
+    """
     count = rest.shape[0]
     turn, at = np.empty((count, 3, 3), rest.dtype), np.empty((count, 3), rest.dtype)
     for n in range(rotations.shape[0]):
@@ -139,7 +175,14 @@ def place_gradient(
 
 @njit(**LOOP)
 def spread(transforms, first, n, table):
-    """Write n instants' transforms into `table` (24, 4 columns x 3 rows x LANES), zeros into the lanes beyond."""
+    """Write n instants' transforms side by side into `table`, zeros into the lanes beyond.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        first: number of the first body.
+        n: number of bodies, up to LANES.
+        table: (24, 4 columns x 3 rows x LANES), filled.
+    """
     for j in range(transforms.shape[1]):
         for c in range(4):
             for r in range(3):
@@ -149,8 +192,21 @@ def spread(transforms, first, n, table):
 
 @njit(**INLINE)
 def move_point(x, y, z, table, starts, joints, weights, v, to, stride, vertices):
-    """Write a point of every instant, turned by the transforms that hold vertex v, to number `to` of the first body's
-    `vertices` on and so for every body, `stride` apart."""
+    """Transform a point of every instant and store it.
+
+    Args:
+        x: of the point, LANES numbers.
+        y: of the point, LANES numbers.
+        z: of the point, LANES numbers.
+        table: (24, 12 x LANES), transforms by `spread`.
+        starts: (V + 1), where each vertex's joints and weights begin in their lists.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        v: number of the vertex.
+        to: position of the first body's point in `vertices`.
+        stride: numbers from one body to the next.
+        vertices: written to.
+    """
     zero = lanes(table.dtype.type(0.0))
     moved_x, moved_y, moved_z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
@@ -184,9 +240,15 @@ def _skin_block(table, rest, starts, joints, weights, to, vertices):
 
 @entry
 def skin(transforms, rest, starts, joints, weights, vertices):
-    """Fill `vertices` (S, V, 3) by linear blend skinning (SMPL's eq. 2) of rest vertices (V, 3).
+    """Fill `vertices` by linear blend skinning (SMPL's eq. 2).
 
-    starts: (V + 1), where each vertex's joints and weights begin in their lists.
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        rest: (V, 3), rest vertices [m].
+        starts: (V + 1), where each vertex's joints and weights begin in their lists.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        vertices: (S, V, 3), filled.
     """
     table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
@@ -202,7 +264,12 @@ def skin(transforms, rest, starts, joints, weights, vertices):
 
 @njit(**JIT)
 def whole_block(given, first):
-    """LANES bodies' gradients from the first on, zeros where there are fewer: an array, and where in it they begin."""
+    """Return LANES bodies' gradients, zeros where there are fewer: an array, and their position in it.
+
+    Args:
+        given: (S, V, 3), gradient by the vertices.
+        first: number of the first body.
+    """
     if given.shape[0] - first >= LANES:
         return given, first * given.shape[1] * 3
     block = np.zeros((LANES, given.shape[1], 3), given.dtype)
@@ -212,15 +279,32 @@ def whole_block(given, first):
 
 @njit(**INLINE)
 def ask(given, at, stride):
-    """What every instant asks of the vertex at a position, and whether any asks for something: what the camera does not
-    see does not."""
+    """Load a vertex's gradients (x, y, z) at every instant, and whether any is not zero.
+
+    Vertices that the camera does not see have zeros.
+
+    Args:
+        given: (S, V, 3), gradient by the vertices.
+        at: position of the vertex in the first body.
+        stride: numbers from one body to the next.
+    """
     x, y, z = load_apart(given, at, stride), load_apart(given, at + 1, stride), load_apart(given, at + 2, stride)
     return x, y, z, some_lane(x) | some_lane(y) | some_lane(z)
 
 
 @njit(**INLINE)
 def pull(starts, joints, weights, v, asked, point, pulls):
-    """Add what vertex v asks of the transforms that hold it: outer products of what is asked and the point."""
+    """Add a vertex's gradients to those of its transforms: outer products of the gradients and the point.
+
+    Args:
+        starts: (V + 1), where each vertex's joints and weights begin in their lists.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        v: number of the vertex.
+        asked: x, y and z of the vertex's gradient, LANES numbers each.
+        point: x, y and z of the vertex before skinning, LANES numbers each.
+        pulls: (24, 12 x LANES), gradient by `table`, added to.
+    """
     for k in range(starts[v], starts[v + 1]):
         at, weight = 12 * LANES * np.int64(joints[k]), weights[k]
         x, y, z = asked[0] * weight, asked[1] * weight, asked[2] * weight
@@ -242,8 +326,19 @@ def _pull_column(pulls, at, x, y, z, coordinate):
 
 @njit(**INLINE)
 def ask_point(table, starts, joints, weights, v, asked, of_rest):
-    """What every instant asks of the point: the blended rotation's transpose times what is asked of the vertex. Adds
-    their sum to the rest vertex's gradient."""
+    """Return the gradient by the point before skinning: the blended rotation's transpose times the vertex's gradient.
+
+    Its sum over the lanes is added to the rest vertex's gradient.
+
+    Args:
+        table: (24, 12 x LANES), transforms by `spread`.
+        starts: (V + 1), where each vertex's joints and weights begin in their lists.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        v: number of the vertex.
+        asked: x, y and z of the vertex's gradient, LANES numbers each.
+        of_rest: (V, 3), gradient, added to.
+    """
     zero = lanes(table.dtype.type(0.0))
     x, y, z = zero, zero, zero
     for k in range(starts[v], starts[v + 1]):
@@ -268,7 +363,14 @@ def _column_of(table, at, x, y, z, added):
 
 @njit(**LOOP)
 def gather(pulls, first, n, of_transforms):
-    """What n instants' transforms are asked for, out of lanes: the way back of `spread`."""
+    """Reverse `spread` for gradients: write those of n instants' transforms.
+
+    Args:
+        pulls: (24, 12 x LANES), gradient by the table.
+        first: number of the first body.
+        n: number of bodies, up to LANES.
+        of_transforms: (S, 24, 3, 4), gradient, filled.
+    """
     for j in range(of_transforms.shape[1]):
         for c in range(4):
             for r in range(3):
@@ -291,7 +393,18 @@ def _skin_gradient_block(table, rest, starts, joints, weights, given, first, pul
 
 @entry
 def skin_gradient(transforms, rest, starts, joints, weights, given, of_transforms, of_rest):
-    """Fill `of_transforms` and add to `of_rest`, which is left out where it is empty."""
+    """Compute the gradients of `skin`.
+
+    Args:
+        transforms: (S, 24, 3, 4), rest body to world.
+        rest: (V, 3), rest vertices [m].
+        starts: (V + 1), where each vertex's joints and weights begin in their lists.
+        joints: joint of each skinning weight.
+        weights: skinning weights.
+        given: (S, V, 3), gradient by the vertices.
+        of_transforms: (S, 24, 3, 4), gradient, filled.
+        of_rest: (V, 3), gradient, added to; an empty one is skipped.
+    """
     table = np.empty((transforms.shape[1], 12 * LANES), rest.dtype)
     for first in range(0, transforms.shape[0], LANES):
         n, pulls = min(LANES, transforms.shape[0] - first), np.zeros(table.shape, rest.dtype)

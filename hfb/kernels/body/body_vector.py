@@ -45,8 +45,14 @@ def _sums(builder, blocks):
 
 @intrinsic
 def displacements(typingctx, features, directions, at):
-    """Of every instant the three inner products of its `features` (LANES, FEATURES) with the three rows that begin at a
-    position of `directions`: three times LANES numbers."""
+    """Return, for every instant, the inner products of its features with three rows: three times LANES numbers.
+
+    Args:
+        typingctx: numba's typing context.
+        features: (LANES, FEATURES).
+        directions: (V, 3, FEATURES).
+        at: position of three rows in `directions`.
+    """
     kind = lanes_of(features.dtype)
     signature = types.UniTuple(kind, 3)(features, directions, at)
 
@@ -69,7 +75,17 @@ def displacements(typingctx, features, directions, at):
 
 @intrinsic
 def add_features(typingctx, features, directions, at, x, y, z):
-    """Way back of `displacements`: add to `features` what the three are asked for, each of (x, y, z) LANES numbers."""
+    """Add the gradient of `displacements` by the features.
+
+    Args:
+        typingctx: numba's typing context.
+        features: (LANES, FEATURES), gradient, added to.
+        directions: (V, 3, FEATURES).
+        at: position of three rows in `directions`.
+        x: gradient by the first product, LANES numbers.
+        y: gradient by the second product.
+        z: gradient by the third product.
+    """
     signature = types.void(features, directions, at, x, y, z)
 
     def codegen(context, builder, signature, arguments):

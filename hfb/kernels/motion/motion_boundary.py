@@ -10,8 +10,11 @@ from hfb.kernels.compile import INLINE, loop_entry
 
 @njit(**INLINE)
 def _gap(values, step, gradient):
-    """Mean absolute differences in value and in rate of (T, 6, n): three instants about the next frame's opening, as
-    each frame continues, and three about its own; fills the gradient."""
+    """Return mean absolute differences in value and in rate; fill the gradient.
+
+    `values` (T, 6, n) are three instants about the next frame's opening, as each frame continues, and three about its
+    own.
+    """
     total, count = 0.0, (values.shape[0] - 1) * values.shape[2]
     gradient[:] = 0.0
     for t in range(values.shape[0] - 1):
@@ -31,5 +34,13 @@ def _gap(values, step, gradient):
 
 @loop_entry
 def boundary(rotations, joints, step, of_rotations, of_joints):
-    """Of rotations (T, 6, 216) and joints (T, 6, 72), `_gap` by `_gap`."""
+    """Return the sum of both gaps, see `_gap`.
+
+    Args:
+        rotations: (T, 6, 216).
+        joints: (T, 6, 72) [m].
+        step: time between neighbouring instants, in exposures.
+        of_rotations: gradient, filled.
+        of_joints: gradient, filled.
+    """
     return _gap(rotations, step, of_rotations) + _gap(joints, step, of_joints)

@@ -1,5 +1,4 @@
-"""Compiled parts of the motion: rotation matrices of quaternion polynomials and the path, with their way back to the
-coefficients."""
+"""Compiled motion: rotation matrices of quaternion polynomials, and the path, with gradients by the coefficients."""
 # mypy: ignore-errors
 # (numba compiles these: its types are not mypy's)
 
@@ -28,8 +27,16 @@ def _evaluate(coefficients, u, t, j):
 
 @loop_entry
 def move(rotation, translation, clock, origin, matrices, path):
-    """Fill `matrices` (T, S, 24, 3, 3) and `path` (T, S, 3) from coefficients (T, D1, 24, 4) and (T, D1, 4) of
-    polynomials in clock (S) - origin."""
+    """Evaluate polynomials in `clock` - `origin`.
+
+    Args:
+        rotation: (T, D1, 24, 4), coefficients of the quaternions.
+        translation: (T, D1, 4), coefficients of the path [m].
+        clock: (S), times in exposures.
+        origin: time at which powers are zero.
+        matrices: (T, S, 24, 3, 3), filled.
+        path: (T, S, 3), filled.
+    """
     for t in range(rotation.shape[0]):
         for s in range(clock.shape[0]):
             u = np.float64(clock[s]) - origin
@@ -49,7 +56,17 @@ def move(rotation, translation, clock, origin, matrices, path):
 
 @loop_entry
 def move_gradient(rotation, clock, origin, of_matrices, of_path, of_rotation, of_translation):
-    """Add to `of_rotation` and `of_translation`, which begin at zero."""
+    """Compute the gradients of `move`.
+
+    Args:
+        rotation: (T, D1, 24, 4), coefficients of the quaternions.
+        clock: (S), times in exposures.
+        origin: time at which powers are zero.
+        of_matrices: gradient by the matrices.
+        of_path: gradient by the path.
+        of_rotation: gradient, added to.
+        of_translation: gradient, added to.
+    """
     for t in range(rotation.shape[0]):
         for s in range(clock.shape[0]):
             u = np.float64(clock[s]) - origin

@@ -1,5 +1,7 @@
-"""Quaternion polynomials, logarithms and the boundary restriction as torch operators, so that autograd, torch.compile
-and export see them."""
+"""Quaternion polynomials, logarithms and the boundary restriction as torch operators.
+
+As operators they work with autograd, torch.compile and export.
+"""
 
 from hfb.kernels.motion import motion_boundary as kernels_boundary
 from hfb.kernels.motion import motion_curve as kernels
@@ -10,11 +12,13 @@ from hfb.typing import Tensor
 
 @operator("hfb::move")
 def move(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tuple[Tensor, Tensor]:
-    """Rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
+    """Return rotation matrices (T, S, 24, 3, 3) of the normalised quaternion polynomials, and the path (T, S, 3) [m].
 
     Args:
-        rotation: coefficients (T, D1, 24, 4), (w, x, y, z). translation: (T, D1, 4) [m], the last column unused.
-        clock: (S), the instants u. origin: polynomials are in u - origin.
+        rotation: coefficients (T, D1, 24, 4), (w, x, y, z).
+        translation: (T, D1, 4) [m], the last column unused.
+        clock: (S), the instants u.
+        origin: polynomials are in u - origin.
     """
     frames, instants = len(rotation), len(clock)
     matrices = rotation.new_empty(frames, instants, rotation.shape[2], 3, 3)
@@ -33,7 +37,16 @@ def _(rotation: Tensor, translation: Tensor, clock: Tensor, origin: float) -> tu
 def move_gradient(
     rotation: Tensor, translation: Tensor, clock: Tensor, of_matrices: Tensor, of_path: Tensor, origin: float
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the coefficients."""
+    """Return the gradients by the coefficients.
+
+    Args:
+        rotation: (T, D1, 24, 4), coefficients of the quaternions.
+        translation: (T, D1, 4), coefficients of the path [m].
+        clock: (S), times in exposures.
+        of_matrices: gradient by the matrices.
+        of_path: gradient by the path.
+        origin: time at which powers are zero.
+    """
     of_rotation, of_translation = rotation.new_zeros(rotation.shape), translation.new_zeros(translation.shape)
     polynomials, instants, *given = arrays(rotation, clock, of_matrices, of_path)
     kernels.move_gradient(polynomials, instants, origin, *given, of_rotation.numpy(), of_translation.numpy())
@@ -61,9 +74,15 @@ move.register_autograd(_backward, _keep)
 
 @measure("hfb::boundary", moving=2)
 def boundary(rotations: Tensor, joints: Tensor, step: float) -> tuple[Tensor, Tensor, Tensor]:
-    """`hfb.objective.boundary.boundary_loss` of rotations (T, 6, 24, 3, 3) and joints (T, 6, 24, 3).
+    """Return `hfb.objective.boundary.boundary_loss` and its gradients.
 
-    Every frame's values at the next frame's opening and at its own: a `step` before, then, and a step after."""
+    Values are those of every frame at the next frame's opening and at its own: a `step` before, then, and a step after.
+
+    Args:
+        rotations: (T, 6, 24, 3, 3).
+        joints: (T, 6, 24, 3) [m].
+        step: time between neighbouring instants, in exposures.
+    """
     gradients = rotations.new_empty(rotations.shape), joints.new_empty(joints.shape)
     given = [one.reshape(*one.shape[:2], -1) for one in arrays(rotations, joints, *gradients)]
     return rotations.new_tensor(kernels_boundary.boundary(*given[:2], step, *given[2:])), *gradients
@@ -71,10 +90,14 @@ def boundary(rotations: Tensor, joints: Tensor, step: float) -> tuple[Tensor, Te
 
 @operator("hfb::rotation_vectors")
 def rotation_vectors(matrices: Tensor, instants: int) -> Tensor:
-    """Axis times angle (T, instants, J - 1, 3), the angle in [0, pi], of the rotations (T, S, J, 3, 3) below the root
-    at each frame's first instants.
+    """Return the rotation vectors (T, instants, J - 1, 3) [rad] below the root at each frame's first instants.
 
-    As `hfb.geometry.rotations.matrix_to_axis_angle`; the gradient is that along rotations, which alone has a meaning.
+    Angles are in [0, pi], as of `hfb.geometry.rotations.matrix_to_axis_angle`; the gradient is that along rotations,
+    which alone has a meaning.
+
+    Args:
+        matrices: (T, S, J, 3, 3), rotations.
+        instants: number of the frame's first instants.
     """
     frames, _, joints = matrices.shape[:3]
     vectors = matrices.new_empty(frames, instants, joints - 1, 3)
@@ -89,7 +112,13 @@ def _(matrices: Tensor, instants: int) -> Tensor:
 
 @operator("hfb::rotation_vectors_gradient")
 def rotation_vectors_gradient(matrices: Tensor, vectors: Tensor, given: Tensor) -> Tensor:
-    """Gradient of the matrices."""
+    """Return the gradient by the matrices.
+
+    Args:
+        matrices: (T, S, J, 3, 3), rotations.
+        vectors: result of `rotation_vectors`.
+        given: gradient by the vectors.
+    """
     gradient = matrices.new_zeros(matrices.shape)
     kernels_rotation.logarithm_gradient(*arrays(matrices, vectors, given, gradient))
     return gradient

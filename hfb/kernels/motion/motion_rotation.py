@@ -26,8 +26,12 @@ def _quaternion(m):
 
 @loop_entry
 def logarithm(matrices, vectors):
-    """Fill `vectors` (T, n, J - 1, 3): axis times angle, the angle in [0, pi], of the first n of `matrices`
-    (T, S, J, 3, 3), the first joint left out."""
+    """Fill the rotation vectors of each frame's first n instants, without the first joint.
+
+    Args:
+        matrices: (T, S, J, 3, 3), rotations.
+        vectors: (T, n, J - 1, 3), filled; angles in [0, pi] [rad].
+    """
     for t, s, j in np.ndindex(vectors.shape[0], vectors.shape[1], vectors.shape[2]):
         w, x, y, z = _quaternion(matrices[t, s, j + 1])
         sine = np.sqrt(x * x + y * y + z * z)
@@ -39,10 +43,16 @@ def logarithm(matrices, vectors):
 
 @loop_entry
 def logarithm_gradient(matrices, vectors, given, gradient):
-    """Fill `gradient` (T, S, J, 3, 3) where `logarithm` has looked.
+    """Compute the gradient of `logarithm` by the matrices.
 
     Turning R by a small omega from the left changes its logarithm r by J omega, J the inverse of SO(3)'s left Jacobian
     (Sola et al., A micro Lie theory, 2018, eq. 146); a change [omega]x R has the product omega . h with [h]x R / 2.
+
+    Args:
+        matrices: (T, S, J, 3, 3), rotations.
+        vectors: result of `logarithm`.
+        given: gradient by the vectors.
+        gradient: (T, S, J, 3, 3), filled for those instants and joints.
     """
     for t, s, j in np.ndindex(vectors.shape[0], vectors.shape[1], vectors.shape[2]):
         vector, asked, turned, into = vectors[t, s, j], given[t, s, j], matrices[t, s, j + 1], gradient[t, s, j + 1]

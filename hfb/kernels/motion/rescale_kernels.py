@@ -44,8 +44,17 @@ def _people(betas, reference, template, rows, parents):
 
 @entry
 def as_large(translation, betas, reference, template, rows, parents, moved):
-    """Fill `moved` (T, D1, 4): coefficients of the path of a person with `betas` who is seen as one with `reference`
-    and `translation` is. template: (72), rows: (K, 72), see `hfb.body.model.Body.shape_rows`."""
+    """Rescale a path so that a person with other betas looks as large in the image.
+
+    Args:
+        translation: (T, D1, 4), coefficients of the path [m].
+        betas: (K), shape coefficients.
+        reference: (K), shape for which `translation` holds.
+        template: (72), rest joints with betas of zero [m].
+        rows: (K, 72), see `hfb.body.model.Body.shape_rows`.
+        parents: (24), -1 for the root.
+        moved: (T, D1, 4), coefficients of the rescaled path [m], filled.
+    """
     now, before, factor = _people(betas, reference, template, rows, parents)
     for t in range(translation.shape[0]):
         for d in range(translation.shape[1]):
@@ -58,7 +67,19 @@ def as_large(translation, betas, reference, template, rows, parents, moved):
 
 @entry
 def as_large_gradient(translation, betas, reference, template, rows, parents, given, of_translation, of_betas):
-    """Fill the gradients of the coefficients and the betas."""
+    """Compute the gradients of `as_large`.
+
+    Args:
+        translation: (T, D1, 4), coefficients of the path [m].
+        betas: (K), shape coefficients.
+        reference: (K), shape for which `translation` holds.
+        template: (72), rest joints with betas of zero [m].
+        rows: (K, 72), see `hfb.body.model.Body.shape_rows`.
+        parents: (24), -1 for the root.
+        given: gradient by the rescaled coefficients.
+        of_translation: gradient, filled.
+        of_betas: gradient, filled.
+    """
     now, before, factor = _people(betas, reference, template, rows, parents)
     of_joints, of_factor = np.zeros(now.shape[0], np.float64), 0.0
     for t in range(translation.shape[0]):

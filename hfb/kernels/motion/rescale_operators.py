@@ -12,12 +12,15 @@ from hfb.typing import Tensor
 def as_large(
     translation: Tensor, betas: Tensor, reference: Tensor, template: Tensor, rows: Tensor, parents: Tensor
 ) -> Tensor:
-    """Coefficients (T, D1, 4) of the path [m] of a person with `betas` who is as large in the picture as one with
-    `reference` whose path has the coefficients `translation`.
+    """Return coefficients (T, D1, 4) of a path [m] rescaled so that a person with `betas` looks as large in the image.
 
     Args:
-        template: (24, 3), rest joints with betas of zero [m]. rows: (K, 72), their displacements per unit of each beta.
-        parents: (24) int32, -1 for the root, which comes first. These and the reference are constants.
+        translation: (T, D1, 4), coefficients of the path [m].
+        betas: (K), shape coefficients.
+        reference: (K), shape for which `translation` holds; a constant.
+        template: (24, 3), rest joints with betas of zero [m]; a constant.
+        rows: (K, 72), their displacements per unit of each beta [m]; a constant.
+        parents: (24) int32, -1 for the root, which comes first; a constant.
     """
     moved = translation.new_empty(translation.shape)
     kernels.as_large(*arrays(translation, betas, reference, template.flatten(), rows, parents, moved))
@@ -39,7 +42,17 @@ def as_large_gradient(
     parents: Tensor,
     given: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the coefficients and of the betas."""
+    """Return the gradients by the coefficients and by the betas.
+
+    Args:
+        translation: (T, D1, 4), coefficients of the path [m].
+        betas: (K), shape coefficients.
+        reference: (K), shape for which `translation` holds; a constant.
+        template: (24, 3), rest joints with betas of zero [m]; a constant.
+        rows: (K, 72), their displacements per unit of each beta [m]; a constant.
+        parents: (24) int32, -1 for the root, which comes first; a constant.
+        given: gradient by the rescaled coefficients.
+    """
     gradients = translation.new_empty(translation.shape), betas.new_empty(betas.shape)
     people = arrays(translation, betas, reference, template.flatten(), rows, parents, given)
     kernels.as_large_gradient(*people, *arrays(*gradients))

@@ -19,9 +19,15 @@ def _cost(angle, lowest, highest, mean, spread, softness):
 
 @loop_entry
 def anatomy(poses, order, tables, softness, values, gradient):
-    """Fill `values` (S) and `gradient` (S, 23, 3) of poses (S, 23, 3) [rad].
+    """Fill values and gradient of the prior.
 
-    order: (23, 3), see `twist_swing`. tables: (4, 23, 3), lowest, highest, mean, spread. softness: of the limits [rad].
+    Args:
+        poses: (S, 23, 3), axis-angle [rad].
+        order: (23, 3), axes of twist and swing, see `twist_swing`.
+        tables: (4, 23, 3), lowest, highest, mean, spread [rad].
+        softness: of the limits [rad].
+        values: (S), filled.
+        gradient: (S, 23, 3), filled.
     """
     for s in range(poses.shape[0]):
         total = 0.0

@@ -7,10 +7,12 @@ from hfb.typing import Tensor
 
 @operator("hfb::anatomy")
 def anatomy(poses: Tensor, order: Tensor, tables: Tensor, softness: float) -> tuple[Tensor, Tensor]:
-    """`hfb.priors.anatomy.AnatomicalPrior` of poses (S, 23, 3) [rad]: values (S), and their gradient for the way back.
+    """Return values (S) of `hfb.priors.anatomy.AnatomicalPrior` and their gradient.
 
     Args:
-        order: (23, 3), the axes of twist and swing. tables: (4, 23, 3) float64, lowest, highest, mean, spread [rad].
+        poses: (S, 23, 3), axis-angle [rad].
+        order: (23, 3), the axes of twist and swing.
+        tables: (4, 23, 3) float64, lowest, highest, mean, spread [rad].
         softness: of the limits [rad].
     """
     values, gradient = poses.new_empty(len(poses)), poses.new_empty(poses.shape)

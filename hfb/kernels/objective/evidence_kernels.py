@@ -39,7 +39,16 @@ def _far(off):
 
 @loop_entry
 def off_middle(joints, lenses, middle, scale, share, gradient):
-    """`hfb.evidence.robust.evidence_loss` at the middle of the exposure, of claims (T, 24, 3); fills the gradient."""
+    """Return `hfb.evidence.robust.evidence_loss` at the middle of the exposure; fill the gradient.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates; see the module.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        middle: (T, 24, 3), joints by the network.
+        scale: (T, 24, 3), error scales of the network.
+        share: (3), weight of each coordinate.
+        gradient: filled.
+    """
     total, last, count = 0.0, joints.shape[1] - 1, 3.0 * joints.shape[0] * joints.shape[2]
     gradient[:] = 0.0
     for t in range(joints.shape[0]):
@@ -79,8 +88,19 @@ def _off_path(joints, lenses, path, scale, sign, weight, gradient):
 
 @loop_entry
 def off_path(joints, lenses, path, scale, both_ways, gradient):
-    """`evidence_loss` of the way from opening to closing, of claims (T, 24, 3), or, if both ways count, the smaller of
-    it and of the reverse's; fills the gradient, half of each way's where both are as far."""
+    """Return `evidence_loss` of the path from opening to closing; fill the gradient.
+
+    If both directions count it is the smaller of the path's loss and its reverse's, and each has half of the gradient
+    where both are equal.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates; see the module.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        path: (T, 24, 3), displacements by the network.
+        scale: (T, 24, 3), error scales of the network.
+        both_ways: compare with the reverse, too.
+        gradient: filled.
+    """
     gradient[:] = 0.0
     if not both_ways:
         return _off_path(joints, lenses, path, scale, 1.0, 1.0, gradient)
@@ -95,7 +115,16 @@ def off_path(joints, lenses, path, scale, both_ways, gradient):
 
 @loop_entry
 def off_height(betas, per_beta, mean_m, log_height, scale, gradient):
-    """`evidence_loss` of a person's height, mean_m + per_beta . betas; fills the gradient."""
+    """Return `evidence_loss` of a person's height, mean_m + per_beta . betas; fill the gradient.
+
+    Args:
+        betas: (K), shape coefficients.
+        per_beta: (K), height per unit of each beta [m].
+        mean_m: height with betas of zero.
+        log_height: logarithm of the height [m] by the network.
+        scale: its error scale.
+        gradient: filled.
+    """
     height = mean_m
     for k in range(betas.shape[0]):
         height += np.float64(per_beta[k]) * betas[k]

@@ -10,14 +10,30 @@ from hfb.typing import Tensor
 
 @measure("hfb::off_middle", moving=1)
 def off_middle(joints: Tensor, lenses: Tensor, middle: Tensor, scale: Tensor, share: Tensor) -> tuple[Tensor, Tensor]:
-    """See `kernels_evidence.off_middle`; share: (3), of the word of each coordinate."""
+    """Return `evidence_kernels.off_middle` and its gradient.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        middle: (T, 24, 3), joints by the network.
+        scale: (T, 24, 3), error scales of the network.
+        share: (3), weight of each coordinate.
+    """
     gradient = joints.new_empty(joints.shape)
     return joints.new_tensor(kernels.off_middle(*arrays(joints, lenses, middle, scale, share, gradient))), gradient
 
 
 @measure("hfb::off_path", moving=1)
 def off_path(joints: Tensor, lenses: Tensor, path: Tensor, scale: Tensor, both_ways: bool) -> tuple[Tensor, Tensor]:
-    """See `kernels_evidence.off_path`."""
+    """Return `evidence_kernels.off_path` and its gradient.
+
+    Args:
+        joints: (T, S, 24, 3) [m], camera coordinates.
+        lenses: (T, 5), see `hfb.evidence.joint_network.in_units`.
+        path: (T, 24, 3), displacements by the network.
+        scale: (T, 24, 3), error scales of the network.
+        both_ways: compare with the reverse, too.
+    """
     gradient = joints.new_empty(joints.shape)
     *given, into = arrays(joints, lenses, path, scale, gradient)
     return joints.new_tensor(kernels.off_path(*given, both_ways, into)), gradient
@@ -27,7 +43,15 @@ def off_path(joints: Tensor, lenses: Tensor, path: Tensor, scale: Tensor, both_w
 def off_height(
     betas: Tensor, per_beta: Tensor, mean_m: float, log_height: float, scale: float
 ) -> tuple[Tensor, Tensor]:
-    """See `kernels_evidence.off_height`."""
+    """Return `evidence_kernels.off_height` and its gradient.
+
+    Args:
+        betas: (K), shape coefficients.
+        per_beta: (K), height per unit of each beta [m].
+        mean_m: height with betas of zero.
+        log_height: logarithm of the height [m] by the network.
+        scale: its error scale.
+    """
     gradient = betas.new_empty(betas.shape)
     *given, into = arrays(betas, per_beta, gradient)
     return betas.new_tensor(kernels.off_height(*given, mean_m, log_height, scale, into)), gradient

@@ -49,8 +49,11 @@ def _share(size, at):
 
 @njit(**INLINE)
 def _shrink_row(finer, level, height, width, r, left, right, values, first):
-    """Write a coarse row's pixels from `left` to before `right` to `values` from pixel `first` on: means of the finer
-    pixels of the level that begins at pixel `level`. At an odd border the same is taken twice, the mean stays it."""
+    """Write a coarse row's pixels from `left` to before `right` to `values` from pixel `first` on.
+
+    They are means of the finer pixels of the level that begins at pixel `level`. At an odd border one pixel is taken
+    twice, which keeps the mean.
+    """
     quarter = values.dtype.type(0.25)
     above, below = level + 2 * r * width, level + min(2 * r + 1, height - 1) * width
     for c in range(left, right):
@@ -71,8 +74,10 @@ def _subtract_row(mean, plate, frame, first, count, difference):
 
 @njit(**INLINE)
 def _sum_row(values, first, count):
-    """Of `count` pixels' differences: (sum of the colours' squares, sum of the last, sum of the last where positive).
-    Four pixels' are added up before they are widened."""
+    """Return the sums, over `count` pixels, of the colours' squared differences, of the last, and of its positive part.
+
+    Four pixels' are added up before they are widened.
+    """
     squares, total, positive = four(0.0), four(0.0), four(0.0)
     end = first + count
     for p in range(first, end - 3, 4):
@@ -99,7 +104,13 @@ def _inside(seen, first, width, left, top, right, bottom, which):
 
 @entry
 def levels(height, width, scales):
-    """The table of so many levels."""
+    """Return the table of the levels.
+
+    Args:
+        height: of the image [px].
+        width: of the image [px].
+        scales: number of levels.
+    """
     table = np.zeros((scales + 1, 4), np.int64)
     for k in range(scales):
         table[k, 1], table[k, 2] = height, width
@@ -111,7 +122,13 @@ def levels(height, width, scales):
 
 @entry
 def sum_up(plate, frame, table):
-    """`seen` (corners, 2) of a picture without anybody: see the head of this file."""
+    """Return `seen` (corners, 2) of an image without the person; see the module.
+
+    Args:
+        plate: (H W, 4), the background's colours and 0.
+        frame: (H W, 4), the frame's colours and the matte.
+        table: of the levels, see the module.
+    """
     difference, coarse = np.empty(plate.shape, plate.dtype), np.empty((table[-1, 0], 4), plate.dtype)
     seen = np.zeros((table[-1, 3], 2), np.float64)
     difference[:] = plate - frame
@@ -135,12 +152,21 @@ def sum_up(plate, frame, table):
 
 @entry
 def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales, difference, coarse, slopes):
-    """(L_I, L_alpha), eq. (3) and (4), of a mean drawing (H W, 4) against what is seen: means over so many scales.
+    """Return (L_I, L_alpha), eq. (3) and (4), of a mean render: each the mean over its number of scales.
 
-    plate: (H W, 4), the background's colours and 0. frame: (H W, 4), the frame's colours and the matte. In the window
-    `difference` (H W, 4), which may be `mean` itself, and `coarse` (pixels of the list, 4) are filled with differences;
-    slopes: (levels, 3), how L_I changes with a level's differences, as a factor of these, and L_alpha with the last
-    where it is negative and where it is positive.
+    Args:
+        mean: (H W, 4), the render's colours and silhouette.
+        plate: (H W, 4), the background's colours and 0.
+        frame: (H W, 4), the frame's colours and the matte.
+        window: left, top, right, bottom [px] of all that is drawn.
+        table: of the levels, see the module.
+        seen: (corners, 2), by `sum_up`.
+        image_scales: number of scales of L_I.
+        matte_scales: number of scales of L_alpha.
+        difference: (H W, 4), filled in the window; may be `mean` itself.
+        coarse: (pixels of the list, 4), filled in the window.
+        slopes: (levels, 3), filled: derivative of L_I by a level's differences as a factor of these, and of L_alpha by
+            the last difference where it is negative and where it is positive.
     """
     image, overlap = 0.0, 0.0
     for k in range(table.shape[0] - 1):
@@ -174,10 +200,11 @@ def compare(mean, plate, frame, window, table, seen, image_scales, matte_scales,
 
 @njit(**LOOP)
 def _pull_level(values, level, height, width, window, slopes, coarser, after, gradient):
-    """Fill a level's part of `gradient` in its window (left, top, right, bottom): what the losses ask of its
-    differences, and its share of what `coarser`, from pixel `after` on, is asked; nothing if that is negative.
+    """Fill a level's part of `gradient` in its window (left, top, right, bottom).
 
-    slopes: of the colours, of the last where negative and where positive.
+    It is the gradient of the level's own losses (`slopes`: of the colours, of the last difference where negative and
+    where positive) plus its share of the next level's, which is in `coarser` from pixel `after` on; a negative `after`
+    means that there is none.
     """
     kind, columns, (left, top, right, bottom) = gradient.dtype.type, (width + 1) // 2, window
     of_colours, equal = kind(slopes[0]), kind(0.5 * (slopes[1] + slopes[2]))
@@ -197,9 +224,19 @@ def _pull_level(values, level, height, width, window, slopes, coarser, after, gr
 
 @loop_entry
 def gradient_of(difference, coarse, plate, window, table, slopes, by_image, by_matte, asked, gradient):
-    """Fill `gradient` (H W, 4) in the window with that of by_image L_I + by_matte L_alpha by the mean drawing.
+    """Fill the gradient of by_image L_I + by_matte L_alpha by the mean render, in the window.
 
-    asked: room for the coarse levels' gradients, as large as `coarse`. Others as `compare` filled them.
+    Args:
+        difference: (H W, 4), differences of the finest level.
+        coarse: (pixels of the list, 4), differences of the other levels.
+        plate: (H W, 4), the background's colours and 0.
+        window: left, top, right, bottom [px] of all that is drawn.
+        table: of the levels, see the module.
+        slopes: (levels, 3), see `compare`.
+        by_image: factor of L_I.
+        by_matte: factor of L_alpha.
+        asked: work space for the coarse levels' gradients, as large as `coarse`.
+        gradient: (H W, 4), filled in the window.
     """
     after = np.int64(-1)
     for k in range(table.shape[0] - 2, -1, -1):

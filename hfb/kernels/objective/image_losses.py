@@ -57,7 +57,7 @@ class Target:
     def compare(
         self, mean: Float[Array, "H W 4"], box: tuple[int, int, int, int]
     ) -> tuple[tuple[float, float], Compared]:
-        """(L_I, L_alpha), each the mean over its scales and zero at no scale, and what `backward` needs.
+        """Return (L_I, L_alpha), each the mean over its scales (zero without any), and saved values for `backward`.
 
         Args:
             mean: premultiplied colours and a silhouette, as a rasteriser returns them; written over.
@@ -89,7 +89,12 @@ class Target:
         return losses, Compared(window, difference, coarse, slopes)
 
     def backward(self, compared: Compared, grad_losses: Sequence[float]) -> Float[Array, "H W 4"]:
-        """Gradient by the mean image, from those of L_I and L_alpha; undefined outside of the box."""
+        """Return the gradient by the mean image; undefined outside of the box.
+
+        Args:
+            compared: saved by `compare`.
+            grad_losses: gradients by L_I and L_alpha.
+        """
         gradient, coarse = np.empty_like(compared.difference), np.empty_like(compared.coarse)
         kernels.gradient_of(
             compared.difference,
@@ -105,7 +110,11 @@ class Target:
         return gradient.reshape(*self.size, 4)
 
     def losses(self, mean: Float[Tensor, "H W 4"]) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """L_I and L_alpha of a mean drawing, differentiable in it."""
+        """Return L_I and L_alpha of a mean render, differentiable in it.
+
+        Args:
+            mean: colours and silhouette.
+        """
         return _Losses.apply(mean, self)
 
 

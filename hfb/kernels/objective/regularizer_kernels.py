@@ -9,7 +9,15 @@ from hfb.kernels.compile import loop_entry
 
 @loop_entry
 def motion_size(rotation, translation, epsilon, of_rotation, of_translation):
-    """|C|_1 + |C|_F of all coefficients (T, D1, n) but the constants; fills their gradients."""
+    """Return |C|_1 + |C|_F of all coefficients but the constants; fill their gradients.
+
+    Args:
+        rotation: (T, D1, n), coefficients.
+        translation: (T, D1, n), coefficients [m].
+        epsilon: rounds |C|_F at zero.
+        of_rotation: gradient, filled.
+        of_translation: gradient, filled.
+    """
     total, squares = 0.0, 0.0
     for coefficients in (rotation, translation):
         for t in range(coefficients.shape[0]):
@@ -31,8 +39,13 @@ def motion_size(rotation, translation, epsilon, of_rotation, of_translation):
 
 @loop_entry
 def start_distance(rotations, first, gradient):
-    """3 minus the mean inner product of each frame's last rotations (T, S, J, 3, 3) and the first bodies'
-    (T, J, 3, 3); fills the gradient."""
+    """Return 3 minus the mean inner product of each frame's last rotations and the first bodies'; fill the gradient.
+
+    Args:
+        rotations: (T, S, J, 3, 3).
+        first: (T, J, 3, 3), of the first bodies.
+        gradient: (T, S, J, 3, 3), filled.
+    """
     total, count = 0.0, first.shape[0] * first.shape[1]
     gradient[:] = 0.0
     for t in range(first.shape[0]):

@@ -75,8 +75,11 @@ def _resolve_overlaps(outline, projected, width, place, unsure, pixels, windings
 
 @njit(**JIT)
 def _trace(outline, projected, box, width, seen, mask, pixels, codes, coverage, owner, edge, shares):
-    """List the pixels of one body (indices, codes, coverage) and what moves them (owners, edges, shares); returns the
-    numbers of both."""
+    """List the pixels of one body (indices, codes, coverage) and the pieces that move them (owners, edges, shares).
+
+    Returns:
+        the numbers of both.
+    """
     height, breadth = box[3] - box[1], box[2] - box[0]
     winding, marks = np.zeros((height, breadth + 1), np.float64), np.zeros((height, breadth), np.uint8)
     first, last = np.full(height, breadth, np.int64), np.full(height, -1, np.int64)
@@ -108,10 +111,10 @@ def _trace(outline, projected, box, width, seen, mask, pixels, codes, coverage, 
 
 @njit(**JIT)
 def _survey(vertices, lens, faces, edge_faces, coloured):
-    """What of up to LANES bodies (n, V, 3) is found at once: projected vertices, boxes, and for each body the faces
-    that may be seen, their number, its outline's sides, their number (see `kernels_screen`).
+    """Return, for up to LANES bodies (n, V, 3), projected vertices and boxes, and per body candidate faces and sides.
 
-    coloured: the faces are wanted.
+    The lists of the faces that may be seen and of the outline's sides have their lengths beside them (see
+    `render_screen`). With `coloured` false the faces are left out.
     """
     count = vertices.shape[0]
     projected, boxes, front, candidates, n_candidates = look_at_faces(vertices, lens, 0.0, faces, coloured)
@@ -135,10 +138,20 @@ def _make_room(projected, boxes, outline, ends):
 
 @entry
 def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
-    """Up to LANES bodies (n, V, 3): their trace, the premultiplied colours of their pixels, and the box around all of
-    these (left, top, right, bottom).
+    """Draw up to LANES bodies.
 
-    texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
+
+    Returns:
+        their trace, the premultiplied colours of their pixels, and the box around all of these (left, top, right,
+        bottom).
     """
     count, width, coloured = vertices.shape[0], np.int64(lens[5]), texture.shape[0] > 0
     projected, boxes, candidates, n_candidates, sides, n_sides = _survey(vertices, lens, faces, edge_faces, coloured)
@@ -220,7 +233,12 @@ def draw_block(vertices, lens, faces, uv, edge_vertices, edge_faces, texture):
 
 @loop_entry
 def widen(texture, texels):
-    """Copy a texture (A, A, 3) and set the fourth channel to one."""
+    """Copy a texture and set the fourth channel to one.
+
+    Args:
+        texture: (A, A, 3).
+        texels: (A, A, 4), filled.
+    """
     for r in range(texture.shape[0]):
         for c in range(texture.shape[1]):
             texels[r, c, 0], texels[r, c, 1], texels[r, c, 2] = texture[r, c, 0], texture[r, c, 1], texture[r, c, 2]
@@ -239,14 +257,27 @@ def _move_texels(sums, total):
 
 @loop_entry
 def move_texels(sums, total):
-    """As `_move_texels`."""
+    """Add the first three channels of `sums` to `total`, and set `sums` to zero.
+
+    Args:
+        sums: (A, A, 4).
+        total: (A, A, 3), added to.
+    """
     _move_texels(sums, total)
 
 
 @entry
 def add_block(pixels, coverage, ends, colours, scale, pictures):
-    """Add `scale` times a block's pixels to its bodies' pictures (n, H W, 4), or to the one picture of all; silhouettes
-    without colours to pictures (n, H W, 1)."""
+    """Add `scale` times a block's pixels to its bodies' images, or to the one image of all.
+
+    Args:
+        pixels: index of each listed pixel.
+        coverage: of each listed pixel.
+        ends: (n + 1, 3), see the module.
+        colours: (pixels, 4), premultiplied; empty for silhouettes alone.
+        scale: factor of the images.
+        pictures: (n or 1, H W, 4), added to; (n or 1, H W, 1) for silhouettes alone.
+    """
     for s in range(ends.shape[0] - 1):
         picture = pictures[s if pictures.shape[0] > 1 else 0]
         if colours.shape[0] > 0:
@@ -259,7 +290,14 @@ def add_block(pixels, coverage, ends, colours, scale, pictures):
 
 @njit(**LOOP)
 def take(pixels, picture_gradient, scale, of_coverage):
-    """Gradient of each listed pixel's coverage from that of the silhouette's picture (H W, 1)."""
+    """Fill the gradient by each listed pixel's coverage from that by the silhouette's image.
+
+    Args:
+        pixels: index of each listed pixel.
+        picture_gradient: (H W, 1).
+        scale: factor of the images.
+        of_coverage: gradient, filled.
+    """
     for m in range(pixels.shape[0]):
         of_coverage[m] = picture_gradient[np.uint32(pixels[m]), 0] * scale
 
@@ -268,11 +306,25 @@ def take(pixels, picture_gradient, scale, of_coverage):
 def pull_block(
     vertices, lens, faces, uv, texture, trace, first, last, of_pictures, scale, gradient, sums, closes, total
 ):
-    """The way back of some bodies of a block, from the first to before the last: fill their `gradient` (n, V, 3), add
-    to `sums` (A, A, 4), the texture's, from that of their pictures (n or 1, H W, C), times scale.
+    """Compute the gradients of some bodies of a block.
 
-    An empty `gradient` or `sums` leaves that one out. closes: after which bodies (n) the sums are moved to `total`
-    (A, A, 3).
+    An empty `gradient` or `sums` is skipped.
+
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        texture: (A, A, 4), the 4th channel 1; an empty one leaves codes and colours out.
+        trace: of the block.
+        first: number of the first body.
+        last: number after the last body.
+        of_pictures: (n or 1, H W, C), gradient by the images.
+        scale: factor of the images.
+        gradient: (n, V, 3), filled.
+        sums: (A, A, 4), gradient by the texture, added to.
+        closes: (n), bodies after which the sums are moved to `total`.
+        total: (A, A, 3), gradient by the texture, added to.
     """
     projected, outline, pixels, coverage, owner, edge, shares, codes, ends = trace
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)

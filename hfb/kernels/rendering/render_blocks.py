@@ -41,8 +41,18 @@ class Setting:
     def of(
         uv: Tensor, topology: Sequence[Tensor], lens: Sequence[float], soft: Sequence[float], mean: bool, threads: int
     ) -> "Setting":
-        """Index tables unsigned (-1, no face, becomes the largest number): numba tests every signed index for being
-        negative."""
+        """Convert tensors; index tables become unsigned, since numba tests every signed index for being negative.
+
+        An index of -1 (no face) becomes the largest number.
+
+        Args:
+            uv: (F, 3, 2), of the faces' corners.
+            topology: faces, edge_vertices, edge_faces.
+            lens: fx, fy, cx, cy, nearest depth used, width, height.
+            soft: DIB-R's constants; zeros for exact coverage.
+            mean: average the images.
+            threads: to draw with.
+        """
         faces, edge_vertices, edge_faces = (
             table.numpy().view(np.uint16 if table.dtype == torch.int16 else np.uint32) for table in topology
         )
@@ -55,8 +65,16 @@ class Setting:
         return bool(self.soft[0] > 0)
 
     def draw(self, vertices: Array, texels: Array) -> tuple[Block, Array, Array]:
-        """A block's trace, its pixels' colours, none of a silhouette, and a box around them (left, top, right, bottom):
-        the whole picture of soft bodies."""
+        """Draw a block.
+
+        Args:
+            vertices: (n, V, 3) [m], camera coordinates.
+            texels: texture (A, A, 4), the fourth channel 1.
+
+        Returns:
+            its trace, its pixels' colours (empty for silhouettes alone), and a box around them (left, top, right,
+            bottom), which is the whole image for soft bodies.
+        """
         if not self.is_soft:
             edges = self.edge_vertices, self.edge_faces
             *trace, colours, box = kernels.draw_block(vertices, self.lens, self.faces, self.uv, *edges, texels)
@@ -83,7 +101,20 @@ class Setting:
         closes: Array,
         total: Array,
     ) -> None:
-        """The way back of some bodies of a block: see `kernels.pull_block`."""
+        """Compute the gradients of some bodies of a block; see `render_block.pull_block`.
+
+        Args:
+            vertices: (n, V, 3) [m], camera coordinates.
+            texels: texture (A, A, 4), the fourth channel 1.
+            block: trace of the block.
+            bodies: first number and number after the last one.
+            given: (n or 1, H W, C), gradient by the images.
+            scale: factor of the images.
+            gradient: (n, V, 3), filled.
+            sums: (A, A, 4), gradient by the texture, added to.
+            closes: (n), bodies after which the sums are moved to `total`.
+            total: (A, A, 3), gradient by the texture, added to.
+        """
         tables = self.lens, self.faces, self.uv, texels
         if not self.is_soft:
             kernels.pull_block(vertices, *tables, block, *bodies, given, scale, gradient, sums, closes, total)
@@ -99,12 +130,24 @@ class Setting:
 
 
 def bodies_at_once(count: int, threads: int, soft: bool) -> int:
-    """Bodies of a block: as many as kernels take, but something for every thread. None depends on who is beside it."""
+    """Return the number of bodies in a block: up to LANES, but work for every thread. Results do not depend on it.
+
+    Args:
+        count: of all bodies.
+        threads: to draw with.
+        soft: whether silhouettes are DIB-R's.
+    """
     return 1 if soft else min(LANES, max(-(-count // threads), 1))
 
 
 def draw_bodies(vertices: Array, texture: Array, setting: Setting) -> tuple[Array, Array, list[Block], Box]:
-    """Pictures, the texture as the way back wants it, the blocks' traces, and what holds all that is drawn."""
+    """Return images, the texture with four channels, the blocks' traces, and a box around all that is drawn.
+
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light.
+        setting: camera, mesh and options.
+    """
     count, lens = len(vertices), setting.lens
     # Four channels suit the processor, and the fourth, ones drawn like the others, is the silhouette itself.
     texels = np.empty((*texture.shape[:2], 4), vertices.dtype)
@@ -141,7 +184,17 @@ def pull_bodies(
     of_vertices: bool,
     of_texture: bool,
 ) -> tuple[Array, Array]:
-    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    """Return the gradients by the vertices (S, V, 3) and by the texture (A, A, 3).
+
+    Args:
+        of_pictures: (1 or S, H, W, C), gradient by the images.
+        vertices: (n, V, 3) [m], camera coordinates.
+        texels: texture (A, A, 4), the fourth channel 1.
+        blocks: traces of the blocks.
+        setting: camera, mesh and options.
+        of_vertices: compute the first one, else it is empty.
+        of_texture: compute the second one, else it is empty.
+    """
     count = len(vertices)
     groups, at_once = min(count, TEXTURE_GROUPS), bodies_at_once(count, setting.threads, setting.is_soft)
     gradient = np.empty_like(vertices) if of_vertices else np.empty((count, 0, 3), vertices.dtype)

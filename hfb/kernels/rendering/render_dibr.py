@@ -247,14 +247,30 @@ def _soften(vertices, lens, soft, faces):
 
 @entry
 def cover_body_softly(vertices, lens, soft, faces):
-    """Soft silhouette of one body: its trace."""
+    """Draw the soft silhouette of one body; return its trace.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        soft: 1 / delta [1/px^2], reach [px], number of faces that count.
+        faces: (F, 3), vertex numbers.
+    """
     projected, (outline, pixels, coverage, owner, of_side, weights, _) = _soften(vertices, lens, soft, faces)
     return projected, outline, pixels, coverage, owner, of_side, weights
 
 
 @entry
 def draw_body_softly(vertices, lens, soft, faces, uv, texture):
-    """One body: its trace, then the pixels' codes and premultiplied colours. The texture's 4th channel is 1."""
+    """Draw one body; return its trace, then the pixels' codes and premultiplied colours.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        soft: 1 / delta [1/px^2], reach [px], number of faces that count.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        texture: (A, A, 4), the 4th channel 1.
+    """
     projected, (outline, pixels, coverage, owner, of_side, weights, codes) = _soften(vertices, lens, soft, faces)
     colours = np.empty((pixels.shape[0], 4), texture.dtype)
     near, table = np.empty(GATHERED, texture.dtype), np.empty(FOUND, texture.dtype)
@@ -302,7 +318,17 @@ def _pull_faces(width, faces, projected, pixels, owner, of_side, weights, of_cov
 
 @entry
 def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, scale, gradient):
-    """Fill `gradient` (V, 3) with scale times the gradient of a silhouette whose picture's is given (H W, 1)."""
+    """Compute the gradient of a silhouette by the vertices.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        faces: (F, 3), vertex numbers.
+        trace: of the body.
+        picture_gradient: (H W, 1).
+        scale: factor of the image.
+        gradient: (V, 3), filled.
+    """
     projected, _, pixels, _, owner, of_side, weights = trace
     on_screen, of_coverage = np.zeros((vertices.shape[0], 3), np.float64), np.empty(pixels.shape[0], np.float64)
     take(pixels, picture_gradient, scale, of_coverage)
@@ -314,9 +340,22 @@ def cover_body_softly_gradient(vertices, lens, faces, trace, picture_gradient, s
 def draw_body_softly_gradient(
     vertices, lens, faces, uv, texture, trace, codes, picture_gradient, scale, gradient, texture_gradient
 ):
-    """Fill `gradient` (V, 3), add to `texture_gradient`, from that of the picture (H W, 4), times scale.
+    """Compute the gradients of `draw_body_softly`.
 
-    An empty `gradient` or `texture_gradient` leaves that one out.
+    An empty `gradient` or `texture_gradient` is skipped.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        texture: (A, A, 4), the 4th channel 1.
+        trace: of the body.
+        codes: of the pixels.
+        picture_gradient: (H W, 4).
+        scale: factor of the image.
+        gradient: (V, 3), filled.
+        texture_gradient: (A, A, 4), added to.
     """
     projected, outline, pixels, coverage, owner, of_side, weights = trace
     width = np.int64(lens[5])

@@ -19,7 +19,13 @@ _PARTS = 9  # tensors kept of each block of bodies: its trace, see `kernels`
 
 
 def pictures(vertices: Tensor, texture: Tensor, setting: Setting) -> Tensor:
-    """The first result of `draw`, differentiable in the vertices and the texture, where nothing traces."""
+    """Return the first result of `draw`, differentiable in the vertices and the texture, without tracing.
+
+    Args:
+        vertices: (S, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
+        setting: camera, mesh and options.
+    """
     return _Pictures.apply(vertices, texture, setting)
 
 
@@ -41,18 +47,34 @@ class ImageLoss(Protocol):
     """Losses of a mean image (H, W, 4) with their gradient."""
 
     def compare(self, mean: Array, box: Box) -> tuple[tuple[float, ...], Any]:
-        """(losses, values saved for `backward`) of an image that is zero outside of the box; it may be overwritten."""
+        """Return the losses, and values saved for `backward`.
+
+        Args:
+            mean: (H, W, 4), zero outside of the box; may be overwritten.
+            box: of all that is drawn.
+        """
         ...
 
     def backward(self, saved: Any, grad_losses: Sequence[float]) -> Array:
-        """Gradient by the image; only values inside the box are used."""
+        """Return the gradient by the image; only values inside the box are used.
+
+        Args:
+            saved: by `compare`.
+            grad_losses: gradient by each loss.
+        """
         ...
 
 
 def losses_of(vertices: Tensor, texture: Tensor, setting: Setting, loss: ImageLoss) -> tuple[Tensor, ...]:
-    """Losses of `pictures`, a mean; differentiable in the vertices and the texture.
+    """Return losses of the mean of `pictures`, differentiable in the vertices and the texture.
 
     Rendering and losses are one autograd node: the overhead of a second one is as large as the losses' time.
+
+    Args:
+        vertices: (S, V, 3) [m], camera coordinates.
+        texture: (A, A, 3), linear light; with A = 0 only silhouettes are drawn.
+        setting: camera, mesh and options.
+        loss: of the mean image.
     """
     return _RenderedLosses.apply(vertices, texture, setting, loss)
 
@@ -103,15 +125,18 @@ def draw(
     mean: bool,
     threads: int,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Pictures of S bodies, and what the way back needs.
+    """Return images of S bodies, and saved values for the backward pass.
 
     Args:
-        vertices: (S, V, 3) [m]. texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
-        uv: (F, 3, 2), of the faces' corners. topology: tables faces, edge_vertices, edge_faces of the mesh, int16
-            (read as unsigned) where that holds them, else int32.
-        lens: fx, fy, cx, cy, nearest depth used, width, height. soft: DIB-R's 1 / delta [1/px^2], reach [px] and
-            number of faces; zeros for exact coverage.
-        mean: average the pictures. threads: to draw with.
+        vertices: (S, V, 3) [m].
+        texture: (A, A, 3), linear RGB; with A = 0 only silhouettes are drawn.
+        uv: (F, 3, 2), of the faces' corners.
+        topology: tables faces, edge_vertices, edge_faces of the mesh, int16 (read as unsigned) where that holds them,
+            else int32.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        soft: DIB-R's 1 / delta [1/px^2], reach [px] and number of faces; zeros for exact coverage.
+        mean: average the pictures.
+        threads: to draw with.
 
     Returns:
         pictures (1 or S, H, W, 4), or (1 or S, H, W, 1) of silhouettes; then the texture with a fourth channel of ones,
@@ -170,7 +195,21 @@ def draw_gradient(
     of_texture: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the vertices (S, V, 3) and of the texture (A, A, 3), empty where not asked for."""
+    """Return the gradients by the vertices (S, V, 3) and by the texture (A, A, 3).
+
+    Args:
+        of_pictures: gradient by the images.
+        vertices: (S, V, 3) [m], camera coordinates.
+        uv: as of `draw`.
+        topology: as of `draw`.
+        lens: as of `draw`.
+        soft: as of `draw`.
+        mean: as of `draw`.
+        kept: saved by `draw`.
+        of_vertices: compute the first one, else it is empty.
+        of_texture: compute the second one, else it is empty.
+        threads: to draw with.
+    """
     texels, *parts = (part.detach().numpy() for part in kept)
     blocks = [_block(parts[s : s + _PARTS]) for s in range(0, len(parts), _PARTS)]
     setting = Setting.of(uv, topology, lens, soft, mean, threads)

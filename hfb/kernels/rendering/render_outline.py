@@ -66,10 +66,23 @@ def _walk(x0, y0, dx, dy, ta, tb, box, beside, n, columns, rows, ends):
 
 @njit(**LOOP)
 def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
-    """Cut an edge at the pixel borders: the pixels it crosses, in order, and where it leaves each.
+    """Cut an edge at the pixel borders: list the pixels it crosses, in order, and where it leaves each.
 
-    Returns (number of pieces, parameter where the first begins). Pieces above, below and right of the box are
-    dropped; those left of it are kept with column -1, for they still wind about every pixel to their right.
+    Pieces above, below and right of the box are dropped; those left of it are kept with column -1, for they still wind
+    about every pixel to their right.
+
+    Args:
+        x0: start of the edge [px].
+        y0: start of the edge [px].
+        dx: end minus start [px].
+        dy: end minus start [px].
+        box: left, top, right, bottom [px] of the region.
+        columns: of the pieces, filled.
+        rows: of the pieces, filled.
+        ends: parameter at which each piece ends, filled.
+
+    Returns:
+        the number of pieces, and the edge's parameter where the first begins.
     """
     ta, tb = 0.0, 1.0
     x1, y1 = x0 + dx, y0 + dy
@@ -100,7 +113,16 @@ def cut_edge(x0, y0, dx, dy, box, columns, rows, ends):
 
 @njit(**INLINE)
 def closest_parameter(px, py, x0, y0, dx, dy):
-    """Parameter in [0, 1] of the point of an edge closest to (px, py)."""
+    """Return the parameter in [0, 1] of the point of an edge closest to a position.
+
+    Args:
+        px: position [px].
+        py: position [px].
+        x0: start of the edge [px].
+        y0: start of the edge [px].
+        dx: end minus start [px].
+        dy: end minus start [px].
+    """
     squared_length = dx * dx + dy * dy
     if squared_length == 0.0:
         return 0.0
@@ -109,14 +131,29 @@ def closest_parameter(px, py, x0, y0, dx, dy):
 
 @njit(**INLINE)
 def squared_distance(px, py, x0, y0, dx, dy):
-    """Squared distance [px^2] of (px, py) from an edge."""
+    """Return the squared distance [px^2] of a position from an edge.
+
+    Args:
+        px: position [px].
+        py: position [px].
+        x0: start of the edge [px].
+        y0: start of the edge [px].
+        dx: end minus start [px].
+        dy: end minus start [px].
+    """
     t = closest_parameter(px, py, x0, y0, dx, dy)
     return (x0 + t * dx - px) ** 2 + (y0 + t * dy - py) ** 2
 
 
 @njit(**LOOP)
 def count_pieces(outline, projected, box):
-    """No fewer than the pieces into which pixel borders cut the outline."""
+    """Return an upper bound of the number of pieces into which pixel borders cut the outline.
+
+    Args:
+        outline: (n, 3), edges (from, to, front face).
+        projected: (V, 4), x, y [px], 1/z [1/m].
+        box: left, top, right, bottom [px] of the region.
+    """
     n = 0
     width, height = box[2] - box[0] + 2.0, box[3] - box[1] + 2.0
     for k in range(outline.shape[0]):
@@ -234,11 +271,19 @@ def _cut_near(first, at, n_edges, box, found, pieces, n):
 
 @njit(**LOOP)
 def cut_outline(outline, projected, box, found, columns, rows, ends, pieces):
-    """Cut the outline at the pixel borders; returns the number of pieces.
+    """Cut the outline at the pixel borders; return the number of pieces.
 
-    found: room for CUT numbers. columns, rows, ends: room for the pieces of one edge. pieces: for every piece its
-    region pixel (-1: left of the region), edge, span on it, region row, what it does there, and as amounts: what it
-    adds to the mean winding of its pixel and of the next one, 4 - squared distance of the pixel's centre from the edge.
+    Args:
+        outline: (n, 3), edges (from, to, front face).
+        projected: (V, 4), x, y [px], 1/z [1/m].
+        box: left, top, right, bottom [px] of the region.
+        found: work space of CUT numbers.
+        columns: work space for the pieces of one edge.
+        rows: work space for the pieces of one edge.
+        ends: work space for the pieces of one edge.
+        pieces: filled: for every piece its region pixel (-1: left of the region), edge, span on it, region row, what it
+            does there, and as amounts: what it adds to the mean winding of its pixel and of the next one, 4 - squared
+            distance of the pixel's centre from the edge.
     """
     n = 0
     for first in range(0, outline.shape[0], BATCH):
@@ -259,11 +304,19 @@ def cut_outline(outline, projected, box, found, columns, rows, ends, pieces):
 
 @njit(**LOOP)
 def wind_outline(n, pieces, breadth, winding, marks, first, last, seen, mask):
-    """Add n pieces of outline to `winding` (region rows, columns + 1), whose running row sums are mean winding.
+    """Add n pieces of outline to the winding.
 
-    marks: what the outline does in each pixel. first, last: per region row the columns touched. seen: where no face
-    is seen at the pixel's centre (<= 0) it receives the closest outline edge k, as -pack(4 - squared distance,
-    mask - k): of equals the first; an empty `seen` leaves that out.
+    Args:
+        n: number of pieces.
+        pieces: by `cut_outline`.
+        breadth: columns of the region.
+        winding: (rows, columns + 1) of the region, added to; running sums along the rows are mean winding.
+        marks: what the outline does in each pixel, updated.
+        first: per region row the first column touched, updated.
+        last: per region row the last column touched, updated.
+        seen: where no face is seen at the pixel's centre (<= 0) it receives the closest outline edge k, as -pack(4 -
+            squared distance, mask - k): of equals the first; an empty one is skipped.
+        mask: bits of an index, by `mask_for`.
     """
     piece_pixel, piece_edge, _, piece_row, piece_mark, amounts = pieces
     coloured = seen.shape[0] > 0
@@ -290,9 +343,12 @@ def wind_outline(n, pieces, breadth, winding, marks, first, last, seen, mask):
 
 @njit(**INLINE)
 def may_overlap(mark):
-    """Whether layers may overlap within a pixel: several strands of outline in it, or one that may cross itself.
+    """Return whether layers may overlap within a pixel: several strands of outline in it, or one that may cross itself.
 
     A strand that never turns back in x, or never in y, cannot cross itself.
+
+    Args:
+        mark: what the outline does in the pixel.
     """
     turns_back = (mark & (GOES_RIGHT | GOES_LEFT | GOES_DOWN | GOES_UP)) == 15
     return (mark >= ENTERED_AGAIN) | turns_back
@@ -300,12 +356,26 @@ def may_overlap(mark):
 
 @njit(**LOOP)
 def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, windings, place, unsure):
-    """List the pixels with any coverage, row by row: index, code, mean winding. Returns their number and that of
-    the unsure ones, where layers may overlap.
+    """List the pixels with any coverage, row by row.
 
-    unsure: their places in the list. place (region), where the outline passes: 1 + place in the list of a pixel that it
-    crosses, - 1 - place in `unsure` of an unsure one, 0 of others. An empty `seen` (silhouette only) leaves the codes
-    out.
+    Args:
+        winding: (rows, columns + 1) of the region; running sums along the rows are mean winding.
+        marks: what the outline does in each pixel.
+        first: per region row the first column touched.
+        last: per region row the last column touched.
+        box: left, top, right, bottom [px] of the region.
+        width: of the image [px].
+        seen: nearest face or edge at each pixel, packed; an empty one leaves the codes out.
+        mask: bits of an index, by `mask_for`.
+        pixels: index of each pixel, filled.
+        codes: what each pixel shows, filled.
+        windings: mean winding of each pixel, filled.
+        place: filled for pixels that the outline crosses: 1 + place in the list, or -1 - place in `unsure`; 0
+            elsewhere.
+        unsure: their places in the list, filled.
+
+    Returns:
+        their number, and that of the unsure ones, in which layers may overlap.
     """
     n, n_unsure = 0, 0
     coloured = seen.shape[0] > 0
@@ -347,10 +417,21 @@ def collect(winding, marks, first, last, box, width, seen, mask, pixels, codes, 
 
 @njit(**LOOP)
 def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, weights, owner, edge, shares):
-    """List the pieces that can change a pixel's coverage: the pixel's place, the edge, and how much its two ends
-    move it (integrals of 1 - t and t along the piece). `weights` has them for the unsure pixels. Returns the number.
+    """List the pieces that can change a pixel's coverage; return their number.
 
     A full pixel stays full: its pieces are left out.
+
+    Args:
+        piece_pixel: region pixel of each piece.
+        piece_edge: edge of each piece.
+        piece_span: parameters on the edge.
+        place: of the region's pixels in the lists, see `collect`.
+        unsure: places of pixels in which layers may overlap.
+        coverage: of each listed pixel.
+        weights: shares of the pieces in unsure pixels.
+        owner: place of each piece's pixel, filled.
+        edge: of each piece, filled.
+        shares: derivative of coverage by the edge's two ends (integrals of 1 - t and t along the piece), filled.
     """
     n = 0
     for p in range(piece_pixel.shape[0]):
@@ -370,10 +451,19 @@ def weigh_pieces(piece_pixel, piece_edge, piece_span, place, unsure, coverage, w
 
 @njit(**LOOP)
 def pull_outline(outline, projected, owner, edge, shares, of_coverage, gradient):
-    """Add to `gradient` (V, 3) of x, y what the pixels' coverage asks of the outline.
+    """Add the gradient by the outline's x and y through the pixels' coverage.
 
     Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. The
     edge's ends take their shares (1 - t) and t.
+
+    Args:
+        outline: (n, 3), edges (from, to, front face).
+        projected: (V, 4), x, y [px], 1/z [1/m].
+        owner: by `weigh_pieces`.
+        edge: by `weigh_pieces`.
+        shares: by `weigh_pieces`.
+        of_coverage: gradient by each listed pixel's coverage.
+        gradient: (V, 3) of x, y, added to.
     """
     for p in range(owner.shape[0]):
         k = np.uint32(edge[p])

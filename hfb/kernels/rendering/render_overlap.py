@@ -30,7 +30,15 @@ ON_BORDER = 1e-9
 
 @njit(**LOOP)
 def chain_pieces(piece_pixel, place, newest, older, counts):
-    """Chain the outline's pieces of each unsure pixel (from newest[pixel] to older[piece]), and count them."""
+    """Chain the outline's pieces of each unsure pixel (from newest[pixel] to older[piece]), and count them.
+
+    Args:
+        piece_pixel: region pixel of each piece.
+        place: of the region's pixels, see `render_outline.collect`.
+        newest: newest piece of each unsure pixel, updated.
+        older: next older piece in each piece's pixel, filled.
+        counts: pieces in each unsure pixel, updated.
+    """
     for piece in range(piece_pixel.shape[0]):
         if piece_pixel[piece] >= 0 and place[piece_pixel[piece]] < 0:
             slot = -1 - place[piece_pixel[piece]]
@@ -41,12 +49,14 @@ def chain_pieces(piece_pixel, place, newest, older, counts):
 
 @njit(**LOOP)
 def _load(m, piece, older, column, row, outline, projected, edge, span, member, part, heights):
-    """Read one pixel's m pieces; returns the number of the heights, and the pixel's mean winding if 0 at its top left
-    corner.
+    """Read one pixel's m pieces.
 
-    part: x and y of start and end, relative to the pixel, and what x and the edge's parameter grow by along y.
-    heights: where pieces begin, and where they leave sideways: with the pixel's top and bottom, all heights at which
-    something begins or ends.
+    `part` gets x and y of start and end, relative to the pixel, and the slopes of x and of the edge's parameter by y;
+    `heights` gets where pieces begin, and where they leave sideways: with the pixel's top and bottom, all heights at
+    which something begins or ends.
+
+    Returns:
+        the number of the heights, and the pixel's mean winding if 0 at its top left corner.
     """
     n, mean = 2, 0.0
     heights[0], heights[1] = 0.0, 1.0
@@ -76,8 +86,10 @@ def _load(m, piece, older, column, row, outline, projected, edge, span, member, 
 
 @njit(**LOOP)
 def _add_crossings(m, part, n, heights):
-    """Append the heights at which pieces cross; returns the new number. Free of branches, as is all that follows:
-    what happens in these pixels is nothing that a processor could predict."""
+    """Append the heights at which pieces cross; return the new number.
+
+    Free of branches, as is all that follows: no processor can predict what happens in these pixels.
+    """
     for p in range(1, m):
         low_p, high_p = min(part[p, 1], part[p, 3]), max(part[p, 1], part[p, 3])
         for q in range(p):
@@ -93,9 +105,12 @@ def _add_crossings(m, part, n, heights):
 
 @njit(**LOOP)
 def _sort(n, values, result):
-    """Sort numbers up to 1, eight places at a time: each number is put where it belongs, what falls out is put into the
-    next eight. For a handful of values faster than anything that branches; changes `values`, and fills the last places
-    of `result`, up to a multiple of eight, with ones."""
+    """Sort numbers up to 1, eight places at a time.
+
+    Each number is inserted at its place; the one that falls out goes into the next eight. For a handful of values this
+    is faster than anything that branches. Changes `values`, and fills the last places of `result`, up to a multiple of
+    eight, with ones.
+    """
     for first in range(0, n, LANES):
         held = lanes(1.0)
         for k in range(first, n):
@@ -107,12 +122,11 @@ def _sort(n, values, result):
 
 @njit(**LOOP)
 def _cover_slabs(base, m, at_left, member, part, n, heights, active, lines, span, weights):
-    """Covered area of a pixel whose n sorted heights cut it into slabs; adds the weights of the pieces between body and
-    background.
+    """Return the covered area of a pixel whose n sorted heights cut it into slabs, and weigh its pieces.
 
-    Eight slabs at once: what is asked of one is asked of all, and no answer decides what is done next. heights: at
-    least eight more than n. at_left: whether any piece touches the pixel's left border. lines: room for two rows of
-    lanes per piece.
+    Weights are added for the pieces between body and background. Eight slabs are processed at once without branches.
+    `heights` has room for eight more than n, `at_left` is whether any piece touches the pixel's left border, and
+    `lines` is work space for two rows of lanes per piece.
     """
     for s in range(n, n + LANES):
         heights[s] = heights[n - 1]
@@ -184,7 +198,28 @@ def resolve(
     active,
     lines,
 ):
-    """Replace the mean winding of the unsure pixels by their covered share; fill the weights of their pieces."""
+    """Replace the mean winding of the unsure pixels by their covered share; fill the weights of their pieces.
+
+    Args:
+        unsure: their places in the list of pixels.
+        newest: newest piece of each unsure pixel.
+        counts: pieces in each unsure pixel.
+        pixels: index of each listed pixel.
+        windings: mean winding of each listed pixel, updated.
+        width: of the image [px].
+        outline: (n, 3), edges (from, to, front face).
+        projected: (V, 4), x, y [px], 1/z [1/m].
+        older: next older piece in each piece's pixel.
+        edge: of each piece.
+        span: parameters of each piece on its edge.
+        weights: of each piece, filled.
+        member: work space for one pixel's pieces.
+        part: work space for one pixel's pieces.
+        heights: work space.
+        sorted_heights: work space.
+        active: work space.
+        lines: work space.
+    """
     for slot in range(unsure.shape[0]):
         m, pixel = counts[slot], pixels[unsure[slot]]
         row = pixel // width

@@ -1,5 +1,4 @@
-"""Compiled parts: vertices on the screen, which face is seen at each pixel's centre, and the outline of those that
-look at the camera.
+"""Compiled projection: vertices on the screen, the face seen at each pixel's centre, the outline of the front faces.
 
 Coordinates are pixels (x right, y down) in float64; `box` is (left, top, right, bottom) in whole pixels; `lens` is
 (fx, fy, cx, cy, nearest depth used, width, height).
@@ -41,7 +40,12 @@ FAR_PX = 1e9  # a corner projected farther out than this is not used
 
 @njit(**INLINE)
 def mask_for(faces, edges):
-    """Bits that hold any index of a face or an edge."""
+    """Return a mask of the bits that hold any index of a face or an edge.
+
+    Args:
+        faces: (F, 3), vertex numbers.
+        edges: (E, ...).
+    """
     mask = 1
     while mask < faces.shape[0] or mask < edges.shape[0]:
         mask *= 2
@@ -50,13 +54,24 @@ def mask_for(faces, edges):
 
 @njit(**INLINE)
 def pack(value, index, mask):
-    """A positive number and, in its last bits, an index: ordered as the numbers are (to some 11 digits)."""
+    """Replace the last bits of a positive number by an index; the order of numbers is kept (to some 11 digits).
+
+    Args:
+        value: positive number.
+        index: of a face or an edge.
+        mask: bits of an index, by `mask_for`.
+    """
     return (np.float64(value).view(np.int64) & ~mask) | index
 
 
 @njit(**INLINE)
 def code_of(seen, mask):
-    """What a pixel shows: a face f as f, the outline edge k as ~k."""
+    """Return what a pixel shows: a face f as f, the outline edge k as ~k.
+
+    Args:
+        seen: packed, positive for a face, negative for an edge, 0 for nothing.
+        mask: bits of an index, by `mask_for`.
+    """
     edge = ~(mask - (-seen & mask)) if seen < 0 else np.int64(NOTHING)
     return seen & mask if seen > 0 else edge
 
@@ -78,11 +93,18 @@ def _bound(left, top, right, bottom, lens, box):
 
 @njit(**LOOP)
 def project(vertices, lens, margin, screen, projected, boxes, bounds):
-    """Fill `projected` (n, V, 4), of up to LANES bodies (n, V, 3), with x, y [px], 1/z, and 0; all 0 where a vertex
-    cannot be used. `boxes` with their bounds, enlarged by a margin [px] and cut to the picture; `screen` (V, 3 x LANES)
-    with x, y and 1/z of all bodies side by side, where lanes beyond repeat the last.
+    """Project up to LANES bodies.
 
-    bounds: room for 4 LANES numbers.
+    Vertices that cannot be used become zeros.
+
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        margin: added to the boxes [px].
+        screen: (V, 3 x LANES), filled with x, y and 1/z of all bodies side by side; lanes beyond repeat the last body.
+        projected: (n, V, 4), filled with x, y [px], 1/z [1/m], 0.
+        boxes: (n, 4), filled with the bodies' bounds, enlarged by the margin and clipped to the image.
+        bounds: work space of 4 LANES numbers.
     """
     fx, fy, cx, cy, near = lens[0], lens[1], lens[2], lens[3], lens[4]
     count, stride, many = vertices.shape[0], 3 * vertices.shape[1], lanes(np.inf)
@@ -127,7 +149,15 @@ def project(vertices, lens, margin, screen, projected, boxes, bounds):
 
 @njit(**LOOP)
 def to_metres(projected, vertices, lens, on_screen, gradient):
-    """Chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z."""
+    """Apply the chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z.
+
+    Args:
+        projected: (V, 4), x, y [px], 1/z [1/m], 0.
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        on_screen: (V, 3), gradient by x, y, q.
+        gradient: (V, 3), filled.
+    """
     fx, fy = lens[0], lens[1]
     for i in range(vertices.shape[0]):
         q = projected[i, 2]
@@ -140,12 +170,19 @@ def to_metres(projected, vertices, lens, on_screen, gradient):
 
 @njit(**LOOP)
 def find_front(screen, faces, boxes, bounds, front, candidates, counts):
-    """Mark the faces that look at the camera, negative signed area in (x right, y down), in `front` (F), a bit per
-    body, and list, for each body, those with a pixel's centre in their bounding box; their number goes into `counts`.
+    """Find the faces that look at the camera: negative signed area in (x right, y down).
 
-    All of up to LANES bodies at once, without a question for one of them: most faces are smaller than a pixel, and
-    whether one holds a centre is a coin flip that no processor predicts. screen: see `project`. bounds: room for
-    4 LANES numbers. Empty `candidates` leave the lists out.
+    All of up to LANES bodies at once and without branches: most faces are smaller than a pixel, and whether one
+    contains a centre is unpredictable.
+
+    Args:
+        screen: (V, 3 x LANES), see `project`.
+        faces: (F, 3), vertex numbers.
+        boxes: left, top, right, bottom [px] of each body.
+        bounds: work space of 4 LANES numbers.
+        front: (F), filled, a bit per body.
+        candidates: per body the faces with a pixel's centre in their bounding box, filled; an empty one is skipped.
+        counts: number of candidates per body, updated.
     """
     for s in range(LANES):
         body = min(s, boxes.shape[0] - 1)
@@ -177,8 +214,14 @@ def find_front(screen, faces, boxes, bounds, front, candidates, counts):
 
 @njit(**LOOP)
 def find_outline(front, edge_faces, sides, counts):
-    """List, for each of n bodies, the edges at which its front faces end, as 2 e where the first face of edge e is in
-    front, 2 e + 1 where the second is; their number goes into `counts`."""
+    """List, for each of n bodies, the edges at which its front faces end.
+
+    Args:
+        front: (F), faces that look at the camera, a bit per body.
+        edge_faces: (E, 2), faces on both sides.
+        sides: per body 2 e where the first face of edge e is in front, 2 e + 1 where the second is, filled.
+        counts: number of sides per body, updated.
+    """
     for e in range(edge_faces.shape[0]):
         first, second = edge_faces[e, 0], edge_faces[e, 1]
         is_first = front[first]
@@ -191,7 +234,14 @@ def find_outline(front, edge_faces, sides, counts):
 
 @njit(**LOOP)
 def trace_outline(sides, edge_vertices, edge_faces, outline):
-    """Fill rows (from, to, front face), directed as the front face traverses the edge."""
+    """Fill rows (from, to, front face), directed as the front face traverses the edge.
+
+    Args:
+        sides: of one body, by `find_outline`.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        outline: (n, 3), filled.
+    """
     for n in range(sides.shape[0]):
         e, side = np.uint32(sides[n] >> 1), np.uint32(sides[n] & 1)
         outline[n, 0], outline[n, 1] = edge_vertices[e, side], edge_vertices[e, 1 - side]
@@ -200,9 +250,11 @@ def trace_outline(sides, edge_vertices, edge_faces, outline):
 
 @njit(**LOOP)
 def _set_up(projected, faces, candidates, box, found):
-    """Fill `found`, rows of BATCH numbers, for the faces listed, at most BATCH: the first corner, by how much 1/z of
-    the others differs, the slopes of their weights, and the first and the last column and row of centres in the face's
-    bounds."""
+    """Fill `found`, rows of BATCH numbers, for at most BATCH faces.
+
+    The rows are the first corner, the differences of the others' 1/z, the slopes of their weights, and the first and
+    the last column and row of centres in the face's bounds.
+    """
     for n in range(candidates.shape[0]):
         f = candidates[n]
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -234,9 +286,20 @@ def _set_up(projected, faces, candidates, box, found):
 
 @njit(**LOOP)
 def fill_depth(projected, faces, candidates, box, mask, found, tiles):
-    """Let the faces listed compete for the pixels' centres: `tiles` (the region, and what tiles stand out of it) keeps
-    the largest 1/z, and the face in the bits of the mask. One number for both, as the larger of two numbers can be
-    taken without a branch. found: room for SET_UP numbers."""
+    """Keep the nearest of some faces at each pixel's centre.
+
+    A 1/z and its face are one number, as the larger of two numbers can be taken without a branch.
+
+    Args:
+        projected: (V, 4), x, y [px], 1/z [1/m], 0.
+        faces: (F, 3), vertex numbers.
+        candidates: faces that may be seen.
+        box: left, top, right, bottom [px] of the region.
+        mask: bits of an index, by `mask_for`.
+        found: work space of SET_UP numbers.
+        tiles: the region, and what tiles extend beyond it, updated: the largest 1/z with the face in the bits of the
+            mask.
+    """
     left, top = box[0], box[1]
     stride, lane = tiles.shape[1], lane_numbers()
     below = if_less(lane, np.float64(TILE_COLUMNS), 0.0, 1.0)
@@ -261,7 +324,15 @@ def fill_depth(projected, faces, candidates, box, mask, found, tiles):
 
 @njit(**JIT)
 def see_faces(projected, faces, candidates, box, mask):
-    """Which of the faces listed is seen at each pixel's centre, of the region and of what tiles stand out of it."""
+    """Return the nearest of some faces at each pixel's centre, for the region and for what tiles extend beyond it.
+
+    Args:
+        projected: (V, 4), x, y [px], 1/z [1/m], 0.
+        faces: (F, 3), vertex numbers.
+        candidates: faces that may be seen.
+        box: left, top, right, bottom [px] of the region.
+        mask: bits of an index, by `mask_for`.
+    """
     height, width = box[3] - box[1], box[2] - box[0]
     tiles = np.zeros((height + TILE_ROWS - 1, width + TILE_COLUMNS - 1), np.int64)
     fill_depth(projected, faces, candidates, box, mask, np.empty(SET_UP, np.float64), tiles)
@@ -270,8 +341,18 @@ def see_faces(projected, faces, candidates, box, mask):
 
 @njit(**JIT)
 def look_at_faces(vertices, lens, margin, faces, wants_candidates):
-    """Up to LANES bodies (n, V, 3) on the screen, and which of their faces look at the camera: see `project` and
-    `find_front`; (projected, boxes, front, candidates, counts)."""
+    """Project up to LANES bodies and find their front faces; see `project` and `find_front`.
+
+    Args:
+        vertices: (n, V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        margin: added to the boxes [px].
+        faces: (F, 3), vertex numbers.
+        wants_candidates: list the candidates.
+
+    Returns:
+        projected, boxes, front, candidates, counts.
+    """
     count = vertices.shape[0]
     boxes, projected = np.empty((count, 4), np.int64), np.empty((count, vertices.shape[1], 4), np.float64)
     front, counts = np.empty(faces.shape[0], np.uint8), np.zeros(count, np.int64)
@@ -284,7 +365,15 @@ def look_at_faces(vertices, lens, margin, faces, wants_candidates):
 
 @njit(**JIT)
 def see_body(vertices, lens, margin, faces, mask):
-    """One body (V, 3) by itself: (projected, box, which face is seen at each centre of the box's pixels)."""
+    """Return one body's projected vertices, its box, and the face seen at each centre of the box's pixels.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        margin: added to the boxes [px].
+        faces: (F, 3), vertex numbers.
+        mask: bits of an index, by `mask_for`.
+    """
     whole = vertices.reshape(1, vertices.shape[0], 3)
     projected, boxes, _, candidates, counts = look_at_faces(whole, lens, margin, faces, True)
     box = boxes[0]

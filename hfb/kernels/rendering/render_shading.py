@@ -121,8 +121,10 @@ def _weigh_corners(n, table):
 
 @njit(**LOOP)
 def _weigh_ends(n, table):
-    """Weight of an edge's end at its point closest to the pixel's centre, its slope, and, as (OFF_X, OFF_Y), how it
-    grows as the edge's start moves against its end: its point is off the centre."""
+    """Compute the weight of an edge's end at its point closest to the pixel's centre, and its derivatives.
+
+    (OFF_X, OFF_Y) is the derivative by the edge's start moving against its end, since the point is off the centre.
+    """
     kind = table.dtype.type
     zero, one, tiny = kind(0.0), kind(1.0), kind(TINY_PX2)
     for m in range(n):
@@ -193,10 +195,23 @@ def _mix_faces(n, width, pixels, codes, coverage, projected, faces, uv, texture,
 
 @njit(**LOOP)
 def shade(pixels, codes, coverage, width, outline, projected, faces, uv, texture, near, table, places, rim, colours):
-    """Fill `colours` (n, 4): coverage times the texture (bilinear, clamped at its border), whose 4th channel is 1.
+    """Fill the pixels' colours: coverage times the texture (bilinear, clamped at its border).
 
-    near, table, places: room for a batch, GATHERED and FOUND numbers of the texture's kind and PLACES int32. rim: room
-    for n numbers.
+    Args:
+        pixels: index of each listed pixel.
+        codes: what each pixel shows.
+        coverage: of each listed pixel.
+        width: of the image [px].
+        outline: (n, 3), edges (from, to, front face).
+        projected: (V, 4), x, y [px], 1/z [1/m], 0.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        texture: (A, A, 4), the 4th channel 1.
+        near: work space of GATHERED numbers of the texture's kind.
+        table: work space of FOUND numbers of the texture's kind.
+        places: work space of PLACES int32.
+        rim: work space of n numbers.
+        colours: (n, 4), filled.
     """
     n, n_rim = 0, 0
     for m in range(pixels.shape[0]):
@@ -250,8 +265,7 @@ def _ask_texels(n, texture, picture_gradient, table, places, texture_gradient):
 
 @njit(**LOOP)
 def _ask_corners(n, size, table):
-    """From the texels to the corners: the pull on alpha, that on the two weights, and D, of which a corner's 1/z has
-    its share.
+    """Compute gradients by alpha and by the two weights from the texels', and D, of which a corner's 1/z has a share.
 
     A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of
     its 1/z by e shifts u by b (u_corner - u) e / (sum b / z).
@@ -370,8 +384,30 @@ def shade_gradient(
     on_screen,
     texture_gradient,
 ):
-    """Way back of `shade`: fills the coverage's gradient, adds to the corners' (V, 4; the last unused) and to the
-    texture's. An empty `on_screen` or `texture_gradient` leaves that one out."""
+    """Compute the gradients of `shade`.
+
+    An empty `on_screen` or `texture_gradient` is skipped.
+
+    Args:
+        width: of the image [px].
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        texture: (A, A, 4), the 4th channel 1.
+        projected: (V, 4), x, y [px], 1/z [1/m], 0.
+        outline: (n, 3), edges (from, to, front face).
+        pixels: index of each listed pixel.
+        coverage: of each listed pixel.
+        codes: what each pixel shows.
+        picture_gradient: (H W, 4), gradient by the image.
+        scale: factor of the image.
+        near: work space of GATHERED numbers of the texture's kind.
+        table: work space of FOUND numbers of the texture's kind.
+        places: work space of PLACES int32.
+        rim: work space of n numbers.
+        of_coverage: gradient by each pixel's coverage, filled.
+        on_screen: (V, 4), gradient by the vertices' x, y, 1/z, added to; the last is unused.
+        texture_gradient: (A, A, 4), gradient by the texture, added to.
+    """
     n, n_rim = 0, 0
     for m in range(pixels.shape[0]):
         code = codes[m]

@@ -10,7 +10,13 @@ from hfb.kernels.compile import INLINE
 
 @njit(**INLINE)
 def corner_of(faces, f, vertex):
-    """Which corner (0, 1, 2) of face f the vertex is."""
+    """Return the corner (0, 1, 2) of face f that is a vertex.
+
+    Args:
+        faces: (F, 3), vertex numbers.
+        f: number of the face.
+        vertex: its number.
+    """
     if faces[f, 0] == vertex:
         return 0
     return 1 if faces[f, 1] == vertex else 2
@@ -18,7 +24,16 @@ def corner_of(faces, f, vertex):
 
 @njit(**INLINE)
 def uv_of_face(px, py, projected, faces, uv, f):
-    """Texture coordinates seen at a pixel position of face f: perspective-correct."""
+    """Return the perspective-correct texture coordinates of face f at a pixel position.
+
+    Args:
+        px: position [px].
+        py: position [px].
+        projected: (V, 4), x, y [px], 1/z [1/m].
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        f: number of the face.
+    """
     i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
     x0, y0 = projected[i, 0], projected[i, 1]
     ax, ay = projected[j, 0] - x0, projected[j, 1] - y0
@@ -36,6 +51,11 @@ def uv_of_face(px, py, projected, faces, uv, f):
 
 @njit(**INLINE)
 def first_texel(coordinate, size):
-    """The first of the two texels, along one axis, that a coordinate takes its colour from."""
+    """Return the first of the two texels, along one axis, from which a coordinate is interpolated.
+
+    Args:
+        coordinate: in [0, 1].
+        size: texels along the axis.
+    """
     position = min(max(coordinate * size - 0.5, 0.0), size - 1.0)
     return min(np.uint32(position), np.uint32(max(size, 2) - 2))

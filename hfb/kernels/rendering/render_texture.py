@@ -11,7 +11,12 @@ from hfb.kernels.rendering.render_surface import first_texel, uv_of_face
 
 @entry
 def paint_charts(uv, owner):
-    """Write into `owner` (A, A) the first face whose chart covers each texel's centre."""
+    """Write the first face whose chart covers each texel's centre.
+
+    Args:
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        owner: (A, A), filled.
+    """
     size = owner.shape[0]
     for f in range(uv.shape[0]):
         x0, y0, x1, y1 = uv[f, 0, 0] * size, uv[f, 0, 1] * size, uv[f, 1, 0] * size, uv[f, 1, 1] * size
@@ -30,7 +35,15 @@ def paint_charts(uv, owner):
 
 @entry
 def mark_seen(vertices, lens, faces, uv, seen):
-    """Set `seen` (A, A) where the body's visible points take their colour from."""
+    """Mark the texels from which the body's visible points are interpolated.
+
+    Args:
+        vertices: (V, 3) [m], camera coordinates.
+        lens: fx, fy, cx, cy, nearest depth used, width, height.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3, 2), texture coordinates of the faces' corners.
+        seen: (A, A), updated.
+    """
     size = seen.shape[0]
     mask = mask_for(faces, faces)
     projected, box, nearest = see_body(vertices, lens, 0.0, faces, mask)

@@ -25,7 +25,18 @@ def _convert(context, builder, value, target):
 
 @intrinsic
 def dots(typingctx, picture, pixel, texture, a, b, c, d):
-    """Inner products of the four channels at `pixel` with the texels at a, b, c and d."""
+    """Return the inner products of the four channels of a pixel with those of four texels.
+
+    Args:
+        typingctx: numba's typing context.
+        picture: four channels per pixel.
+        pixel: position in `picture`.
+        texture: four channels per texel.
+        a: position of a texel.
+        b: position of a texel.
+        c: position of a texel.
+        d: position of a texel.
+    """
     signature = types.UniTuple(texture.dtype, 4)(picture, pixel, texture, a, b, c, d)
 
     def codegen(context, builder, signature, arguments):
@@ -45,7 +56,22 @@ def dots(typingctx, picture, pixel, texture, a, b, c, d):
 
 @intrinsic
 def add_to_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, picture, pixel):
-    """Add the four channels at `pixel`, times a weight each, to the texels at a, b, c and d (which may coincide)."""
+    """Add the four channels of a pixel, times a weight each, to four texels (which may coincide).
+
+    Args:
+        typingctx: numba's typing context.
+        texture: four channels per texel.
+        a: position of a texel.
+        b: position of a texel.
+        c: position of a texel.
+        d: position of a texel.
+        weight_a: weight of texel a.
+        weight_b: weight of texel b.
+        weight_c: weight of texel c.
+        weight_d: weight of texel d.
+        picture: four channels per pixel.
+        pixel: position in `picture`.
+    """
     signature = types.void(texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, picture, pixel)
 
     def codegen(context, builder, signature, arguments):
@@ -63,7 +89,22 @@ def add_to_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, 
 
 @intrinsic
 def mix_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, colours, at):
-    """Write the weighted sum of the texels at a, b, c and d to `colours`."""
+    """Write the weighted sum of four texels.
+
+    Args:
+        typingctx: numba's typing context.
+        texture: four channels per texel.
+        a: position of a texel.
+        b: position of a texel.
+        c: position of a texel.
+        d: position of a texel.
+        weight_a: weight of texel a.
+        weight_b: weight of texel b.
+        weight_c: weight of texel c.
+        weight_d: weight of texel d.
+        colours: written to.
+        at: position in `colours`.
+    """
     signature = types.void(texture, a, b, c, d, weight_a, weight_b, weight_c, weight_d, colours, at)
 
     def codegen(context, builder, signature, arguments):
@@ -82,7 +123,16 @@ def mix_texels(typingctx, texture, a, b, c, d, weight_a, weight_b, weight_c, wei
 
 @intrinsic
 def add_scaled(typingctx, picture, pixel, colours, at, scale):
-    """Add `scale` times four channels of `colours` to those of `picture`."""
+    """Add `scale` times four channels of `colours` to those of `picture`.
+
+    Args:
+        typingctx: numba's typing context.
+        picture: four channels per pixel.
+        pixel: position in `picture`.
+        colours: four channels per pixel.
+        at: position in `colours`.
+        scale: factor.
+    """
     signature = types.void(picture, pixel, colours, at, scale)
 
     def codegen(context, builder, signature, arguments):
@@ -99,7 +149,17 @@ def add_scaled(typingctx, picture, pixel, colours, at, scale):
 
 @intrinsic
 def add_corner(typingctx, gradient, at, weight, x, y, z):
-    """Add weight times (x, y, z, 0) to four numbers of `gradient`."""
+    """Add weight times (x, y, z, 0) to four numbers.
+
+    Args:
+        typingctx: numba's typing context.
+        gradient: added to.
+        at: position in `gradient`.
+        weight: factor.
+        x: number.
+        y: number.
+        z: number.
+    """
     signature = types.void(gradient, at, *[gradient.dtype] * 4)
 
     def codegen(context, builder, signature, arguments):
@@ -118,10 +178,24 @@ def add_corner(typingctx, gradient, at, weight, x, y, z):
 
 @intrinsic
 def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v):
-    """Write 12 numbers of a face to number `to` of the table on: its second and third corner as seen from the first,
-    (x, y, 1/z, u) and (x, y, 1/z, v), and (pixel_x, pixel_y, 0, alpha) as seen from there.
+    """Write 12 numbers of a face to the table.
 
-    projected: (V, 4), the last one 0; i, j, k: positions of the three corners in it.
+    They are its second and third corner relative to the first, (x, y, 1/z, u) and (x, y, 1/z, v), and
+    (pixel_x, pixel_y, 0, alpha) relative to it.
+
+    Args:
+        typingctx: numba's typing context.
+        table: work space.
+        to: position in `table`.
+        projected: (V, 4), the last one 0.
+        i: position of the first corner in `projected`.
+        j: position of the second corner.
+        k: position of the third corner.
+        pixel_x: of the pixel [px].
+        pixel_y: of the pixel [px].
+        alpha: of the pixel.
+        u: of the second corner relative to the first.
+        v: of the third corner relative to the first.
     """
     signature = types.void(table, to, projected, i, j, k, pixel_x, pixel_y, alpha, u, v)
 
@@ -149,7 +223,15 @@ def gather_face(typingctx, table, to, projected, i, j, k, pixel_x, pixel_y, alph
 
 @intrinsic
 def gather_four(typingctx, table, to, source, at):
-    """Copy four numbers of `source`."""
+    """Copy four numbers.
+
+    Args:
+        typingctx: numba's typing context.
+        table: work space.
+        to: position in `table`.
+        source: array to read.
+        at: position in `source`.
+    """
     signature = types.void(table, to, source, at)
 
     def codegen(context, builder, signature, arguments):
@@ -164,10 +246,20 @@ def gather_four(typingctx, table, to, source, at):
 
 @intrinsic
 def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
-    """Let a face compete for a tile of 4 x 2 pixels, `above` and `below` where its rows begin.
+    """Let a face compete for a tile of 4 x 2 pixels.
 
-    In `tiles` stays the larger of what is there and, where least >= ON_EDGE, the nearness with the face in the bits of
-    the mask (see `kernels_screen.pack`).
+    The tile keeps the larger of its value and, where least >= ON_EDGE, the nearness with the face in the bits of the
+    mask (see `render_screen.pack`).
+
+    Args:
+        typingctx: numba's typing context.
+        tiles: updated.
+        above: position at which the tile's first row begins.
+        below: position at which its second row begins.
+        nearness: 1/z at the eight centres.
+        least: smallest barycentric coordinate at the eight centres.
+        face: number of the face.
+        mask: bits of an index.
     """
     signature = types.void(tiles, above, below, nearness, least, face, mask)
 
@@ -193,7 +285,15 @@ def keep_nearest(typingctx, tiles, above, below, nearness, least, face, mask):
 
 @intrinsic
 def untangle(typingctx, table, to, source, at):
-    """Write eight times four numbers that lie side by side to four rows of the table, BATCH apart."""
+    """Write eight times four neighbouring numbers to four rows of the table, BATCH apart.
+
+    Args:
+        typingctx: numba's typing context.
+        table: work space.
+        to: position in `table`.
+        source: array to read.
+        at: position in `source`.
+    """
     signature = types.void(table, to, source, at)
 
     def codegen(context, builder, signature, arguments):
@@ -210,7 +310,17 @@ def untangle(typingctx, table, to, source, at):
 
 @intrinsic
 def store_corners(typingctx, projected, to, stride, x, y, z):
-    """Write (x, y, z, 0) of every lane, `stride` apart."""
+    """Write (x, y, z, 0) of every lane.
+
+    Args:
+        typingctx: numba's typing context.
+        projected: written to.
+        to: position in `projected`.
+        stride: numbers from one lane to the next.
+        x: LANES numbers.
+        y: LANES numbers.
+        z: LANES numbers.
+    """
     signature = types.void(projected, to, stride, x, y, z)
 
     def codegen(context, builder, signature, arguments):

@@ -37,10 +37,19 @@ def pull_faces(
     pulls: wp.array3d(dtype=wp.vec3d),
     on_corners: wp.array3d(dtype=wp.vec3d),
 ):
-    """Gradients of each face's corners (x, y, 1/z) through the colours it shows. Threads: bodies, faces.
+    """Compute gradients by each face's corners (x, y, 1/z) through the colours it shows. Threads: bodies, faces.
 
     A corner moving by d shifts any quantity q interpolated at a fixed position by -b (grad q . d); a change of its 1/z
     by e shifts u by b (u_corner - u) e / (sum b / z).
+
+    Args:
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        faces: (F, 3), vertex numbers.
+        uv: (F, 3), texture coordinates of the faces' corners.
+        codes: (B, H, W), what each pixel shows.
+        pulls: (B, H, W), gradient by each pixel's coverage, u and v.
+        on_corners: (B, F, 3), gradient, filled.
     """
     b, f = wp.tid()
     sum_p, sum_q, sum_r = wp.vec3d(), wp.vec3d(), wp.vec3d()
@@ -75,9 +84,13 @@ def pull_faces(
 
 @wp.func
 def rim_pull(centre: wp.vec2d, start: wp.vec3d, end: wp.vec3d, by_uv: wp.float64):
-    """Gradients of an edge's ends from that of the point of it closest to a pixel's centre.
+    """Return gradients by an edge's ends, through its point closest to a pixel's centre.
 
-    by_uv: gradient by the share of the end in the texture coordinates, (slope . (uv_end - uv_start)).
+    Args:
+        centre: of the pixel [px].
+        start: of the edge, x, y [px], 1/z.
+        end: of the edge, likewise.
+        by_uv: gradient by the share of the end in the texture coordinates, (slope . (uv_end - uv_start)).
     """
     x, y = end[0] - start[0], end[1] - start[1]
     t = closest_parameter(centre, start, end)
@@ -109,10 +122,24 @@ def pull_edges(
     pulls: wp.array3d(dtype=wp.vec3d),
     on_ends: wp.array3d(dtype=wp.vec3d),
 ):
-    """Gradients of the ends of each outline edge, in the order of `edge_vertices`. Threads: bodies, edges.
+    """Compute gradients by the ends of each outline edge, in the order of `edge_vertices`. Threads: bodies, edges.
 
     Moving a piece p(t) by v(t) changes its pixel's coverage by the integral of cross(v, dp): the swept area. An edge
-    that lends a pixel its colour is one that crosses it, so those pixels are among the pieces' too.
+    that gives a pixel its colour crosses it, so those pixels are among the pieces' too.
+
+    Args:
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        faces: (F, 3), vertex numbers.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        uv: (F, 3), texture coordinates of the faces' corners.
+        begins: number of each edge's first piece.
+        place: row, column and edge of each piece.
+        shares: of each piece, derivative of coverage by the edge's ends.
+        codes: (B, H, W), what each pixel shows.
+        pulls: (B, H, W), gradient by each pixel's coverage, u and v.
+        on_ends: (B, E, 2), gradient, filled.
     """
     b, e = wp.tid()
     of_start, of_end = wp.vec3d(), wp.vec3d()
@@ -160,10 +187,22 @@ def gather(
     on_ends: wp.array3d(dtype=wp.vec3d),
     gradient: wp.array3d(dtype=Any),
 ):
-    """Gradient of each vertex [1/m] from those of the corners and ends that it is. Threads: bodies, vertices.
+    """Sum the gradients by the corners and ends of each vertex [1/m]. Threads: bodies, vertices.
 
-    corners: numbers 3 f + k of each vertex's corners, its first at corner_begins; ends: 2 e + k likewise. The chain
-    rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z.
+    The chain rule through x = fx X / Z + cx, y = fy Y / Z + cy, q = 1 / Z.
+
+    Args:
+        vertices: (B, V, 3) [m], camera coordinates.
+        projected: (B, V), x, y [px], 1/z [1/m].
+        lenses: fx, fy, cx, cy of every image.
+        subframes: bodies per image.
+        corner_begins: where each vertex's corners begin.
+        corners: numbers 3 f + k of each vertex's corners.
+        end_begins: where each vertex's ends begin.
+        ends: numbers 2 e + k of each vertex's ends.
+        on_corners: (B, F, 3), by `pull_faces`.
+        on_ends: (B, E, 2), by `pull_edges`.
+        gradient: (B, V, 3), filled.
     """
     b, i = wp.tid()
     total, point = wp.vec3d(), projected[b, i]

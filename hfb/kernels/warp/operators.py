@@ -65,14 +65,16 @@ def draw_by_warp(
     size: Sequence[int],
     near: float,
 ) -> tuple[Tensor, list[Tensor]]:
-    """Mean pictures of runs of bodies, and what the way back needs.
+    """Return mean images of runs of bodies, and saved values for the backward pass.
 
     Args:
-        vertices: (B, V, 3) [m]. textures: (G, A, A, 3), linear RGB, each of a run of pictures; with A = 0 only
-            silhouettes are drawn.
-        uv: (F, 3, 2) float64, of the faces' corners. topology: int32 tables faces, edge_vertices, edge_faces, and
-            where each vertex's corners begin, the corners, where its edges' ends begin, the ends (see `gather`).
-        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every picture; B is a multiple of P. size: height, width.
+        vertices: (B, V, 3) [m].
+        textures: (G, A, A, 3), linear RGB, each of a run of pictures; with A = 0 only silhouettes are drawn.
+        uv: (F, 3, 2) float64, of the faces' corners.
+        topology: int32 tables faces, edge_vertices, edge_faces, and where each vertex's corners begin, the corners,
+            where its edges' ends begin, the ends (see `gather`).
+        lenses: (P, 4) float64, fx, fy, cx, cy [px] of every picture; B is a multiple of P.
+        size: height, width.
         near: nearest depth used [m].
 
     Returns:
@@ -163,7 +165,19 @@ def draw_by_warp_gradient(
     of_vertices: bool,
     of_textures: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of the vertices (B, V, 3) and of the textures (G, A, A, 3), empty where not asked for."""
+    """Return the gradients by the vertices (B, V, 3) and by the textures (G, A, A, 3).
+
+    Args:
+        of_pictures: gradient by the images.
+        vertices: as of `draw_by_warp`.
+        textures: as of `draw_by_warp`.
+        uv: as of `draw_by_warp`.
+        topology: as of `draw_by_warp`.
+        lenses: as of `draw_by_warp`.
+        kept: saved by `draw_by_warp`.
+        of_vertices: compute the first one, else it is empty.
+        of_textures: compute the second one, else it is empty.
+    """
     projected, front, begins, place, shares, alpha, codes = kept
     bodies, coloured, given = len(vertices), textures.shape[1] > 0, of_pictures.contiguous()
     subframes = bodies // len(lenses)

@@ -35,7 +35,17 @@ def count_pieces(
     width: wp.int32,
     counts: wp.array2d(dtype=wp.int32),
 ):
-    """No fewer than the pieces into which pixel borders cut each edge of the outline. Threads: bodies, edges."""
+    """Count an upper bound of the pieces into which pixel borders cut each outline edge. Threads: bodies, edges.
+
+    Args:
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        height: of the image [px].
+        width: of the image [px].
+        counts: (B, E), filled.
+    """
     b, e = wp.tid()
     edge = outline_edge(front, edge_vertices, edge_faces, b, e)
     n = wp.int32(0)
@@ -51,6 +61,11 @@ def count_pieces(
 
 @wp.func
 def in_steps(area: wp.float64) -> wp.int64:
+    """Convert an area to whole UNITs, so that the order of sums does not matter.
+
+    Args:
+        area: in pixels.
+    """
     return wp.int64(wp.floor(area * STEPS + HALF))
 
 
@@ -72,8 +87,25 @@ def lay_down(
     span: wp.array(dtype=wp.vec2d),
     line: wp.array(dtype=wp.vec4d),
 ):
-    """Add piece number n, of edge e of all bodies', to its pixel's winding and chain; with a column of -1 it lies left
-    of the picture."""
+    """Add a piece to its pixel's winding and chain.
+
+    Args:
+        start: first end of the edge, x, y [px].
+        along: second minus first end [px].
+        t_from: parameter at which it begins.
+        t_to: parameter at which it ends.
+        b: number of the body.
+        e: number of the edge among all bodies'.
+        row: of its pixel.
+        column: of its pixel; -1 where it is left of the image.
+        n: number of the piece.
+        winding: (B, H, W + 1), in UNITs, added to.
+        newest: (B, H, W), newest piece of each pixel, -1 for none.
+        older: next older piece in each piece's pixel.
+        place: row, column and 1 + edge of each piece.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
+    """
     cover = in_steps((t_to - t_from) * along[1])
     if column < 0:
         wp.atomic_add(winding, b, row, 0, cover)
@@ -96,7 +128,15 @@ def lay_down(
 
 @wp.func
 def next_border(cell: wp.int32, step: wp.int32, steps: wp.int32, origin: wp.float64, along: wp.float64) -> wp.float64:
-    """Parameter at which an edge leaves its cell along one axis; NEVER where it ends within."""
+    """Return the parameter at which an edge leaves its cell along one axis; NEVER where it ends within.
+
+    Args:
+        cell: row or column.
+        step: 1 or -1.
+        steps: cells left to cross.
+        origin: of the edge along the axis [px].
+        along: extent of the edge along the axis [px].
+    """
     t = NEVER
     if steps > 0:
         border = cell
@@ -108,6 +148,12 @@ def next_border(cell: wp.int32, step: wp.int32, steps: wp.int32, origin: wp.floa
 
 @wp.func
 def cell_at(position: wp.float64, size: wp.int32) -> wp.int32:
+    """Return the row or column of a position, clipped to the image.
+
+    Args:
+        position: [px].
+        size: of the image [px].
+    """
     return wp.int32(wp.clamp(wp.floor(position), ZERO, wp.float64(size - 1)))
 
 
@@ -128,9 +174,23 @@ def walk(
     span: wp.array(dtype=wp.vec2d),
     line: wp.array(dtype=wp.vec4d),
 ) -> wp.int32:
-    """Lay down the pieces of a stretch of an edge, numbered from n on; returns the number after the last.
+    """Lay down the pieces of a stretch of an edge; return the number after the last one.
 
-    beside: the stretch lies left of the picture: only its rows count.
+    Args:
+        start: first end of the edge, x, y [px].
+        along: second minus first end [px].
+        t_from: parameter at which it begins.
+        t_to: parameter at which it ends.
+        beside: the stretch is left of the image: only its rows count.
+        b: number of the body.
+        e: number of the edge among all bodies'.
+        n: number of the first piece.
+        winding: (B, H, W + 1), in UNITs, added to.
+        newest: (B, H, W), newest piece of each pixel, -1 for none.
+        older: next older piece in each piece's pixel.
+        place: row, column and 1 + edge of each piece.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
     """
     height, width = newest.shape[1], newest.shape[2]
     row, row_end = cell_at(start[1] + t_from * along[1], height), cell_at(start[1] + t_to * along[1], height)
@@ -182,10 +242,18 @@ def wind(
 ):
     """Cut the outline at the pixel borders. Threads: bodies, edges.
 
-    begins: number of each edge's first piece (bodies x edges + 1). winding (zeros before): in UNITs, one column more
-    than the picture. newest (-1 before), older: each pixel's chain of pieces. place (zeros before): a piece's row,
-    column, and the edge's number among all bodies' plus 1. span: where it begins and ends on the edge. line: the same
-    in the pixel.
+    Args:
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        begins: (B E + 1), number of each edge's first piece.
+        winding: (B, H, W + 1), in UNITs, zeros before, filled.
+        newest: (B, H, W), newest piece of each pixel, -1 before, filled.
+        older: next older piece in each piece's pixel, filled.
+        place: row, column and 1 + edge among all bodies' of each piece, zeros before, filled.
+        span: parameters of each piece on its edge, filled.
+        line: start and end of each piece in its pixel, filled.
     """
     b, e = wp.tid()
     first = begins[b * edge_vertices.shape[0] + e]
@@ -221,7 +289,12 @@ def wind(
 
 @wp.func
 def sort_chain(newest: wp.int32, older: wp.array(dtype=wp.int32)) -> wp.int32:
-    """Chain a pixel's pieces by falling number; returns the first. Threads chained them in any order."""
+    """Chain a pixel's pieces by falling number, since threads chained them in any order; return the first.
+
+    Args:
+        newest: newest piece of the pixel.
+        older: next older piece in each piece's pixel.
+    """
     head, piece = wp.int32(-1), wp.int32(newest)
     while piece >= 0:
         following = older[piece]
@@ -242,9 +315,15 @@ def sort_chain(newest: wp.int32, older: wp.array(dtype=wp.int32)) -> wp.int32:
 def may_overlap(
     newest: wp.int32, older: wp.array(dtype=wp.int32), span: wp.array(dtype=wp.vec2d), line: wp.array(dtype=wp.vec4d)
 ) -> wp.bool:
-    """Whether layers may overlap within a pixel: several strands of outline in it, or one that may cross itself.
+    """Return whether layers may overlap within a pixel: several strands of outline in it, or one that may cross itself.
 
     A strand that never turns back in x, or never in y, cannot cross itself.
+
+    Args:
+        newest: newest piece of the pixel.
+        older: next older piece in each piece's pixel.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
     """
     heading, entered = wp.int32(0), wp.int32(0)
     piece = wp.int32(newest)
@@ -281,12 +360,24 @@ def cover(
     shares: wp.array(dtype=wp.vec2d),
     base: wp.array3d(dtype=wp.int32),
 ):
-    """Each pixel's covered share, where layers do not overlap in it. Threads: bodies, rows, columns.
+    """Compute each pixel's covered share where layers do not overlap. Threads: bodies, rows, columns.
 
-    running: sums of `winding` along the rows. codes: what the pixel shows, a face f as f, the outline edge e closest to
-    its centre as -1 - e; an empty `seen` leaves that out. shares (zeros before): of each piece that can change its
-    pixel's coverage, how much the edge's two ends move it (integrals of 1 - t and t along the piece). base: NONE, or
-    where layers may overlap the winding number of the top left corner; `newest` is then the chain's first in order.
+    Args:
+        running: (B, H, W), sums of `winding` along the rows.
+        newest: (B, H, W), newest piece of each pixel; sorted where layers may overlap.
+        older: next older piece in each piece's pixel.
+        place: row, column and 1 + edge of each piece.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
+        projected: (B, V), x, y [px], 1/z [1/m].
+        edge_vertices: (E, 2), vertex numbers.
+        seen: (B, H, W), nearest face at each centre, packed; an empty one leaves the codes out.
+        mask: bits of an index.
+        alpha: (B, H, W), filled.
+        codes: (B, H, W), filled: a face f as f, the outline edge e closest to the centre as -1 - e.
+        shares: of each piece that can change its pixel's coverage, derivative by the edge's two ends (integrals of 1 -
+            t and t along the piece), zeros before, filled.
+        base: (B, H, W), filled: NONE, or the winding number of the top left corner where layers may overlap.
     """
     b, row, column = wp.tid()
     base[b, row, column] = NONE
@@ -342,9 +433,18 @@ def part(
     shares: wp.array(dtype=wp.vec2d),
     areas: wp.array(dtype=wp.float64),
 ):
-    """What each piece adds to the covered share of a pixel in which layers may overlap. Threads: pieces.
+    """Compute each piece's part of the covered share of a pixel in which layers may overlap. Threads: pieces.
 
-    edges: of one body. shares: as of `cover`.
+    Args:
+        newest: (B, H, W), newest piece of each pixel, -1 for none.
+        older: next older piece in each piece's pixel.
+        place: row, column and 1 + edge of each piece.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
+        base: (B, H, W), winding number of the top left corner where layers may overlap, else NONE.
+        edges: number of one body's edges.
+        shares: as of `cover`, filled.
+        areas: of each piece, filled.
     """
     piece = wp.tid()
     at = place[piece]
@@ -367,7 +467,17 @@ def join(
     shares: wp.array(dtype=wp.vec2d),
     alpha: wp.array3d(dtype=wp.float64),
 ):
-    """The covered share of the pixels in which layers may overlap, from `part`. Threads: bodies, rows, columns."""
+    """Sum the covered share of the pixels in which layers may overlap, from `part`. Threads: bodies, rows, columns.
+
+    Args:
+        newest: (B, H, W), newest piece of each pixel, -1 for none.
+        older: next older piece in each piece's pixel.
+        line: start and end of each piece in its pixel.
+        base: (B, H, W), winding number of the top left corner where layers may overlap, else NONE.
+        areas: of each piece, by `part`.
+        shares: of each piece, derivative of coverage by the edge's two ends.
+        alpha: (B, H, W), updated.
+    """
     b, row, column = wp.tid()
     winding = base[b, row, column]
     if winding == NONE:

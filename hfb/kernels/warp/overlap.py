@@ -24,7 +24,13 @@ THIN = wp.constant(wp.float64(1e-12))  # heights closer than this are one
 def mean_without_corner(
     newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
 ) -> wp.float64:
-    """A pixel's mean winding number if that of its top left corner were 0."""
+    """Return a pixel's mean winding number if that of its top left corner were 0.
+
+    Args:
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        line: start and end of each piece in its pixel.
+    """
     mean, piece = wp.float64(0.0), wp.int32(newest)
     while piece >= 0:
         at = line[piece]
@@ -39,7 +45,11 @@ def mean_without_corner(
 
 @wp.func
 def slope_of(at: wp.vec4d) -> wp.float64:
-    """dx/dy of a piece; 0 of a level one."""
+    """Return dx/dy of a piece; 0 of a level one.
+
+    Args:
+        at: start and end of a piece in its pixel.
+    """
     slope = ZERO
     if at[3] != at[1]:
         slope = (at[2] - at[0]) / (at[3] - at[1])
@@ -48,7 +58,12 @@ def slope_of(at: wp.vec4d) -> wp.float64:
 
 @wp.func
 def crossing_of(p: wp.vec4d, q: wp.vec4d) -> wp.float64:
-    """Height at which two pieces cross; 1 where they do not."""
+    """Return the height at which two pieces cross; 1 where they do not.
+
+    Args:
+        p: start and end of one piece.
+        q: start and end of the other one.
+    """
     low = wp.max(wp.min(p[1], p[3]), wp.min(q[1], q[3]))
     high = wp.min(wp.max(p[1], p[3]), wp.max(q[1], q[3]))
     height = ONE
@@ -69,8 +84,15 @@ def next_height(
     older: wp.array(dtype=wp.int32),
     line: wp.array(dtype=wp.vec4d),
 ) -> wp.float64:
-    """The first height below `above` (y runs down) at which any piece begins or ends, or crosses this one, or the
-    bottom; for piece -1, the pixel's left border, nothing crosses."""
+    """Return the next height below `above` (y runs down) where a piece begins, ends or crosses this one, or the bottom.
+
+    Args:
+        above: height to start from.
+        piece: number of the piece; -1 for the pixel's left border.
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        line: start and end of each piece in its pixel.
+    """
     lowest, best = above + THIN, wp.float64(ONE)
     q = wp.int32(newest)
     while q >= 0:
@@ -89,7 +111,12 @@ def next_height(
 
 @wp.func
 def step_of(at: wp.vec4d, y: wp.float64) -> wp.int32:
-    """1 for a piece that runs down past a height (more body to its right), -1 for one that runs up, 0 for none."""
+    """Return 1 for a piece that runs down past a height (more body to its right), -1 for one that runs up, 0 for none.
+
+    Args:
+        at: start and end of a piece in its pixel.
+        y: the height.
+    """
     step = wp.int32(0)
     if at[1] < y and y < at[3]:
         step = 1
@@ -107,9 +134,17 @@ def winding_to_left(
     older: wp.array(dtype=wp.int32),
     line: wp.array(dtype=wp.vec4d),
 ) -> wp.int32:
-    """Winding number just left of a piece at a height; of the pixel's left border for piece -1.
+    """Return the winding number just left of a piece at a height.
 
     Down the left border it falls by 1 where a piece comes in and rises by 1 where one goes out.
+
+    Args:
+        base: winding number of the pixel's top left corner.
+        piece: number of the piece; -1 for the pixel's left border.
+        y: the height.
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        line: start and end of each piece in its pixel.
     """
     x = wp.float64(0.0)
     if piece >= 0:
@@ -135,7 +170,14 @@ def winding_to_left(
 
 @wp.func
 def stretch_shares(t: wp.vec2d, at: wp.vec4d, low: wp.float64, high: wp.float64) -> wp.vec2d:
-    """What the stretch of a piece between two heights gives to the ends of its edge: integrals of 1 - t and t."""
+    """Return the derivative of coverage by the edge's ends for a stretch of a piece: integrals of 1 - t and t.
+
+    Args:
+        t: parameters of the piece on its edge.
+        at: start and end of a piece in its pixel.
+        low: upper height of the stretch.
+        high: lower height of the stretch.
+    """
     slope = (t[1] - t[0]) / (at[3] - at[1])
     t1, t2 = t[0] + (low - at[1]) * slope, t[0] + (high - at[1]) * slope
     t_from, t_to = wp.min(t1, t2), wp.max(t1, t2)
@@ -147,7 +189,14 @@ def stretch_shares(t: wp.vec2d, at: wp.vec4d, low: wp.float64, high: wp.float64)
 def base_of(
     mean: wp.float64, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
 ) -> wp.int32:
-    """Winding number of a pixel's top left corner from the pixel's mean winding number and its pieces."""
+    """Return the winding number of a pixel's top left corner from the pixel's mean winding number and its pieces.
+
+    Args:
+        mean: the pixel's mean winding number.
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        line: start and end of each piece in its pixel.
+    """
     return wp.int32(wp.floor(mean - mean_without_corner(newest, older, line) + HALF))
 
 
@@ -155,7 +204,14 @@ def base_of(
 def area_from_border(
     base: wp.int32, newest: wp.int32, older: wp.array(dtype=wp.int32), line: wp.array(dtype=wp.vec4d)
 ) -> wp.float64:
-    """The area that would be covered if nothing changed from the pixel's left border on."""
+    """Return the area that would be covered if nothing changed from the pixel's left border on.
+
+    Args:
+        base: winding number of the pixel's top left corner.
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        line: start and end of each piece in its pixel.
+    """
     area, low = wp.float64(0.0), wp.float64(0.0)
     while low < INNER:
         high = next_height(low, -1, newest, older, line)
@@ -175,9 +231,18 @@ def area_from_piece(
     line: wp.array(dtype=wp.vec4d),
     shares: wp.array(dtype=wp.vec2d),
 ) -> wp.float64:
-    """What the stretches of a piece that separate body from background change of it; adds their shares.
+    """Return the change of the area by the stretches of a piece that separate body from background; add their shares.
 
     Which stretches these are changes only where the piece meets another, or another begins or ends.
+
+    Args:
+        piece: number of the piece; -1 for the pixel's left border.
+        base: winding number of the pixel's top left corner.
+        newest: first piece of the pixel's chain.
+        older: next piece in the chain of each piece.
+        span: parameters of each piece on its edge.
+        line: start and end of each piece in its pixel.
+        shares: of each piece, updated.
     """
     at, area = line[piece], wp.float64(0.0)
     low, end = wp.min(at[1], at[3]), wp.max(at[1], at[3])

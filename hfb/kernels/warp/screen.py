@@ -28,9 +28,14 @@ def project(
     near: wp.float64,
     projected: wp.array2d(dtype=wp.vec3d),
 ):
-    """Fill `projected` with x, y [px] and 1/z; zeros where the vertex cannot be used. Threads: bodies, vertices.
+    """Project vertices; zeros where one cannot be used. Threads: bodies, vertices.
 
-    lenses: fx, fy, cx, cy of every picture, each of `subframes` bodies.
+    Args:
+        vertices: (B, V, 3) [m], camera coordinates.
+        lenses: fx, fy, cx, cy of every image.
+        subframes: bodies per image.
+        near: nearest depth used [m].
+        projected: (B, V), x, y [px], 1/z [1/m], filled.
     """
     b, i = wp.tid()
     n = b / subframes
@@ -51,25 +56,50 @@ wp.overload(project, {"vertices": wp.array3d(dtype=wp.float64)})
 
 @wp.func
 def twice_area(p: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> wp.float64:
-    """Signed, of a triangle on the screen: negative where it looks at the camera."""
+    """Return twice the signed area of a triangle on the screen: negative where it looks at the camera.
+
+    Args:
+        p: first corner, x, y [px], 1/z.
+        q: second corner.
+        r: third corner.
+    """
     return (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
 
 
 @wp.func
 def lowest_centre(p: wp.float64, q: wp.float64, r: wp.float64) -> wp.int32:
-    """First pixel whose centre is not before three coordinates."""
+    """Return the first pixel whose centre is not before three coordinates.
+
+    Args:
+        p: first coordinate [px].
+        q: second coordinate [px].
+        r: third coordinate [px].
+    """
     return wp.int32(wp.ceil(wp.max(wp.min(wp.min(p, q), r) - HALF, ZERO)))
 
 
 @wp.func
 def highest_centre(p: wp.float64, q: wp.float64, r: wp.float64, size: wp.int32) -> wp.int32:
-    """Last pixel of `size` whose centre is not behind three coordinates."""
+    """Return the last pixel of `size` whose centre is not behind three coordinates.
+
+    Args:
+        p: first coordinate [px].
+        q: second coordinate [px].
+        r: third coordinate [px].
+        size: number of pixels.
+    """
     return wp.int32(wp.floor(wp.min(wp.max(wp.max(p, q), r) - HALF, wp.float64(size - 1))))
 
 
 @wp.func
 def pack(value: wp.float64, index: wp.int64, mask: wp.int64) -> wp.int64:
-    """A positive number and, in its last bits, an index: ordered as the numbers are (to some 11 digits)."""
+    """Replace the last bits of a positive number by an index; the order of numbers is kept (to some 11 digits).
+
+    Args:
+        value: positive number.
+        index: of a face.
+        mask: bits of an index.
+    """
     return (wp.cast(value, wp.int64) & (wp.int64(-1) - mask)) | index
 
 
@@ -81,8 +111,15 @@ def see_faces(
     front: wp.array2d(dtype=wp.uint8),
     seen: wp.array3d(dtype=wp.int64),
 ):
-    """Mark the faces that look at the camera; `seen` (zeros before) keeps for each pixel's centre the largest 1/z, and
-    the face in the bits of the mask. An empty `seen` leaves that out. Threads: bodies, faces."""
+    """Mark the faces that look at the camera, and find the nearest one at each pixel's centre. Threads: bodies, faces.
+
+    Args:
+        projected: (B, V), x, y [px], 1/z [1/m].
+        faces: (F, 3), vertex numbers.
+        mask: bits of an index.
+        front: (B, F), filled.
+        seen: (B, H, W), zeros before: the largest 1/z with the face in the bits of the mask; an empty one is skipped.
+    """
     b, f = wp.tid()
     p, q, r = projected[b, faces[f, 0]], projected[b, faces[f, 1]], projected[b, faces[f, 2]]
     usable = p[2] > ZERO and q[2] > ZERO and r[2] > ZERO
@@ -117,7 +154,15 @@ def outline_edge(
     b: wp.int32,
     e: wp.int32,
 ) -> wp.vec3i:
-    """(from, to, front face) of an edge where the front faces end, as that face traverses it; face -1 elsewhere."""
+    """Return (from, to, front face) of an edge where the front faces end, as that face traverses it; face -1 elsewhere.
+
+    Args:
+        front: (B, F), faces that look at the camera.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        b: number of the body.
+        e: number of the edge.
+    """
     first, second = edge_faces[e, 0], edge_faces[e, 1]
     start, end = edge_vertices[e, 0], edge_vertices[e, 1]
     is_first = front[b, first] != wp.uint8(0)
@@ -134,7 +179,13 @@ def outline_edge(
 
 @wp.func
 def closest_parameter(point: wp.vec2d, start: wp.vec3d, end: wp.vec3d) -> wp.float64:
-    """Parameter in [0, 1] of the point of an edge closest to a position on the screen."""
+    """Return the parameter in [0, 1] of the point of an edge closest to a position.
+
+    Args:
+        point: position [px].
+        start: first end of the edge, x, y [px].
+        end: second end of the edge.
+    """
     along = wp.vec2d(end[0] - start[0], end[1] - start[1])
     squared_length = wp.dot(along, along)
     t = ZERO
@@ -146,7 +197,13 @@ def closest_parameter(point: wp.vec2d, start: wp.vec3d, end: wp.vec3d) -> wp.flo
 
 @wp.func
 def squared_distance(point: wp.vec2d, start: wp.vec3d, end: wp.vec3d) -> wp.float64:
-    """Squared distance [px^2] of a position on the screen from an edge."""
+    """Return the squared distance [px^2] of a position from an edge.
+
+    Args:
+        point: position [px].
+        start: first end of the edge, x, y [px].
+        end: second end of the edge.
+    """
     t = closest_parameter(point, start, end)
     off = wp.vec2d(
         start[0] + t * (end[0] - start[0]) - point[0],

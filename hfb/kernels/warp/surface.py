@@ -18,7 +18,13 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def corner_of(faces: wp.array2d(dtype=wp.int32), f: wp.int32, vertex: wp.int32) -> wp.int32:
-    """Which corner (0, 1, 2) of face f the vertex is."""
+    """Return the corner (0, 1, 2) of face f that is a vertex.
+
+    Args:
+        faces: (F, 3), vertex numbers.
+        f: number of the face.
+        vertex: its number.
+    """
     corner = wp.int32(2)
     if faces[f, 1] == vertex:
         corner = 1
@@ -29,7 +35,14 @@ def corner_of(faces: wp.array2d(dtype=wp.int32), f: wp.int32, vertex: wp.int32) 
 
 @wp.func
 def face_weights(centre: wp.vec2d, p: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> wp.vec3d:
-    """Barycentric coordinates of a position on the screen."""
+    """Return barycentric coordinates on the screen.
+
+    Args:
+        centre: position [px].
+        p: first corner, x, y [px], 1/z.
+        q: second corner.
+        r: third corner.
+    """
     inverse = ONE / twice_area(p, q, r)
     x, y = centre[0] - p[0], centre[1] - p[1]
     b_q = (x * (r[1] - p[1]) - y * (r[0] - p[0])) * inverse
@@ -50,8 +63,22 @@ def point_seen(
     edge_faces: wp.array2d(dtype=wp.int32),
     uv: wp.array2d(dtype=wp.vec2d),
 ) -> wp.vec2d:
-    """Texture coordinates of what a pixel shows: a face's point at its centre, or the point of an outline edge
-    closest to it; perspective-correct."""
+    """Return the perspective-correct texture coordinates of what a pixel shows.
+
+    That is a face's point at its centre, or the point of an outline edge closest to it.
+
+    Args:
+        b: number of the body.
+        row: of the pixel or texel.
+        column: of the pixel or texel.
+        code: what the pixel shows.
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        faces: (F, 3), vertex numbers.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        uv: (F, 3), texture coordinates of the faces' corners.
+    """
     centre = wp.vec2d(wp.float64(column) + HALF, wp.float64(row) + HALF)
     found = wp.vec2d()
     if code >= 0:
@@ -70,24 +97,48 @@ def point_seen(
 
 @wp.func
 def texel_position(coordinate: wp.float64, size: wp.int32) -> wp.float64:
-    """In texels from the first one's centre, within the picture of the texture."""
+    """Return a coordinate in texels from the first one's centre, clipped to the texture.
+
+    Args:
+        coordinate: in [0, 1].
+        size: A, the texture's side [texels].
+    """
     return wp.clamp(coordinate * wp.float64(size) - HALF, ZERO, wp.float64(size - 1))
 
 
 @wp.func
 def first_texel(position: wp.float64, size: wp.int32) -> wp.int32:
-    """First texel of the pair around a position."""
+    """Return the first texel of the pair around a position.
+
+    Args:
+        position: by `texel_position`.
+        size: A, the texture's side [texels].
+    """
     return wp.min(wp.int32(wp.floor(position)), wp.max(size, 2) - 2)
 
 
 @wp.func
 def texture_of(n: wp.int32, pictures: wp.int32, textures: wp.int32) -> wp.int32:
-    """Which texture picture n has: each belongs to a run of pictures, all runs of one length."""
+    """Return the texture of image n: each belongs to a run of images, all runs of one length.
+
+    Args:
+        n: number of the image.
+        pictures: number of images.
+        textures: number of textures.
+    """
     return n / (pictures / textures)
 
 
 @wp.func
 def colour_at(textures: wp.array4d(dtype=Any), g: wp.int32, row: wp.int32, column: wp.int32) -> wp.vec3d:
+    """Return the colour of a texel.
+
+    Args:
+        textures: (G, A, A, 3), linear light; empty for silhouettes alone.
+        g: number of the texture.
+        row: of the pixel or texel.
+        column: of the pixel or texel.
+    """
     return wp.vec3d(
         wp.float64(textures[g, row, column, 0]),
         wp.float64(textures[g, row, column, 1]),
@@ -109,8 +160,23 @@ def shade(
     subframes: wp.int32,
     pictures: wp.array4d(dtype=Any),
 ):
-    """Mean of each run of `subframes` bodies: coverage times the texture (bilinear, clamped at its border), and the
-    coverage; of empty textures the coverage alone. Threads: pictures, rows, columns."""
+    """Compute the mean of each run of `subframes` bodies. Threads: images, rows, columns.
+
+    It is coverage times the texture (bilinear, clamped at its border), and the coverage.
+
+    Args:
+        alpha: (B, H, W), coverage.
+        codes: (B, H, W), what each pixel shows.
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        faces: (F, 3), vertex numbers.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        uv: (F, 3), texture coordinates of the faces' corners.
+        textures: (G, A, A, 3), linear light; empty for silhouettes alone.
+        subframes: bodies per image.
+        pictures: (images, H, W, 4), filled; (images, H, W, 1) for silhouettes alone.
+    """
     n, row, column = wp.tid()
     size, step = textures.shape[1], wp.min(textures.shape[1] - 1, 1)
     g = texture_of(n, pictures.shape[0], textures.shape[0])
@@ -147,7 +213,16 @@ def add_in_steps(
     column: wp.int32,
     total: wp.array4d(dtype=wp.int64),
 ):
-    """Add a colour to a texel as whole numbers of steps: a sum whose order does not matter."""
+    """Add a colour to a texel as whole numbers of steps, so that the order of sums does not matter.
+
+    Args:
+        value: the colour.
+        steps: number of steps in 1.
+        g: number of the texture.
+        row: of the pixel or texel.
+        column: of the pixel or texel.
+        total: (G, A, A, 3), added to.
+    """
     for q in range(3):
         wp.atomic_add(total, g, row, column, q, wp.int64(wp.floor(value[q] * steps + HALF)))
 
@@ -169,10 +244,23 @@ def pull_pixels(
     pulls: wp.array3d(dtype=wp.vec3d),
     of_textures: wp.array4d(dtype=wp.int64),
 ):
-    """Way back of `shade` to what each pixel shows. Threads: bodies, rows, columns.
+    """Compute the gradients of `shade` by what each pixel shows. Threads: bodies, rows, columns.
 
-    pulls: gradients of its coverage, u and v. of_textures (zeros before): in steps, of which there are `steps` to one;
-    empty ones are left out.
+    Args:
+        alpha: (B, H, W), coverage.
+        codes: (B, H, W), what each pixel shows.
+        projected: (B, V), x, y [px], 1/z [1/m].
+        front: (B, F), faces that look at the camera.
+        faces: (F, 3), vertex numbers.
+        edge_vertices: (E, 2), vertex numbers.
+        edge_faces: (E, 2), faces on both sides.
+        uv: (F, 3), texture coordinates of the faces' corners.
+        textures: (G, A, A, 3), linear light; empty for silhouettes alone.
+        subframes: bodies per image.
+        of_pictures: gradient by the images.
+        steps: number of steps in 1, of each texture.
+        pulls: (B, H, W), gradient by coverage, u and v, filled.
+        of_textures: (G, A, A, 3), gradient in steps, zeros before, added to; an empty one is skipped.
     """
     b, row, column = wp.tid()
     pull, share, size = wp.vec3d(), alpha[b, row, column], textures.shape[1]

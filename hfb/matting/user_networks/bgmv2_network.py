@@ -36,7 +36,12 @@ class MattingNetwork(nn.Module):
         self.refine_threshold = 0.1
 
     def forward(self, src: Float[Tensor, "B 3 H W"], bgr: Float[Tensor, "B 3 H W"]) -> tuple[Tensor, ...]:
-        """Alpha first; picture and plate are sRGB in [0, 1], their sides multiples of four."""
+        """Return alpha, colour and error at full size; alpha first.
+
+        Args:
+            src: frame, sRGB in [0, 1], sides multiples of four.
+            bgr: plate, likewise.
+        """
         both = torch.cat([src, bgr], 1)
         small = _resized(both, scale=self.backbone_scale) if self._refined else both
         deepest, *finer = self.backbone(small)
@@ -79,7 +84,11 @@ class AtrousPooling(nn.Module):
         self.project = nn.Sequential(nn.Conv2d(5 * inner, inner, 1, bias=False), nn.BatchNorm2d(inner), nn.ReLU())
 
     def forward(self, deep: Float[Tensor, "B C h w"]) -> Float[Tensor, "B 256 h w"]:
-        """At the size of its input."""
+        """Return the pooled features at the size of the input.
+
+        Args:
+            deep: the encoder's smallest feature map.
+        """
         parts = [convolution(deep) for convolution in self.convs]
         parts[-1] = _resized(parts[-1], deep.shape[-2:])
         return self.project(torch.cat(parts, 1))
@@ -97,7 +106,12 @@ class Decoder(nn.Module):
         self._steps = len(beside)
 
     def forward(self, deep: Float[Tensor, "B 256 h w"], finer: list[Tensor]) -> Float[Tensor, "B C H W"]:
-        """`finer`: the encoder's maps, the smallest first, the input itself last."""
+        """Return the decoded map at the size of the last entry of `finer`.
+
+        Args:
+            deep: features to start from.
+            finer: the encoder's maps, the smallest first, the input itself last.
+        """
         now = deep
         for step, beside in enumerate(finer, start=1):
             now = torch.cat([_resized(now, beside.shape[-2:]), beside], 1)
@@ -123,7 +137,13 @@ class Refiner(nn.Module):
     def forward(
         self, both: Float[Tensor, "B 6 H W"], coarse: Float[Tensor, "B 36 h w"], chosen: Bool[Tensor, "B a b"] | None
     ) -> Float[Tensor, "B 4 H W"]:
-        """Alpha and colour at full size; where no patch is chosen, the coarse ones enlarged."""
+        """Return alpha and colour at full size; the coarse ones enlarged where no patch is chosen.
+
+        Args:
+            both: frame and plate, sRGB.
+            coarse: the decoder's channels at reduced size.
+            chosen: patches to refine; None for all.
+        """
         height, width = both.shape[-2:]
         half = torch.cat([_resized(one, (height // 2, width // 2)) for one in (coarse, both)], 1)
         padded_half, padded = functional.pad(half, (3,) * 4), functional.pad(both, (2,) * 4)
@@ -147,7 +167,10 @@ class Refiner(nn.Module):
 
 
 def network_of(state: Mapping[str, Tensor]) -> MattingNetwork:
-    """The network that some weights belong to, ready to be used.
+    """Build the network that some weights belong to, in evaluation mode.
+
+    Args:
+        state: weights by name, as released.
 
     Raises:
         ValueError: they are of another network.

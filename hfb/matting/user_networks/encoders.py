@@ -32,7 +32,11 @@ class Bottleneck(nn.Module):
             self.downsample = nn.Sequential(nn.Conv2d(before, after, 1, stride, bias=False), nn.BatchNorm2d(after))
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D h w"]:
-        """See the class."""
+        """Apply the block; see the class.
+
+        Args:
+            picture: features, or the image itself.
+        """
         kept = picture if self.downsample is None else self.downsample(picture)
         now = self.bn1(self.conv1(picture)).relu()
         now = self.bn2(self.conv2(now)).relu()
@@ -54,7 +58,11 @@ class ResNet(nn.Module):
         self.layer4 = _stage(1024, 512, 3, 1, dilation=2)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> tuple[Tensor, ...]:
-        """Maps from 1/16 to the picture itself."""
+        """Return feature maps from 1/16 of the size to the image itself.
+
+        Args:
+            picture: features, or the image itself.
+        """
         half = self.bn1(self.conv1(picture)).relu()
         quarter = self.layer1(self.maxpool(half))
         eighth = self.layer2(quarter)
@@ -80,7 +88,11 @@ class InvertedResidual(nn.Module):
         self.conv = nn.Sequential(*layers)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> Float[Tensor, "B D h w"]:
-        """See the class."""
+        """Apply the block; see the class.
+
+        Args:
+            picture: features, or the image itself.
+        """
         return picture + self.conv(picture) if self._keeps else self.conv(picture)
 
 
@@ -102,7 +114,11 @@ class MobileNetV2(nn.Module):
         self.features = nn.Sequential(*blocks)
 
     def forward(self, picture: Float[Tensor, "B C H W"]) -> tuple[Tensor, ...]:
-        """Maps from 1/16 to the picture itself."""
+        """Return feature maps from 1/16 of the size to the image itself.
+
+        Args:
+            picture: features, or the image itself.
+        """
         maps, now = [picture], picture
         for number, block in enumerate(self.features):
             now = block(now)

@@ -40,7 +40,10 @@ _Pictures = tuple[Float[Array, "H W 3"], ...]
 
 
 def external_matting(config: MattingConfig) -> Matting:
-    """The user's network that the configuration names, loaded once per process.
+    """Load the user's network that the configuration names, once per process.
+
+    Args:
+        config: names the method and the network's file.
 
     Raises:
         InputError: no weights are given, or they cannot be used.
@@ -86,9 +89,14 @@ class BackgroundMattingV2:
         tile_px: int | None = None,
         half: bool = False,
     ) -> None:
-        """Options are those of the released networks; None chooses by the frame's size, or leaves the file's own.
+        """Load the network; None for an option chooses by the frame's size, or keeps the file's own.
 
         Args:
+            path: of the network's file.
+            backbone_scale: size of the coarse pass relative to the image's.
+            refine_mode: how refined patches are chosen.
+            refine_pixels: number of refined pixels.
+            refine_threshold: error above which a pixel is refined.
             tile_px: larger frames are seen in tiles of this size.
             half: compute in 16 bits; not for ONNX, whose precision and options are the file's.
 
@@ -113,7 +121,12 @@ class BackgroundMattingV2:
         return _at_size((frame, plate), self._tile_px, lambda part: self.look(*part))
 
     def look(self, frame_srgb: Float[Array, "H W 3"], plate_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-        """The network's own alpha at the picture's size; sides are padded to multiples of four."""
+        """Return the network's alpha at the image's size; sides are padded to multiples of four.
+
+        Args:
+            frame_srgb: in [0, 1].
+            plate_srgb: in [0, 1], in the frame's size.
+        """
         height, width = frame_srgb.shape[:2]
         pictures = _padded(frame_srgb), _padded(plate_srgb)
         size = pictures[0].shape[:2]
@@ -171,7 +184,11 @@ class RobustVideoMatting:
         return _at_size((frame,), self._tile_px, lambda part: self.look(*part))
 
     def look(self, frame_srgb: Float[Array, "H W 3"]) -> Float[Array, "H W"]:
-        """The network's alpha once its memory knows the frame."""
+        """Return the network's alpha after it has seen the frame several times, as its memory needs.
+
+        Args:
+            frame_srgb: in [0, 1].
+        """
         ratio = min(1.0, _RVM_PX / max(frame_srgb.shape[:2]))
         picture = _planes(frame_srgb)
         memory: list[Given] = [np.zeros((1, 1, 1, 1), np.float32) if self._onnx else None] * 4
@@ -187,7 +204,10 @@ class RobustVideoMatting:
 
 
 def weights_of(path: Path) -> MattingNetwork:
-    """BackgroundMattingV2 with the plain weights of a file; torch's own restricted reader opens it.
+    """Load BackgroundMattingV2 with the plain weights of a file, through torch's restricted reader.
+
+    Args:
+        path: file of plain weights.
 
     Raises:
         InputError: damaged, weights of something else, or a pickle that names code.

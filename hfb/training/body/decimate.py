@@ -1,6 +1,6 @@
-"""Fewer vertices by half-edge collapses: a vertex moves onto a neighbour, so what is left is a subset of the mesh.
+"""Mesh decimation by half-edge collapses: a vertex moves onto a neighbour, so the result is a subset of the mesh.
 
-Each vertex that survives keeps its place in every shape sample, its weights and its texture coordinates exactly.
+Each remaining vertex keeps its position in every shape sample, its weights and its texture coordinates exactly.
 Order by Garland & Heckbert's quadric error (Surface Simplification Using Quadric Error Metrics, 1997).
 """
 
@@ -14,7 +14,7 @@ LENGTH_SHARE = 2e-3  # weight of squared edge length in the cost: even triangles
 
 
 class Decimator:
-    """A triangle list under collapse; vertices of `on_middle` stay on their plane, texture seams stay seams."""
+    """A triangle mesh under edge collapse; vertices of ``on_middle`` stay on their plane, texture seams stay seams."""
 
     def __init__(self, points: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, on_middle: np.ndarray):
         self.points = points
@@ -29,7 +29,11 @@ class Decimator:
         self.version = dict.fromkeys(self.at, 0)
 
     def run(self, vertices_left: int) -> None:
-        """Collapse the cheapest edges until so many vertices are left."""
+        """Collapse the cheapest edges until the mesh is small enough.
+
+        Args:
+            vertices_left: target number of vertices.
+        """
         heap = [entry for v in self.at for entry in self._candidates(v)]
         heapq.heapify(heap)
         alive = len(self.at)
@@ -51,7 +55,7 @@ class Decimator:
                     heapq.heappush(heap, self._entry(x, w))
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:
-        """(faces, uv_faces), indices as given."""
+        """Return (faces, uv_faces) of the decimated mesh, with the indices of the original one."""
         return np.array(list(self.faces.values())), np.array(list(self.uv_faces.values()))
 
     def _normal(self, corners: list[int]) -> np.ndarray:

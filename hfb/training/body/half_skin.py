@@ -1,7 +1,7 @@
-"""The left half of the skin: without mouth and eye sockets, its holes closed; and its mirror image sewn back on.
+"""The left half of the skin without mouth and eye sockets, its holes closed, and its mirror image sewn back on.
 
-Working on one half makes the result exactly symmetric and halves the work. MakeHuman's mesh is symmetric, so
-the mirror image of each vertex and of each texture coordinate is one of its own.
+Working on one half makes the result exactly symmetric and halves the work. MakeHuman's mesh is symmetric: the mirror
+image of each vertex and of each texture coordinate is in the mesh.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,11 @@ class Half:
 
 
 def mirror_of(rest: np.ndarray) -> np.ndarray:
-    """(V,) index of every vertex's mirror image."""
+    """Return the index of every vertex's mirror image, (V,).
+
+    Args:
+        rest: (V, 3) vertices of a mesh symmetric about x = 0 [m].
+    """
     distance, index = cKDTree(rest).query(rest * [-1, 1, 1])
     assert distance.max() < MIDDLE_M, "the mesh is not symmetric"
     assert (index[index] == np.arange(len(rest))).all(), "the mesh is not symmetric"
@@ -34,14 +38,27 @@ def mirror_of(rest: np.ndarray) -> np.ndarray:
 
 
 def outer_skin(rest: np.ndarray, faces: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """(F,) bool: the faces of the largest connected part (not the eyeballs, not the tongue) but for `inner` ones."""
+    """Return a mask of the faces (F,) in the largest connected part without ``inner``: no eyeballs, no tongue.
+
+    Args:
+        rest: (V, 3) vertices [m].
+        faces: (F, 3) vertex indices.
+        inner: (F,) bool, eye sockets and mouth.
+    """
     links = coo_matrix((np.ones(faces.size), (faces.ravel(), np.roll(faces, 1, 1).ravel())), shape=(len(rest),) * 2)
     part = connected_components(links, directed=False)[1][faces[:, 0]]
     return (part == np.bincount(part).argmax()) & ~inner
 
 
 def left_half(rest: np.ndarray, faces: np.ndarray, uv_faces: np.ndarray, keep: np.ndarray) -> Half:
-    """The kept faces at x >= 0, with the holes that `keep` left closed by flat fans of existing vertices."""
+    """Return the kept faces at x >= 0; holes left by ``keep`` are closed with existing vertices.
+
+    Args:
+        rest: (V, 3) vertices [m].
+        faces: (F, 3) vertex indices.
+        uv_faces: (F, 3) texture coordinate indices.
+        keep: (F,) bool, the faces to keep.
+    """
     left = keep & (rest[faces, 0].max(1) > MIDDLE_M)
     assert rest[faces[left], 0].min() > -MIDDLE_M, "faces cross the middle plane"
     on_middle = np.abs(rest[:, 0]) < MIDDLE_M
@@ -109,10 +126,17 @@ def _triangulate(polygon: np.ndarray) -> list[tuple[int, int, int]]:
 def mirror_uv(
     faces: np.ndarray, uv_faces: np.ndarray, mirror: np.ndarray, wanted: np.ndarray, wanted_uv: np.ndarray
 ) -> np.ndarray:
-    """Texture coordinate on the right side of each wanted (vertex, coordinate) of the left side.
+    """Return the texture coordinate on the right side for each (vertex, coordinate) of the left side.
 
     Found through the edges of the whole mesh: the corner at ``a`` of the face left of edge (a, b) mirrors the
     corner at ``a'`` of the face left of edge (b', a').
+
+    Args:
+        faces: (F, 3) vertex indices of the whole mesh.
+        uv_faces: (F, 3) texture coordinate indices of the whole mesh.
+        mirror: (V,) index of every vertex's mirror image.
+        wanted: vertex indices of the left side, of any shape.
+        wanted_uv: their texture coordinate indices, of the same shape.
     """
     after, before = {}, {}  # texture coordinate at an edge's end and at its start
     for face, uv_face in zip(faces.tolist(), uv_faces.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""People sampled from anny, straightened to SMPL's T-pose: y up, facing +z, left is +x, the pelvis joint at 0."""
+"""People sampled from anny, straightened to SMPL's T-pose: y up, facing +z, left is +x, pelvis joint at the origin."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -46,7 +46,7 @@ TWIST_AT_ELBOW = 0.5  # share of the forearm's pronation that turns it at the el
 
 @dataclass(frozen=True)
 class Skin:
-    """anny's mesh in SMPL's terms, over n sampled people."""
+    """anny's mesh in SMPL's layout, for n sampled people."""
 
     rest: np.ndarray  # (V, 3) m, anny's own rest pose, exactly symmetric
     vertices: np.ndarray  # (n, V, 3) m, T-pose
@@ -60,7 +60,12 @@ class Skin:
 
 
 def sample_people(count: int, seed: int) -> Skin:
-    """Adults of all builds: ages 18 to 80, heights and weights as anny calibrated them on the WHO's statistics."""
+    """Sample adults: ages 18 to 80, heights and weights as anny calibrated them on the WHO's statistics.
+
+    Args:
+        count: number of people.
+        seed: of the random numbers.
+    """
     import anny
     from anny.face_segmentation import get_face_segmentation_mask
     from anny.shape_distribution import SimpleShapeDistribution
@@ -103,7 +108,7 @@ def sample_people(count: int, seed: int) -> Skin:
 
 
 def _to_y_up(points: np.ndarray) -> np.ndarray:
-    """anny has z up and faces -y."""
+    """Turn anny's coordinates (z up, facing -y) to y up, facing +z."""
     return np.stack([points[..., 0], points[..., 2], -points[..., 1]], -1)
 
 
@@ -118,7 +123,12 @@ def _smpl_weights(model: Any) -> np.ndarray:
 
 
 def smooth_weights(weights: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Averaged with their neighbours' a few times: MakeHuman's elbows are so sharp that straightened ones crease."""
+    """Average skinning weights with their neighbours' a few times; MakeHuman's sharp elbows crease when straightened.
+
+    Args:
+        weights: (V, 24) skinning weights.
+        faces: (F, 3) vertex indices.
+    """
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     count = np.bincount(ends[:, 0], minlength=len(weights))[:, None]
@@ -130,7 +140,11 @@ def smooth_weights(weights: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def largest_weights(weights: np.ndarray) -> np.ndarray:
-    """Only the few largest of every vertex; of two equal ones, left and right, neither or both."""
+    """Keep the largest few weights of every vertex; equal ones of left and right are kept or dropped together.
+
+    Args:
+        weights: (V, 24) skinning weights.
+    """
     too_small = -np.sort(-weights, axis=1)[:, WEIGHTS_PER_VERTEX, None]
     kept = np.where(weights > too_small + 1e-9, weights, 0)
     return kept / kept.sum(1, keepdims=True)
@@ -148,13 +162,16 @@ def _joint_of(label: str) -> int:
 def straighten(
     vertices: np.ndarray, joints: np.ndarray, knuckles: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(vertices, joints) of one person in the T-pose, from anny's A-pose.
+    """Return (vertices, joints) of one person in the T-pose, from anny's A-pose.
 
     The T-pose is the one whose linear blend skinning gives anny's A-pose back exactly: the blended transform is
     inverted, not blended from inverted parts, so arms that hang down look as MakeHuman's artists drew them.
 
     Args:
-        knuckles: (2 sides, index and pinky, 3), where these fingers begin.
+        vertices: (V, 3) in the A-pose [m].
+        joints: (24, 3) in the A-pose [m].
+        knuckles: (2 sides, index and pinky, 3), where these fingers begin [m].
+        weights: (V, 24) skinning weights.
     """
     turn = t_pose_rotations(joints, knuckles)  # global, A-pose to T-pose
     straight = np.zeros_like(joints)
@@ -167,7 +184,12 @@ def straighten(
 
 
 def t_pose_rotations(joints: np.ndarray, knuckles: np.ndarray) -> np.ndarray:
-    """(24, 3, 3) global rotation of every joint that brings the A-pose into the T-pose."""
+    """Return the global rotation (24, 3, 3) of every joint that takes the A-pose to the T-pose.
+
+    Args:
+        joints: (24, 3) in the A-pose [m].
+        knuckles: (2 sides, index and pinky, 3) [m].
+    """
     turn = np.tile(np.eye(3), (len(joints), 1, 1))
     for side, sign in enumerate((1.0, -1.0)):
         hip, knee, ankle = np.array([1, 4, 7]) + side

@@ -23,11 +23,11 @@ _AXES = {"rx": 0, "ry": 1, "rz": 2}
 
 @dataclass
 class Bone:
-    """A bone of the skeleton: it turns about its upper end, in axes of its own.
+    """A bone of the skeleton; it rotates about its upper end, in its own axes.
 
     Attributes:
         offset: from its upper to its lower end in the rest pose [cm].
-        axes: turns the database's axes into the bone's.
+        axes: rotation from the database's axes to the bone's.
     """
 
     name: str
@@ -38,13 +38,21 @@ class Bone:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     parser.add_argument("--skeletons", type=folder, required=True, metavar="DIR", help="SUBJECT.asf, SUBJECT_TAKE.amc")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the BVH files go")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Convert all takes below a folder."""
+    """Convert all takes below a folder.
+
+    Args:
+        options: the parsed options.
+    """
     options.out.mkdir(parents=True, exist_ok=True)
     counter = Counter("takes", 10)
     takes = [
@@ -61,7 +69,11 @@ def run(options: argparse.Namespace) -> None:
 
 
 def read_skeleton(text: str) -> Bone:
-    """The tree of bones of an .asf file."""
+    """Parse the tree of bones from an .asf file.
+
+    Args:
+        text: content of the file.
+    """
     root = Bone("root", free=("tx", "ty", "tz", "rx", "ry", "rz"))
     bones, section, bone = {"root": root}, "", root
     for words in (line.split() for line in text.splitlines() if line.strip()):
@@ -84,7 +96,11 @@ def read_skeleton(text: str) -> Bone:
 
 
 def read_take(text: str) -> list[dict[str, list[float]]]:
-    """The frames of an .amc file: the numbers of every bone that moves."""
+    """Parse the frames of an .amc file into the numbers of every moving bone.
+
+    Args:
+        text: content of the file.
+    """
     frames: list[dict[str, list[float]]] = []
     for words in (line.split() for line in text.splitlines() if line.strip() and line[0] not in "#:"):
         if len(words) == 1:
@@ -95,7 +111,12 @@ def read_take(text: str) -> list[dict[str, list[float]]]:
 
 
 def bvh(root: Bone, frames: list[dict[str, list[float]]]) -> str:
-    """The text of a BVH file: each bone's joint is its upper end, at rest as the skeleton stands."""
+    """Return the text of a BVH file; a bone's joint is its upper end in the rest pose.
+
+    Args:
+        root: of the skeleton.
+        frames: per frame the numbers of every moving bone.
+    """
     lines, columns = ["HIERARCHY"], []
     rows = np.array([frame["root"][:3] for frame in frames]) * _CM
     columns.append(rows)

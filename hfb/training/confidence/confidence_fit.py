@@ -1,4 +1,4 @@
-"""Make hfb/fitting/data/confidence.json, and directions.json, from benchmarks whose truth is known.
+"""Fit hfb/fitting/data/confidence.json and directions.json to benchmarks with known truth.
 
 hfb train confidence --simulated DIR --network DIR --matte DIR --new-simulated DIR ... --out hfb/fitting/data
 """
@@ -48,7 +48,7 @@ _COARSE = (0.0, 0.6, 0.8, 1.0)
 
 @dataclass(frozen=True)
 class Case:
-    """What an answered case of a benchmark tells."""
+    """Joint errors, directions and direction events of one benchmark case with a result."""
 
     joints: JointCase
     hypotheses: DirectionCase
@@ -56,12 +56,16 @@ class Case:
 
     @property
     def person(self) -> str:
-        """Who made the recording."""
+        """The person of the recording."""
         return person_of(self.joints.recording)
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     for kind in get_args(StartKind):
         of_kind = f"folders of hfb benchmark whose starts are of the kind {kind}"
@@ -82,7 +86,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Fit the coefficients of every kind of start and write them, with how well they do on people left out."""
+    """Fit the coefficients of every kind of start and write them, with how well they do on people left out.
+
+    Args:
+        options: the parsed options.
+    """
     if options.directions:
         write_directions(options.directions, options.several, options.methods[0], options.out / "directions.json")
     known, new = (
@@ -100,12 +108,21 @@ def run(options: argparse.Namespace) -> None:
 
 
 def cases_of(folders: Sequence[Path], methods: Sequence[str]) -> list[Case]:
-    """The cases of some benchmarks."""
+    """Read the cases of several benchmarks.
+
+    Args:
+        folders: results of hfb benchmark.
+        methods: names of the methods whose results count.
+    """
     return [case for folder in folders for method in methods for case in read_cases(folder, method)]
 
 
 def person_of(recording: str) -> str:
-    """The person who made a recording: CMU's subject, else the recording itself."""
+    """Return the person of a recording: CMU's subject, or the recording's name.
+
+    Args:
+        recording: its name.
+    """
     found = _PERSON.search(recording)
     return found[1] if found else recording
 
@@ -113,9 +130,16 @@ def person_of(recording: str) -> str:
 def write_confidence(
     cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], features: str | None, path: Path
 ) -> None:
-    """Coefficients per kind, pulled to those of the file's ``prior``, whose exponent all kinds share.
+    """Fit the coefficients of every kind of start and write them.
 
-    A kind for which the prior itself is nearer to what happened, on people left out of both, keeps it.
+    The fit is regularised towards the file's ``prior``, whose exponent all kinds share. A kind keeps the prior where it
+    is better calibrated on people left out.
+
+    Args:
+        cases: per kind of start, to fit to.
+        new: per kind of start, to measure on only.
+        features: comma-separated names; None for all of the cases.
+        path: confidence.json, which exists.
     """
     earlier = read_story(path)
     prior = ConfidenceModel(**earlier["prior"])
@@ -141,7 +165,13 @@ def write_confidence(
 
 
 def write_trust(cases: Mapping[StartKind, Sequence[Case]], new: Mapping[StartKind, Sequence[Case]], path: Path) -> None:
-    """How far the odds of directions can be trusted from every kind of start, and how they hold on people left out."""
+    """Fit how far the odds of directions can be trusted from every kind of start, and measure on people left out.
+
+    Args:
+        cases: per kind of start, to fit to.
+        new: per kind of start, to measure on only.
+        path: directions.json, which exists.
+    """
     events = {kind: [event for case in given for event in case.events] for kind, given in cases.items()}
     content = read_story(path)
     content["trust"] = {}
@@ -212,7 +242,14 @@ def _off(measured: Mapping[str, float]) -> float:
 
 
 def write_directions(singles: Sequence[Path], several: Sequence[Path], method: str, path: Path) -> None:
-    """The odds of directions from benchmarks of one frame, and of several frames where there are any."""
+    """Fit the odds of directions to benchmarks of one frame, and of several frames where given.
+
+    Args:
+        singles: folders of hfb benchmark with one frame.
+        several: folders with several frames; where empty, single frames stand in.
+        method: whose results count.
+        path: directions.json, which exists.
+    """
     one, more = ([case.hypotheses for case in cases_of(folders, [method])] for folders in (singles, several))
     odds = {"single": fit_direction_odds(one), "several": fit_direction_odds(more or one)}
     made_from = {"methods": [method], "cases_of_one_frame": len(one), "cases_of_several": len(more)}
@@ -220,7 +257,12 @@ def write_directions(singles: Sequence[Path], several: Sequence[Path], method: s
 
 
 def read_cases(folder: Path, method: str) -> Iterator[Case]:
-    """Every answered case of a benchmark."""
+    """Read every case of a benchmark that the method has a result for.
+
+    Args:
+        folder: of hfb benchmark.
+        method: name of the method.
+    """
     for answer in sorted((folder / "methods" / method).glob("case_*")):
         if not (answer / "alternatives.npz").exists():
             continue
@@ -241,5 +283,10 @@ def read_cases(folder: Path, method: str) -> Iterator[Case]:
 
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
-    """Whole or not at all."""
+    """Write a JSON file atomically.
+
+    Args:
+        path: the file.
+        content: anything JSON can hold.
+    """
     write_bytes_atomic(path, json.dumps(content, indent=1).encode() + b"\n")

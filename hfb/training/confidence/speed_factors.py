@@ -1,6 +1,6 @@
-"""Make hfb/report/data/limb_speed.json from benchmarks whose truth is known: how far a limb's top speed may be off.
+"""Fit the error factors of a limb's top speed to benchmarks with known truth; writes limb_speed.json.
 
-hfb train limb-speeds --singles BENCHMARK --several BENCHMARK --method best --out hfb/report/data
+hfb train limb-speeds --singles BENCHMARK --several BENCHMARK --method best --out hfb/report/pages/data
 """
 
 import argparse
@@ -14,7 +14,7 @@ from hfb.datasets.truth import load_truth
 from hfb.errors import InputError
 from hfb.io.atomic import write_bytes_atomic
 from hfb.motion.motion_file import load_motion
-from hfb.report.limb_speed import LIMB_ENDS, sureness_m_s
+from hfb.report.pages.limb_speed import LIMB_ENDS, sureness_m_s
 from hfb.training.flags import folder
 
 _SHARE = 0.8
@@ -22,7 +22,11 @@ _FILE = "limb_speed.json"
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--singles", type=folder, nargs="+", required=True, metavar="DIR", help="of hfb benchmark, one frame")
     add("--several", type=folder, nargs="+", required=True, metavar="DIR", help="of hfb benchmark --frames 2 ...")
@@ -31,7 +35,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Find the factors, and count true speeds inside where half of the recordings gave the factors."""
+    """Find the factors; measure on one half of the recordings with factors of the other half.
+
+    Args:
+        options: the parsed options.
+    """
     found: dict[str, Any] = {"share": _SHARE, "measured": {}}
     for name, folders in (("single", options.singles), ("several", options.several)):
         rows = np.array([row for folder in folders for row in speeds_of(folder, options.method)])
@@ -45,14 +53,22 @@ def run(options: argparse.Namespace) -> None:
 
 
 def factors_of(rows: np.ndarray) -> tuple[float, float]:
-    """Quantiles of (true - fitted top speed) over (radius / exposure)."""
+    """Return the quantiles of (true - fitted top speed) over (radius / exposure).
+
+    Args:
+        rows: as `speeds_of` has them.
+    """
     fitted, true, scale = rows[:, 2:].T
     low, high = np.quantile((true - fitted) / scale, [(1 - _SHARE) / 2, (1 + _SHARE) / 2])
     return float(low), float(high)
 
 
 def held_out(rows: np.ndarray) -> list[float]:
-    """The share inside of slow, middle and fast limbs, each half by the other half's factors."""
+    """Return the share of true speeds inside, of slow, middle and fast limbs, each half with the other half's factors.
+
+    Args:
+        rows: as `speeds_of` has them.
+    """
     inside = np.zeros(len(rows), bool)
     for half in (0, 1):
         mine = rows[:, 0] % 2 == half
@@ -64,7 +80,12 @@ def held_out(rows: np.ndarray) -> list[float]:
 
 
 def speeds_of(folder: Path, method: str) -> list[tuple[int, int, float, float, float]]:
-    """(case, joint, fitted and true top speed, radius over exposure [m/s]) of every limb in every frame."""
+    """Return (case, joint, fitted and true top speed, radius over exposure [m/s]) of every limb in every frame.
+
+    Args:
+        folder: of hfb benchmark.
+        method: name of the method.
+    """
     rows = []
     for case, answer in enumerate(sorted((folder / "methods" / method).glob("case_*"))):
         truth = load_truth(folder / "cases" / answer.name / "truth.npz").motion
@@ -80,5 +101,10 @@ def speeds_of(folder: Path, method: str) -> list[tuple[int, int, float, float, f
 
 
 def top_speed(path: np.ndarray, times_s: np.ndarray) -> float:
-    """The highest speed between neighbouring instants."""
+    """Return the highest speed between neighbouring instants [m/s].
+
+    Args:
+        path: (n, 3) positions [m].
+        times_s: (n,) instants.
+    """
     return float((np.linalg.norm(np.diff(path, axis=0), axis=-1) / np.diff(times_s)).max())

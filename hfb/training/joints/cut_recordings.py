@@ -10,14 +10,22 @@ _SECONDS, _SHORTEST_S = 8.0, 0.7
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     parser.add_argument("--bvh", type=folder, required=True, metavar="DIR", help="recordings SUBJECT_TRIAL.bvh")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the clips go")
     parser.add_argument("--hz", type=float, help="of all recordings, where their files state a wrong rate")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write every recording without its first frame, a T-pose, in equal parts of eight seconds at most."""
+    """Write every recording without its first frame, a T-pose, in equal parts of at most eight seconds.
+
+    Args:
+        options: the parsed options.
+    """
     options.out.mkdir(parents=True, exist_ok=True)
     recordings = sorted(options.bvh.rglob("*.bvh"))
     if not recordings:

@@ -1,8 +1,8 @@
 """Draw people with doubles: `hfb train joints-doubles --mocap DIR --backgrounds DIR --out d1 --count 9000`.
 
-To compare a picture with a fit's own is learned from fits (`joint_fits`), each of which takes most of a second. A
-double is posed a little otherwise than the person, of another shape, in blurred clothes, and moves less. It is drawn
-in no time.
+Comparing an image with a fit's rendering is learned from fits (`joint_fits`), each of which takes most of a second. A
+double is a fast substitute for a fit: the person in a slightly different pose and shape, in blurred clothes, with less
+motion.
 """
 
 import argparse
@@ -30,7 +30,7 @@ _NOBODY = 0.01  # of a pixel, as in hfb.fitting.refine
 
 
 class DoublesStudio(Studio):
-    """A studio in which everybody has a double."""
+    """A studio in which every person has a double."""
 
     def _try(self, rng: np.random.Generator) -> Sample | None:
         shot = self._shot(rng)
@@ -97,12 +97,20 @@ class DoublesStudio(Studio):
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write pictures and joints as two files; a person and a double per row."""
+    """Write images and joints as two files; a person and a double per row.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     studio = DoublesStudio(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px

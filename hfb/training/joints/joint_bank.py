@@ -1,4 +1,4 @@
-"""Draw training pictures: `hfb train joints-bank --mocap DIR --backgrounds DIR --out bank --count 20000 --seed 1`."""
+"""Draw training images: `hfb train joints-bank --mocap DIR --backgrounds DIR --out bank --count 20000 --seed 1`."""
 
 import argparse
 import itertools
@@ -28,9 +28,13 @@ _OTHER = "_daz"
 
 
 def split(mocap: Path, chosen: str) -> list[str]:
-    """Names of clips: ``train``, ``dev`` (every fourth clip or take of the training subjects), ``all`` or ``report``.
+    """Return the clip names of a split; ``dev`` is every fourth clip or take of the training subjects.
 
-    No take of the other conversion is learned from that is held out, whole or in part, in the first one.
+    A take of the second conversion that is held out in the first one, whole or in part, is not trained on.
+
+    Args:
+        mocap: folder of clips named cmu_SUBJECT_TRIAL*.bvh.
+        chosen: one of `hfb.training.flags.SPLITS`.
 
     Raises:
         InputError: the folder has no clips, or their names tell no subject.
@@ -62,10 +66,17 @@ def _take(clip: str) -> str:
 
 
 class Rows:
-    """A bank that is being drawn: pictures, truths and starts as two files, which training may read meanwhile."""
+    """A training bank being drawn: images, truths and starts as two files, which training may read meanwhile."""
 
     def __init__(self, folder: Path, count: int, views: tuple[int, ...], starts: int) -> None:
-        """Room for so many samples of some views each."""
+        """Create the files.
+
+        Args:
+            folder: made where missing.
+            count: number of samples.
+            views: shape of a sample's views, empty for one.
+            starts: number of starts per sample.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         shape = (count, *views, CHANNELS, PICTURE_PX, PICTURE_PX)
         self._pictures = np.lib.format.open_memmap(folder / "pictures.npy", mode="w+", dtype=np.uint8, shape=shape)
@@ -79,11 +90,15 @@ class Rows:
 
     @property
     def full(self) -> bool:
-        """Whether there is no more room."""
+        """Whether all samples are drawn."""
         return self._done == len(self._pictures)
 
     def add(self, sample: Sample) -> None:
-        """The next one, where there is room."""
+        """Append a sample; a full bank ignores it.
+
+        Args:
+            sample: of the bank's shapes.
+        """
         if self.full:
             return
         self._pictures[self._done] = sample.picture
@@ -94,7 +109,7 @@ class Rows:
             self.save()
 
     def save(self) -> None:
-        """What there is, whole."""
+        """Write the samples so far, atomically."""
         self._pictures.flush()
         part = self._folder / "joints.part.npz"
         np.savez(part, done=self._done, **self._joints)  # type: ignore[arg-type]  # as in write_arrays
@@ -102,7 +117,14 @@ class Rows:
 
 
 def draw_rows(rows: Rows, draw: Callable[[np.random.Generator], Iterable[Sample]], seed: int, first: int = 0) -> None:
-    """Fill rows with what is drawn from numbered generators."""
+    """Fill a bank with samples of numbered random generators.
+
+    Args:
+        rows: the bank.
+        draw: returns the samples of one generator.
+        seed: of all generators.
+        first: number of the first generator.
+    """
     for number in itertools.count(first):
         for sample in draw(np.random.default_rng([seed, number])):
             rows.add(sample)
@@ -112,13 +134,21 @@ def draw_rows(rows: Rows, draw: Callable[[np.random.Generator], Iterable[Sample]
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
     parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first picture [0]")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write pictures, truths and starts."""
+    """Write images, truths and starts.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     studio = Studio(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px

@@ -1,4 +1,4 @@
-"""Batches for the joint network: pictures of several banks, mirrored, moved, recoloured, with other starts."""
+"""Batches for the joint network: images of several banks, mirrored, moved, recoloured, with other starts."""
 
 import argparse
 import itertools
@@ -22,13 +22,17 @@ _LEGS, _ARMS = ((4, 5), (7, 8), (10, 11)), ((18, 19), (20, 21), (22, 23))
 
 
 class Bank:
-    """Pictures with truths and starts, several files as one; what is still being drawn is left out.
+    """Images with truths and starts of several banks as one; samples not yet drawn are left out.
 
-    A row of `joint_bank` is one view of a person, one of `joint_fits` two: as seen, and as a fit has it.
+    A row of `joint_bank` is one view of a person, a row of `joint_fits` two: as observed, and as a fit renders it.
     """
 
     def __init__(self, folders: list[Path]) -> None:
-        """Map the pictures, read the joints."""
+        """Map the images, read the joints.
+
+        Args:
+            folders: of joints-bank, joints-fits or joints-doubles.
+        """
         self.folders = folders
         for folder in folders:
             if not (folder / "pictures.npy").is_file() or not (folder / "joints.npz").is_file():
@@ -37,7 +41,7 @@ class Bank:
         self.read()
 
     def read(self) -> None:
-        """The joints of all pictures that are drawn by now."""
+        """Read the joints of all images drawn by now."""
         parts = []
         for number, folder in enumerate(self.folders):
             with np.load(folder / "joints.npz") as file:
@@ -54,22 +58,38 @@ class Bank:
         return len(self.row)
 
     def draw(self, rng: np.random.Generator, count: int, last: float) -> np.ndarray:
-        """Numbers of pictures (count,), a share of them of the last folder."""
+        """Return row numbers (count,), a share of them from the last folder.
+
+        Args:
+            rng: draws the rows.
+            count: how many.
+            last: the last folder's share, in [0, 1].
+        """
         ours = int(last * count)
         newest = np.flatnonzero(self.folder == len(self.folders) - 1)
         return np.concatenate([rng.choice(newest, ours), rng.integers(len(self), size=count - ours)])
 
     def batch(self, chosen: np.ndarray) -> np.ndarray:
-        """(N, *views, C, H, W) uint8."""
+        """Return images (N, *views, C, H, W) uint8.
+
+        Args:
+            chosen: (N,) row numbers.
+        """
         return np.stack([self.pictures[self.folder[index]][self.row[index]] for index in chosen])
 
 
 def augmented(
     bank: Bank, chosen: np.ndarray, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pictures (N, V, C, H, W), starts (N, 24, 3), truths (N, V, 3, 24, 3): mirrored, recoloured, with other starts.
+    """Return augmented images (N, V, C, H, W), starts (N, 24, 3) and truths (N, V, 3, 24, 3).
 
-    All views of a person are changed alike; matters of a single picture, such as a hole in a matte, are the first's.
+    They are mirrored, recoloured, moved, and get other starts. All views of a person change alike; defects of a single
+    image, such as a hole in a matte, are the first view's.
+
+    Args:
+        bank: to draw from.
+        chosen: (N,) row numbers.
+        rng: draws the augmentation.
     """
     count = len(chosen)
     seen, joints = bank.batch(chosen), bank.truth[chosen]
@@ -160,7 +180,13 @@ def _confused(bank: Bank, chosen: np.ndarray, rng: np.random.Generator) -> np.nd
 
 
 def as_large(starts: torch.Tensor, truth: torch.Tensor, log_factor: torch.Tensor) -> torch.Tensor:
-    """Starts (N, 24, 3) that seem as large as the person: an estimate from a picture cannot know the true size."""
+    """Rescale starts to the person's apparent size: an estimate from an image cannot know the true size.
+
+    Args:
+        starts: (N, 24, 3) in the window's units.
+        truth: (N, 24, 3) in the window's units.
+        log_factor: (N,) logarithm of a further scale.
+    """
     centre = starts[..., :2].mean(1, keepdim=True)
     spread, wanted = (
         (one[..., :2] - one[..., :2].mean(1, keepdim=True)).square().sum((1, 2)).sqrt() for one in (starts, truth)
@@ -171,7 +197,14 @@ def as_large(starts: torch.Tensor, truth: torch.Tensor, log_factor: torch.Tensor
 
 @dataclass(frozen=True)
 class Batch:
-    """Pictures (N, V, C, H, W) with starts (N, 24, 3), truths (N, V, 3, 24, 3), heights (N, V) [m]; of V views each."""
+    """Images, starts and truths of N samples of V views each.
+
+    Attributes:
+        pictures: (N, V, C, H, W).
+        starts: (N, 24, 3) in the window's units.
+        truth: (N, V, 3, 24, 3) at u = 0, 1/2 and 1.
+        height_m: (N, V).
+    """
 
     pictures: torch.Tensor
     starts: torch.Tensor
@@ -179,12 +212,16 @@ class Batch:
     height_m: torch.Tensor
 
     def on(self, device: str) -> "Batch":
-        """The same in a device's memory."""
+        """Return the batch in a device's memory.
+
+        Args:
+            device: such as ``cuda``.
+        """
         return Batch(*(getattr(self, one.name).to(device) for one in fields(self)))
 
 
 class Batches(IterableDataset[list[Batch]]):
-    """Lists of one or two batches for an iteration each, of plain pictures and of pictures beside others, for ever."""
+    """An endless stream of lists of one or two batches per iteration: single images, and images beside fits."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options

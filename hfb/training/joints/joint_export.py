@@ -1,4 +1,4 @@
-"""Ship what was trained: `hfb train joints-export --run DIR --held-out BANK --out hfb/evidence/data`."""
+"""Export trained weights for shipping: `hfb train joints-export --run DIR --held-out BANK --out hfb/evidence/data`."""
 
 import argparse
 from pathlib import Path
@@ -32,7 +32,11 @@ _DATA = {
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--run", type=folder, required=True, metavar="DIR", help="of hfb train joints")
     add("--held-out", type=folder, required=True, metavar="DIR", help="a bank of motions that training never saw")
@@ -42,7 +46,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write half-precision weights and, beside them, what made them."""
+    """Write half-precision weights and their provenance.
+
+    Args:
+        options: the parsed options.
+    """
     network = JointNetwork()
     trained = read_weights(options.run / "average.pt")
     if options.share < 1:

@@ -1,6 +1,7 @@
 """Draw fits to learn from: `hfb train joints-fits --mocap DIR --backgrounds DIR --out f1 --count 2000`.
 
-Every row is a picture and what a fit makes of it before its stages of full size, as that is when the two are compared.
+Every row is an image and a fit's rendering of it before the full-resolution stages: the point at which the joint
+network compares the two.
 """
 
 import argparse
@@ -38,7 +39,7 @@ _HASTE_WHOLE, _SUBFRAMES_WHOLE = (0.3, 0.8), 5
 
 @dataclass(frozen=True)
 class Watched:
-    """A person as cameras see him: first and last instant of every exposure, its matte as estimated, and the truth."""
+    """A person in one or two exposures: first and last instant of each, the estimated mattes, and the truth."""
 
     shot: Shot
     exposures: tuple[tuple[int, int], ...]
@@ -47,7 +48,7 @@ class Watched:
 
 
 class Gym(Studio):
-    """A studio whose pictures are fitted."""
+    """A studio whose images are fitted."""
 
     def __init__(self, mocap: Path, backgrounds: Path, clips: list[str], seed: int, frame_px: int) -> None:
         """Read the named clips and make the scenes."""
@@ -56,7 +57,11 @@ class Gym(Studio):
         self.hasty = hasty
 
     def rows(self, rng: np.random.Generator) -> list[Sample]:
-        """One or two frames of one person; draws in which nobody is found are drawn again."""
+        """Draw one or two frames of one person and fit them; draws without a visible person are repeated.
+
+        Args:
+            rng: of the person.
+        """
         return until_found(lambda: self._fitted(rng))
 
     def _fitted(self, rng: np.random.Generator) -> list[Sample] | None:
@@ -157,7 +162,11 @@ class Gym(Studio):
 
 
 def hasty(rng: np.random.Generator) -> FitConfig:
-    """What ships, up to before the stages of full size and in some haste."""
+    """Return the shipped options with fewer iterations, without the full-resolution stages.
+
+    Args:
+        rng: draws the share of the iterations.
+    """
     config, haste = preset("best").fit, rng.uniform(*_HASTE)
     few = tuple(stage for stage in config.stages if stage.size_px < config.stages[-1].size_px)
     changed = {
@@ -170,7 +179,11 @@ def hasty(rng: np.random.Generator) -> FitConfig:
 
 
 def hasty_whole(rng: np.random.Generator) -> FitConfig:
-    """What ships, in some haste."""
+    """Return the shipped options with fewer iterations.
+
+    Args:
+        rng: draws the share of the iterations.
+    """
     config, haste = preset("best").fit, rng.uniform(*_HASTE_WHOLE)
     return _in_haste(config.model_copy(update={"subframes": _SUBFRAMES_WHOLE}), haste)
 
@@ -188,12 +201,20 @@ def _in_haste(config: FitConfig, haste: float) -> FitConfig:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write pictures and joints as two files; one frame per row."""
+    """Write images and joints as two files; one frame per row.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     gym = Gym(options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px)
     draw_rows(Rows(options.out, options.count, (2,), starts=1), gym.rows, options.seed)

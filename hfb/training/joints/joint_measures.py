@@ -1,4 +1,4 @@
-"""How well the joint network knows pictures it never saw."""
+"""Errors of the joint network on held-out images."""
 
 from typing import Any
 
@@ -10,7 +10,13 @@ from hfb.training.joints.joint_batches import Bank, as_large
 
 
 def measure(network: JointNetwork, bank: Bank, most: int = 600) -> dict[str, Any]:
-    """Errors relative to the pelvis in millimetres: the start's, the claim's; how often the sign is right."""
+    """Return errors about the pelvis [mm] of start and network, and how often the path's sign is right.
+
+    Args:
+        network: set to evaluation.
+        bank: held out.
+        most: largest number of images.
+    """
     network.eval()
     rows: dict[str, list[torch.Tensor]] = {
         "start": [],
@@ -47,5 +53,9 @@ def measure(network: JointNetwork, bank: Bank, most: int = 600) -> dict[str, Any
 
 
 def relative(joints: torch.Tensor) -> torch.Tensor:
-    """Joints from the pelvis."""
+    """Return joints relative to the pelvis.
+
+    Args:
+        joints: (N, 24, 3).
+    """
     return joints - joints[:, :1]

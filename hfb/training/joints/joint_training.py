@@ -31,11 +31,13 @@ _AVERAGE = 0.998
 
 
 def loss_of(claim: JointClaim, truth: torch.Tensor, height_m: torch.Tensor, views: int) -> torch.Tensor:
-    """L1 of every round, the last one's Laplace likelihood, the path up to its sign, the sign, the height.
+    """Return the sum of L1 per round, Laplace likelihood, path up to its sign, the sign, bones and height.
 
     Args:
-        claim: about N * views pictures. truth: (N * views, 3, 24, 3). views: of one person, one after the other; with
-            two of them their difference counts, too.
+        claim: the network's output for N * views images.
+        truth: (N * views, 3, 24, 3) joints at u = 0, 1/2 and 1 in the window's units.
+        height_m: (N * views,) height of the person.
+        views: of one person, in sequence; with two the difference between them counts, too.
     """
     middle, path = truth[:, 1], truth[:, 2] - truth[:, 0]
     axes = truth.new_tensor(_AXES)
@@ -74,7 +76,11 @@ def _bones(joints: torch.Tensor) -> torch.Tensor:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_schedule_flags(parser, iterations=6000, batch=64, rate=1.5e-3, seed=0)
     add = parser.add_argument
     add("--bank", type=folder, nargs="*", default=[], metavar="DIR", help="of hfb train joints-bank")
@@ -89,7 +95,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Learn along a cosine; at times write a checkpoint of the averaged weights, measure, and read newer pictures."""
+    """Train with a cosine schedule; periodically save averaged weights, measure, and read newer images.
+
+    Args:
+        options: the parsed options.
+    """
     if not options.bank and not options.fits:
         raise InputError("nothing to learn from: give --bank or --fits")
     torch.set_num_threads(options.threads)

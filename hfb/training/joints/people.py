@@ -1,4 +1,4 @@
-"""People with known joints before a random camera, with starts that err; motions are mocap and generated ones."""
+"""People with known joints in front of a random camera, with erroneous starts; motions are mocap and generated."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -85,12 +85,22 @@ class People:
         )
 
     def stills(self, erring: torch.Tensor) -> torch.Tensor:
-        """Joints (S, 24, 3) from the pelvis, of the mean body."""
+        """Return joints (S, 24, 3) from the pelvis, of the mean body [m].
+
+        Args:
+            erring: (S, 24, 3) axis-angle [rad].
+        """
         stills = self.mean.joints_of(axis_angle_to_matrix(erring), torch.zeros(len(erring), 3))
         return stills - stills[:, :1]
 
     def erring(self, poses: np.ndarray, turns: np.ndarray, amplitudes: np.ndarray) -> torch.Tensor:
-        """Poses (S, 24, 3) as networks say them, axis-angle."""
+        """Return poses (S, 24, 3) with the errors of pose networks, axis-angle [rad].
+
+        Args:
+            poses: (S, 24, 3) true poses, axis-angle [rad].
+            turns: random rotations of the errors.
+            amplitudes: (S,) scale of the errors.
+        """
         errors = pose_errors(torch.from_numpy(poses).float(), turns)
         errors = replace(errors, turns=errors.turns * torch.from_numpy(amplitudes)[:, None, None].float())
         return errors.poses_at(torch.tensor([0.5, 1.0]))[-1]
@@ -107,12 +117,20 @@ class People:
 
 
 def draw_moments(rng: np.random.Generator) -> np.ndarray:
-    """Which instants of an exposure static estimators believe to see."""
+    """Draw the instants of an exposure that static estimators respond to.
+
+    Args:
+        rng: of the sample.
+    """
     return np.clip(np.round(rng.normal(0.5, 0.2, STARTS) * (INSTANTS - 1)), 0, INSTANTS - 1).astype(int)
 
 
 def draw_amplitude(rng: np.random.Generator) -> float:
-    """How much a network errs: from hardly at all to more than any does."""
+    """Draw the scale of a pose network's errors, from nearly none to more than any network's.
+
+    Args:
+        rng: of the sample.
+    """
     return float(rng.uniform(0.05, 1.3)) if rng.random() < 0.93 else 0.01
 
 

@@ -1,7 +1,7 @@
-"""Twice the channels, the same answers: `hfb train joints-widen --run small --out wide`.
+"""Double the channels of a network without changing its output: `hfb train joints-widen --run small --out wide`.
 
-Every wide channel is a twin of a narrow one, and each outgoing weight is split at random between the twins (Chen et al.
-2016, "Net2Net", section 2.3), so that they part as soon as they learn.
+Every wide channel is a copy of a narrow one, and each outgoing weight is split at random between the copies (Chen et
+al. 2016, "Net2Net", section 2.3), so that they diverge during training.
 """
 
 import argparse
@@ -15,7 +15,12 @@ from hfb.training.weight_files import read_weights, write_checkpoint
 
 
 def widened(small: JointNetwork, seed: int) -> JointNetwork:
-    """A network of today's widths that computes what the small one does."""
+    """Return a network of the wide widths that computes the same as the small one.
+
+    Args:
+        small: of the small widths.
+        seed: of the random splits.
+    """
     draws = torch.Generator().manual_seed(seed)
     wide = JointNetwork(WIDE)
     narrow, state = small.state_dict(), wide.state_dict()
@@ -38,14 +43,22 @@ def widened(small: JointNetwork, seed: int) -> JointNetwork:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     parser.add_argument("--run", type=folder, required=True, metavar="DIR", help="of hfb train joints --small")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the weights")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="of how weights are split [0]")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Read the small network's weights, write the wide one's."""
+    """Read the small network's weights, write the wide one's.
+
+    Args:
+        options: the parsed options.
+    """
     small = JointNetwork(SMALL)
     small.load_state_dict(read_weights(options.run / "average.pt"))
     options.out.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
-"""Train and write the depth fusion: `hfb train fusion --fits f1.npz f2.npz --held-out fdev.npz --out DIR`.
+"""Train and export the depth fusion: `hfb train fusion --fits f1.npz f2.npz --held-out fdev.npz --out DIR`.
 
-Learns from fits alone (`lifting_fits`), of one frame and of two. What the lifting network says of them is asked
-anew: its weights are those of the package.
+It learns from fits alone (`lifting_fits`), of one frame and of two. The lifting network's depth is computed anew with
+the package's weights.
 """
 
 import argparse
@@ -27,11 +27,14 @@ _CHECK_EVERY = 500
 
 @dataclass(frozen=True)
 class Rows:
-    """N frames of fits, each with its mirror image; in units of their windows.
+    """N frames of fits, each with its mirror image, in units of their windows.
 
     Attributes:
-        facts: (N, 2, 24, f). lifted: (N, 2, 24) depth by the lifting network. truth: (N, 2, 24).
-        unit_m: (N, 1, 1). other: of the held-out ones, (N, 24) by what is told of depth and by name.
+        facts: (N, 2, 24, f) input of the network.
+        lifted: (N, 2, 24) depth from the lifting network.
+        truth: (N, 2, 24) true depth.
+        unit_m: (N, 1, 1) the unit's length.
+        other: of held-out rows, other estimates of depth (N, 24) by name.
     """
 
     facts: torch.Tensor
@@ -42,7 +45,11 @@ class Rows:
 
     @staticmethod
     def read(path: Path) -> "Rows":
-        """A file of `lifting_fits`."""
+        """Read a file of `lifting_fits`.
+
+        Args:
+            path: the file.
+        """
         file = {name: torch.from_numpy(np.asarray(values)) for name, values in read_arrays(path).items()}
         mirror, rows = list(MIRROR), []
         for row in range(len(file["joints"])):
@@ -70,7 +77,11 @@ class Rows:
 
     @staticmethod
     def joined(parts: "list[Rows]") -> "Rows":
-        """All of them."""
+        """Concatenate rows.
+
+        Args:
+            parts: at least one.
+        """
         facts, lifted, truth, unit_m = (
             torch.cat([getattr(one, name) for one in parts]) for name in ("facts", "lifted", "truth", "unit_m")
         )
@@ -86,11 +97,19 @@ class Rows:
         return len(self.truth)
 
     def off_mm(self, depth: torch.Tensor) -> torch.Tensor:
-        """Mean error of depths (n, 2, 24) of all frames."""
+        """Return the mean depth error of all frames [mm].
+
+        Args:
+            depth: (n, 2, 24) in units of the windows.
+        """
         return 1000 * ((depth - self.truth).abs() * self.unit_m).mean()
 
     def batch(self, count: int) -> "Rows":
-        """Some of them."""
+        """Draw random rows.
+
+        Args:
+            count: how many.
+        """
         chosen = torch.randint(len(self), (count,))
         return Rows(self.facts[chosen], self.lifted[chosen], self.truth[chosen], self.unit_m[chosen], {})
 
@@ -100,7 +119,12 @@ def _depth(joints: torch.Tensor) -> torch.Tensor:
 
 
 def measure(network: DepthFusion, rows: Rows) -> dict[str, float]:
-    """Errors of depth [mm]: of all that is told, of what shipped before, and of the network."""
+    """Return depth errors [mm] of every input estimate, of the earlier fixed shares, and of the network.
+
+    Args:
+        network: in training; set to evaluation meanwhile.
+        rows: held out.
+    """
     network.eval()
     told = rows.other | {"lifted": rows.lifted[:, 0]}
     shares = 0.75 * told["lifted"] + told["claimed"] - 0.75 * told["shown"]
@@ -115,7 +139,11 @@ def measure(network: DepthFusion, rows: Rows) -> dict[str, float]:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--fits", type=file, nargs="+", required=True, metavar="FILE", help="of hfb train lifting-fits")
     add("--held-out", type=file, nargs="+", required=True, metavar="FILE", help="of motions that training never saw")
@@ -124,7 +152,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Learn by AdamW on L1 in millimetres along a cosine, averaged weights."""
+    """Train by AdamW on L1 in millimetres with a cosine schedule and averaged weights.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(0)
     rows = Rows.joined([Rows.read(path) for path in options.fits])

@@ -1,4 +1,4 @@
-"""Draw joints without pictures: `hfb train lifting-bank --mocap DIR --out l1.npz --count 60000`."""
+"""Draw joints without images: `hfb train lifting-bank --mocap DIR --out l1.npz --count 60000`."""
 
 import argparse
 from dataclasses import dataclass
@@ -28,12 +28,13 @@ _FRAME_PX = 144
 
 @dataclass(frozen=True)
 class _Person:
-    """Somebody in two exposures, before anybody has guessed his pose.
+    """A person in two exposures, before any estimate of the pose.
 
     Attributes:
-        joints: (INSTANTS, 24, 3), camera coordinates [m]. poses: (2, 24, 3) true ones, one within each exposure.
+        joints: (INSTANTS, 24, 3), camera coordinates [m].
         lengths: (24,) of the bones to the joints' parents [m].
-        turns: (2, 24, 3), by which the guesses are off, times the ``amplitude``.
+        poses: (2, 24, 3) true ones, one within each exposure.
+        turns: (2, 24, 3), errors of the estimates in units of ``amplitude``.
     """
 
     joints: torch.Tensor
@@ -46,11 +47,17 @@ class _Person:
 
 
 class Skeletons(People):
-    """The same people, motions and cameras as of the pictures, seen as joints alone in two exposures."""
+    """The people, motions and cameras of `Studio`, as joints alone in two exposures."""
 
     def draw(self, rngs: list[np.random.Generator]) -> dict[str, np.ndarray]:
-        """Of N people: joints (N, 2, 24, 3) in mid-exposure, first guesses, in windows' units; units in metres (N, 2)
-        and as tangents (N, 2); lengths of bones (N, 24) [m]."""
+        """Return joints, first estimates, units and bone lengths of N people.
+
+        ``joints`` and ``starts`` (N, 2, 24, 3) in the windows' units, joints at mid-exposure; ``unit_m`` (N, 2);
+        ``perspective`` (N, 2), the unit as a tangent; ``lengths`` (N, 24) of bones [m].
+
+        Args:
+            rngs: one generator per person.
+        """
         people = [self._person(rng) for rng in rngs]
         poses, turns = (np.concatenate([getattr(person, name) for person in people]) for name in ("poses", "turns"))
         amplitudes = np.repeat([person.amplitude for person in people], 2)
@@ -102,12 +109,20 @@ class Skeletons(People):
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser, 60000, backgrounds=False)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write what is drawn as one file."""
+    """Write everything drawn as one file.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     people = Skeletons(options.mocap, split(options.mocap, options.split), options.seed, _FRAME_PX)
     parts: list[dict[str, np.ndarray]] = []

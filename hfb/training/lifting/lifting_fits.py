@@ -1,6 +1,6 @@
 """Draw fits to learn depth from: `hfb train lifting-fits --mocap DIR --backgrounds DIR --out f1.npz`.
 
-Two frames of a person each, or one, as joints alone: fitted in haste up to before the stages of full size
+One or two frames of a person each, as joints alone, fitted with few iterations and without the full-resolution stages
 (`joint_fits`).
 """
 
@@ -24,13 +24,15 @@ _SAVED_EVERY = 100
 
 
 class JointGym(Gym):
-    """A gym that looks at joints alone."""
+    """A gym that keeps joints alone."""
 
     def __init__(self, *studio: Any, frames: int, whole: bool) -> None:
-        """See `Studio`.
+        """Read clips and make scenes, as `Studio` does.
 
         Args:
-            frames: one or two of every person. whole: fits go on through their stages of full size.
+            *studio: arguments of `Studio`.
+            frames: per person, one or two.
+            whole: whether fits include the full-resolution stages.
         """
         super().__init__(*studio)
         self.frames = frames
@@ -38,9 +40,15 @@ class JointGym(Gym):
             self.hasty = hasty_whole
 
     def person(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Of one person in T frames what `lifting_bank` has: joints (T, 24, 3) in mid-exposure, first guesses, units
-        in metres and as tangents (T,), lengths of bones (24,) [m]; the fit's joints, and lengths (T, 24) in units; and
-        what the joint network says about the picture, the scale of its error, and what it says about the fit's own."""
+        """Return joints, estimates and the fit of one person in T frames.
+
+        As in `lifting_bank`: joints (T, 24, 3) at mid-exposure, first estimates, units in metres and as tangents (T,),
+        lengths of bones (24,) [m]. Besides the fit's joints and its lengths (T, 24) in units; the joint network's
+        estimate from the image, the scale of its error, and its estimate from the fit's rendering.
+
+        Args:
+            rng: of the person.
+        """
         watched = until_found(lambda: self._watched(rng, pairs=float(self.frames == 2)))
         firsts, found = self._fit(watched, rng)
         claim = predict_joint_evidence(watched.seen, firsts, self.body)
@@ -70,14 +78,22 @@ class JointGym(Gym):
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
     parser.add_argument("--frames", type=int, choices=(1, 2), default=2, help="of every person [2]")
     parser.add_argument("--whole", action="store_true", help="go on through the stages of full size")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write what is drawn as one file, now and then."""
+    """Write everything drawn as one file, periodically.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     clips = split(options.mocap, options.split)
     studio = (options.mocap, options.backgrounds, clips, options.seed, options.frame_px)

@@ -1,4 +1,4 @@
-"""People as joints for the lifting network: drawn ones with errors like a fit's, and fits."""
+"""People as joints for the lifting network: synthetic ones with errors like a fit's, and fits."""
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -63,8 +63,11 @@ class Bank:
     """N people in two frames each, in their windows' units.
 
     Attributes:
-        joints, starts: (N, 2, 24, 3), first guesses among the latter. unit_m, perspective: (N, 2), one unit in metres
-            and as a tangent. lengths: (N, 24) of bones [m].
+        joints: (N, 2, 24, 3).
+        starts: (N, 2, 24, 3) first estimates.
+        unit_m: (N, 2) the unit's length.
+        perspective: (N, 2) the unit as a tangent.
+        lengths: (N, 24) of bones [m].
     """
 
     joints: torch.Tensor
@@ -75,7 +78,11 @@ class Bank:
 
     @staticmethod
     def read(paths: list[Path]) -> "Bank":
-        """Files of `lifting_bank`."""
+        """Read files of `lifting_bank`.
+
+        Args:
+            paths: at least one.
+        """
         files = [read_arrays(path) for path in paths]
         return Bank(*(torch.from_numpy(np.concatenate([file[one.name] for file in files])) for one in fields(Bank)))
 
@@ -85,10 +92,12 @@ class Bank:
 
 @dataclass(frozen=True)
 class Fitted:
-    """N people in two frames each.
+    """N people in two frames each, as fits find them.
 
     Attributes:
-        told: what the network is told of them. truth: (N, 2, 24, 3) joints from the pelvis. unit_m: (N, 2).
+        told: input of the network.
+        truth: (N, 2, 24, 3) joints from the pelvis.
+        unit_m: (N, 2) the unit's length.
     """
 
     told: tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
@@ -97,7 +106,11 @@ class Fitted:
 
     @staticmethod
     def read(paths: list[Path]) -> "Fitted":
-        """Files of `lifting_fits`."""
+        """Read files of `lifting_fits`.
+
+        Args:
+            paths: at least one.
+        """
         files = [read_arrays(path) for path in paths]
         file = {name: torch.from_numpy(np.concatenate([one[name] for one in files])) for name in files[0]}
         across, start, truth = (from_pelvis(file[name]) for name in ("fitted", "starts", "joints"))
@@ -105,13 +118,17 @@ class Fitted:
         return Fitted(told, truth, file["unit_m"]).with_starts_match_spread()
 
     def with_starts_match_spread(self) -> "Fitted":
-        """First guesses that spread as wide as the joints are seen."""
+        """Rescale first estimates to the spread of the observed joints."""
         across, start, *rest = self.told
         large = match_spread(start.flatten(0, 1), across.flatten(0, 1)).unflatten(0, (-1, 2))
         return replace(self, told=(across, large, *rest))
 
     def some(self, count: int) -> "Fitted":
-        """Some of them in either order; mirrored, turned about the line of sight, and of another size."""
+        """Draw random people in either frame order: mirrored, rotated about the line of sight, and rescaled.
+
+        Args:
+            count: how many.
+        """
         rows = torch.randint(len(self.truth), (count, 1))
         order = torch.tensor([[0, 1], [1, 0]])[torch.randint(2, (count,))]
         across, start, lengths, perspective = (one[rows, order] for one in self.told)
@@ -131,16 +148,21 @@ class Fitted:
         return Fitted(told, changed(truth), self.unit_m[rows, order] / size[:, None]).with_starts_match_spread()
 
     def beside(self, other: "Fitted") -> "Fitted":
-        """These and others."""
+        """Concatenate with others.
+
+        Args:
+            other: appended.
+        """
         told = tuple(torch.cat(two) for two in zip(self.told, other.told, strict=True))
         return Fitted(told, torch.cat([self.truth, other.truth]), torch.cat([self.unit_m, other.unit_m]))  # type: ignore[arg-type]
 
 
 def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
-    """Joints across the view and bones as a fit would have them, first guesses as large as those.
+    """Add errors like a fit's to joints in the image plane and to bones; first estimates get the same size.
 
     Args:
-        levels: (N,) of the errors; 1 is as measured.
+        people: without errors.
+        levels: (N,) scale of the errors; 1 is as measured.
     """
     joints, starts = from_pelvis(people.joints), from_pelvis(people.starts)
     limbs = torch.tensor([{"left": 0, "right": 1}.get(name.partition("_")[0], 2) for name in JOINT_NAMES])
@@ -166,8 +188,14 @@ def as_fitted(people: Bank, levels: torch.Tensor) -> Fitted:
 
 
 def augmented(bank: Bank, count: int) -> Bank:
-    """Some of them: mirrored, turned about the line of sight and the vertical, as other cameras see them; some guesses
-    nearly right."""
+    """Draw random people: mirrored, rotated about the line of sight and the vertical, seen by other cameras.
+
+    A share of the first estimates is made nearly right.
+
+    Args:
+        bank: to draw from.
+        count: how many.
+    """
     rows = torch.randint(len(bank), (count, 1))
     order = torch.tensor([[0, 1], [1, 0]])[torch.randint(2, (count,))]
     joints, starts = from_pelvis(bank.joints[rows, order]), from_pelvis(bank.starts[rows, order])
@@ -201,5 +229,9 @@ def _by_a_camera(joints: torch.Tensor, perspective: torch.Tensor) -> torch.Tenso
 
 
 def from_pelvis(joints: torch.Tensor) -> torch.Tensor:
-    """Joints relative to the pelvis."""
+    """Return joints relative to the pelvis.
+
+    Args:
+        joints: (..., 24, 3).
+    """
     return joints - joints[..., :1, :]

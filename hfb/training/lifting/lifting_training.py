@@ -1,7 +1,7 @@
-"""Train and write the lifting network: `hfb train lifting --bank l1.npz --held-out dev.npz --out DIR`.
+"""Train and export the lifting network: `hfb train lifting --bank l1.npz --held-out dev.npz --out DIR`.
 
-Fits (`lifting_fits`), where given, are a share of every batch: a fit follows what networks tell it, so that its
-errors are the ones that they do not see, and no noise is like that.
+Fits (`lifting_fits`), where given, are a share of every batch: a fit's errors are correlated with the evidence it
+follows, which synthetic noise does not reproduce.
 """
 
 import argparse
@@ -36,7 +36,13 @@ def _looked_at(network: LiftingNetwork, fitted: Fitted, alone: torch.Tensor) -> 
 
 
 def measure(network: LiftingNetwork, fitted: Fitted, alone: bool) -> dict[str, float]:
-    """Errors from the pelvis in millimetres: the first guess', the given joints' across the view, the network's."""
+    """Return errors from the pelvis [mm]: of first estimates, of the fit's joints in the image plane, of the network.
+
+    Args:
+        network: in evaluation.
+        fitted: held-out people.
+        alone: whether the network sees the first frame only.
+    """
     across, start, truth = fitted.told[0][:, 0], fitted.told[1][:, 0], fitted.truth[:, 0]
     with torch.no_grad():
         off = _looked_at(network, fitted, torch.full((len(truth),), alone))[0] - truth
@@ -52,7 +58,12 @@ def measure(network: LiftingNetwork, fitted: Fitted, alone: bool) -> dict[str, f
 
 
 def measured(network: LiftingNetwork, held_out: dict[str, Fitted]) -> dict[str, dict[str, float]]:
-    """Of every kind of people, alone and in a pair."""
+    """Return `measure` of every kind of people, single frames and pairs.
+
+    Args:
+        network: in evaluation.
+        held_out: name -> people.
+    """
     return {
         f"{name}, {kind}": measure(network, people, kind == "alone")
         for name, people in held_out.items()
@@ -61,7 +72,12 @@ def measured(network: LiftingNetwork, held_out: dict[str, Fitted]) -> dict[str, 
 
 
 def held_out_people(bank: Path, fits: Path | None) -> dict[str, Fitted]:
-    """By what is told of them: errors that are drawn, and fits where there are some."""
+    """Return held-out people by the kind of error: synthetic at two levels, and fits where given.
+
+    Args:
+        bank: a file of lifting-bank.
+        fits: a file of lifting-fits, or None.
+    """
     torch.manual_seed(5)
     people = Bank.read([bank])
     drawn = {f"errors times {level}": as_fitted(people, torch.full((len(people),), level)) for level in (0.5, 1.0)}
@@ -69,7 +85,11 @@ def held_out_people(bank: Path, fits: Path | None) -> dict[str, Fitted]:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_schedule_flags(parser, iterations=1_000_000, batch=512, rate=1.5e-3, seed=0)
     parser.set_defaults(minutes=30.0)
     add = parser.add_argument
@@ -81,7 +101,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Learn by AdamW on L1 and a Laplace likelihood along a cosine; half-precision averaged weights are written."""
+    """Train by AdamW on L1 and a Laplace likelihood with a cosine schedule; averaged weights go to half precision.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(options.threads)
     bank, held_out = Bank.read(options.bank), held_out_people(options.held_out, options.held_out_fits)
     fits = Fitted.read(options.fits) if options.fits else None
@@ -124,7 +148,14 @@ def run(options: argparse.Namespace) -> None:
 
 
 def export(network: LiftingNetwork, held_out: dict[str, Fitted], folder: Path, training: dict[str, float]) -> None:
-    """Write half-precision weights and, beside them, what made them."""
+    """Write half-precision weights and their provenance.
+
+    Args:
+        network: trained.
+        held_out: name -> people, to measure on.
+        folder: for lifting.safetensors and lifting.json.
+        training: facts of the training.
+    """
     state = half(network.state_dict())
     network.load_state_dict({name: values.float() for name, values in state.items()})
     about = {

@@ -1,6 +1,6 @@
-"""Mocap for the training pictures: bone directions of any BVH skeleton, put onto the SMPL layout.
+"""Mocap for the matting images: bone directions of any BVH skeleton, transferred to the SMPL layout.
 
-Only silhouettes come of it, so a limb takes the smallest turn to its direction; a twist about itself is not sought.
+Only silhouettes are rendered, so a limb takes the smallest rotation to its direction; its twist is not recovered.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ _METRES = 0.01  # the files are in centimetres
 
 @dataclass(frozen=True)
 class Recording:
-    """Where the joints were: name -> (F, 3) [m], y up."""
+    """Joint positions of a recording: name -> (F, 3) [m], y up."""
 
     name: str
     subject: int
@@ -43,12 +43,16 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """From the first to the last frame."""
+        """Duration from the first to the last frame."""
         return (len(self.joints["hips"]) - 1) / self.fps
 
 
 def read_recording(path: Path) -> Recording:
-    """Forward kinematics of one BVH file."""
+    """Compute joint positions of a BVH file by forward kinematics.
+
+    Args:
+        path: the file, in centimetres.
+    """
     header, motion = path.read_text().split("MOTION")
     offsets, channels, parents = _hierarchy(header)
     lines = motion.strip().splitlines()
@@ -98,9 +102,11 @@ def _hierarchy(header: str) -> tuple[dict[str, np.ndarray], dict[str, list[str]]
 def poses_at(
     recording: Recording, times_s: Float[Array, "S"], rest: Float[Array, "24 3"]
 ) -> tuple[Float[Array, "S 24 3 3"], Float[Array, "S 3"]]:
-    """Rotations in the SMPL layout (local, the root's in the y-up world) and the pelvis' place [m].
+    """Return rotations in the SMPL layout (local, the root's in the y-up world) and the pelvis' position [m].
 
     Args:
+        recording: joint positions.
+        times_s: instants since the first frame.
         rest: joints of the body in its rest pose [m].
     """
     clock = np.arange(len(recording.joints["hips"])) / recording.fps

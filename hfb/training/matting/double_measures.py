@@ -1,7 +1,7 @@
-"""Measure the third network: `hfb train matting-doubles --bank held_out.npy --photos DIR...`.
+"""Measure the third matting network: `hfb train matting-doubles --bank held_out.npy --photos DIR...`.
 
-The bank is one of `hfb train matting-bank --doubles --held-out`. Of every scene the shipped
-method finds a matte; the third network finds it again beside a double.
+The bank is one of `hfb train matting-bank --doubles --held-out`. The shipped method estimates a matte of every scene;
+the third network refines it with a double in place of a fit.
 """
 
 import argparse
@@ -17,12 +17,20 @@ from hfb.training.matting.matte_measures import add_scene_flags, held_out_scenes
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_scene_flags(parser, per_family=15)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print a table; write every figure to --out."""
+    """Print a table; write every figure to --out.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     matting, network = NetworkMatting(), network_of(options.weights, SHARED_CHANNELS + FIT_CHANNELS)
     errors: dict[str, list[list[float]]] = {}

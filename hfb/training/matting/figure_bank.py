@@ -20,7 +20,11 @@ HELD_OUT_SUBJECTS = (9, 10, 13)
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--mocap", type=folder, required=True, metavar="DIR", help="clips as BVH files, cmu_SUBJECT_TRIAL*.bvh")
     add("--photos", type=folder, nargs="*", default=[], metavar="DIR", help="pictures to wear")
@@ -32,7 +36,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the bank as one array and its facts beside it."""
+    """Write the bank as one array and its facts beside it.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     recordings = [read_recording(path) for path in sorted(options.mocap.glob("*.bvh"))]
     recordings = [one for one in recordings if (one.subject in HELD_OUT_SUBJECTS) == options.held_out]

@@ -1,7 +1,7 @@
-"""Blurred people without colours: coverage and, per garment, how much of its colour every pixel saw.
+"""Blurred people without colours: coverage and, per garment, the garment's contribution to every pixel.
 
-A blurred picture is linear in the texture. So a figure is rendered once per garment, with the garment's shade as its
-texture, and gets its colours only when a training picture is put together: c_1 M_1 + c_2 M_2 + ...
+A blurred image is linear in the texture. So a figure is rendered once per garment, with the garment's shade as its
+texture, and gets its colours only when a training image is composed: c_1 M_1 + c_2 M_2 + ...
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ _KEPT, _SHAPE, _ASIDE, _DOUBLES_INSTANTS = 0.95, 0.15, 0.0007, 8
 
 @dataclass(frozen=True)
 class Figure:
-    """One person in 8 bits, and how fast they were."""
+    """One person in 8 bits, and the speed of their motion."""
 
     channels: np.ndarray  # (CHANNELS, SIZE_PX, SIZE_PX) uint8
     smear_px: float  # longest path of a joint during the exposure
@@ -55,10 +55,14 @@ class Figure:
 
 
 class Painter:
-    """The body with everything that is the same for all figures."""
+    """The body and its texture layout, shared by all figures."""
 
     def __init__(self, body: Body) -> None:
-        """Which face every texel belongs to, texels between the charts to the nearest."""
+        """Assign every texel to a face, texels between charts to the nearest.
+
+        Args:
+            body: the body model.
+        """
         self.body = body
         owner = texel_faces(body.mesh, TEXTURE_PX).numpy()
         nearest = ndimage.distance_transform_edt(owner < 0, return_distances=False, return_indices=True)
@@ -70,7 +74,11 @@ class Painter:
         self.rasterizer = make_rasterizer("coverage", "cpu", threads=1)
 
     def texture(self, of_face: np.ndarray) -> torch.Tensor:
-        """(A, A, 3) from (F, 3)."""
+        """Return a texture (A, A, 3) from a value per face.
+
+        Args:
+            of_face: (F, 3).
+        """
         return torch.from_numpy(np.ascontiguousarray(of_face[self.owner], dtype=np.float32))
 
 
@@ -81,12 +89,15 @@ def draw_figure(
     rng: np.random.Generator,
     with_double: bool = False,
 ) -> Figure:
-    """A person at a random moment of a random recording, seen from anywhere.
+    """Render a person at a random moment of a random recording, from a random side.
 
     Args:
-        photos: (h, w, 3) linear; empty: the project's own generated clothes stand in their place.
-        with_double: behind the person's channels those of somebody else, as a fit has them: a bare body, posed and
-            shaped a little otherwise, who moves less and wears a blurred texture.
+        painter: the body.
+        recordings: at least one.
+        photos: (h, w, 3) linear; empty: generated clothes replace them.
+        rng: of the figure.
+        with_double: appends the channels of a double that stands for a fit: a bare body of slightly different pose and
+            shape, with less motion and a blurred texture.
     """
     sharp = rng.random() < _SHARP
     wanted = 0.0 if sharp else float(rng.uniform(1, _LARGEST_SMEAR_PX))
@@ -231,10 +242,11 @@ def _photo_texture(painter: Painter, photos: list[np.ndarray], rng: np.random.Ge
 
 
 def _draw_things(joints_px: np.ndarray, rng: np.random.Generator) -> list[tuple[bool, np.ndarray]]:
-    """Skirts, hair, hats, bags, wide trousers, balls and sticks: (in front, coverage (S, H, W)) each.
+    """Draw skirts, hair, hats, bags, wide trousers, balls and sticks: (in front, coverage (S, H, W)) each.
 
     Args:
         joints_px: (S, 24, 2).
+        rng: of the figure.
     """
     at = {name: joints_px[:, index] for index, name in enumerate(JOINT_NAMES)}
     size = float(np.linalg.norm(at["neck"] - at["pelvis"], axis=-1).mean()) + 5

@@ -27,13 +27,19 @@ _EVERY = 50
 
 
 class MattingGym(Gym):
-    """A gym whose mattes are those in use, but for the moving layer."""
+    """A gym with the shipped mattes, except for the moving layer."""
 
     matting = NetworkMatting()
 
     def mattes(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """(12, SIZE_PX, SIZE_PX) uint8 of one or two frames: frame and plate in sRGB (6), the matte, the fit's picture
-        (square roots of premultiplied light) and its silhouette (4), the true matte."""
+        """Return (12, SIZE_PX, SIZE_PX) uint8 of one or two frames.
+
+        Channels: frame and plate in sRGB (6), the matte, the fit's rendering (square roots of premultiplied light) and
+        its silhouette (4), the true matte.
+
+        Args:
+            rng: of the person.
+        """
         return until_found(lambda: self._rows(rng))
 
     def _rows(self, rng: np.random.Generator) -> list[np.ndarray] | None:
@@ -79,12 +85,20 @@ def _cut(layers: np.ndarray, matte: np.ndarray, rng: np.random.Generator) -> np.
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_drawing_flags(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write one array, which training may read meanwhile: rows of nothing are not drawn yet."""
+    """Write one array that training may read meanwhile: rows of zeros are not drawn yet.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     gym = MattingGym(
         options.mocap, options.backgrounds, split(options.mocap, options.split), options.seed, options.frame_px

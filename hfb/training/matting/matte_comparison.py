@@ -1,4 +1,4 @@
-"""The table of matting methods: `hfb train matting-compare --bank held_out.npy --photos DIR...`.
+"""Compare matting methods: `hfb train matting-compare --bank held_out.npy --photos DIR...`.
 
 The same composites (`pairs`) for every method: ours, the known-background projection, the normalised difference, and,
 where PyMatting (MIT) can be imported, its closed-form and KNN mattes with a trimap from the difference.
@@ -30,7 +30,12 @@ Method = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def normalised_difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """|I - B| over its 0.95-quantile among changed pixels, the plate in the frame's exposure."""
+    """Return |I - B| over its 0.95-quantile among changed pixels, with the plate in the frame's exposure.
+
+    Args:
+        frame: (H, W, 3) linear light.
+        plate: (H, W, 3) linear light.
+    """
     change = np.abs(frame - np.clip(plate * exposure_gain(frame, plate), 0, 1)).max(-1)
     change = cv2.GaussianBlur(change, (0, 0), 1.0)
     noise = 3 * np.median(change)
@@ -40,7 +45,11 @@ def normalised_difference(frame: np.ndarray, plate: np.ndarray) -> np.ndarray:
 
 
 def refined(how: str) -> Method:
-    """PyMatting's `how` (cf, knn) inside a trimap that the normalised difference draws."""
+    """Return PyMatting's method with a trimap from the normalised difference.
+
+    Args:
+        how: ``cf`` (closed form) or ``knn``.
+    """
     from pymatting import estimate_alpha_cf, estimate_alpha_knn
 
     estimate = {"cf": estimate_alpha_cf, "knn": estimate_alpha_knn}[how]
@@ -59,7 +68,11 @@ def refined(how: str) -> Method:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--bank", type=file, required=True, metavar="FILE", help="of hfb train matting-bank --held-out")
     add(
@@ -72,7 +85,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the table; write every figure to --out."""
+    """Print the table; write every figure to --out.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     photos = read_photos(options.photos, held_out=True)
     pairs = draw_pairs(options.bank, photos, photos, options.per_kind)

@@ -1,4 +1,4 @@
-"""Ship what was trained: `hfb train matting-export --run DIR --metrics FILE --out hfb/matting/data`.
+"""Export trained weights for shipping: `hfb train matting-export --run DIR --metrics FILE --out hfb/matting/data`.
 
 The second network (hfb train matting --second) with `--name second_look`, the third with `--name third_look`.
 """
@@ -22,7 +22,11 @@ _DATA = {
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add = parser.add_argument
     add("--run", type=folder, nargs="+", required=True, metavar="DIR", help="of hfb train matting; the last's weights")
     add(
@@ -38,7 +42,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write half-precision weights and, beside them, what made them."""
+    """Write half-precision weights and their provenance.
+
+    Args:
+        options: the parsed options.
+    """
     state = read_weights(options.run[-1] / "folded.pt")
     story = read_story(options.out / f"{options.name}.json")["training"] if options.went_on else []
     about = {

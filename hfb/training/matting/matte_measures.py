@@ -1,6 +1,6 @@
-"""Compare the network with the projection: `hfb train matting-measure --bank held_out.npy --photos DIR...`.
+"""Compare the matting network with the projection: `hfb train matting-measure --bank held_out.npy --photos DIR...`.
 
-Motions, photographs, rooms and patterns that training never saw; 256 x 256 pixels.
+Motions, photographs, rooms and patterns are held out of training; 256 x 256 pixels.
 """
 
 import argparse
@@ -37,7 +37,12 @@ _SMEARS_PX = ((0, 3), (3, 24), (24, 48), (48, 110))
 
 
 def scores(matte: np.ndarray, alpha: np.ndarray) -> dict[str, float]:
-    """Overlap, and mean absolute errors in the blurred band, in the core and where nobody is."""
+    """Return the overlap, and mean absolute errors in the blurred band, in the core and outside the person.
+
+    Args:
+        matte: (H, W) estimate.
+        alpha: (H, W) truth.
+    """
     error = np.abs(matte - alpha)
     parts = {"band": (alpha > 0.05) & (alpha < 0.95), "core": alpha >= 0.95, "empty": alpha <= 0.01}
     means = {name: float(error[part].mean()) if part.sum() > 20 else float("nan") for name, part in parts.items()}
@@ -45,7 +50,13 @@ def scores(matte: np.ndarray, alpha: np.ndarray) -> dict[str, float]:
 
 
 def held_out_scenes(bank: Path, photos: list[Path], per_family: int) -> list[tuple[str, float, Scene]]:
-    """(family, smear [px at 256], scene), the same on every call."""
+    """Return (family, smear [px at 256], scene), the same on every call.
+
+    Args:
+        bank: a file of matting-bank --held-out.
+        photos: folders of backgrounds.
+        per_family: scenes of each kind.
+    """
     figures = np.load(bank, mmap_mode="r")
     smears = [figure["smear_px"] for figure in json.loads(bank.with_suffix(".json").read_text())["figures"]]
     plates = {"photos": read_photos(photos, True), "rooms": make_rooms(40, 77), "patterns": make_patterns(60, 77)}
@@ -61,7 +72,12 @@ def held_out_scenes(bank: Path, photos: list[Path], per_family: int) -> list[tup
 
 
 def apply(matting: Callable[[np.ndarray, np.ndarray], np.ndarray], scenes: list[Scene]) -> tuple[np.ndarray, float]:
-    """Mattes (N, H, W), empty where the method refuses, and seconds each."""
+    """Return mattes (N, H, W), empty where the method fails, and the seconds per matte.
+
+    Args:
+        matting: a function of frame and plate in linear light.
+        scenes: N scenes.
+    """
     mattes, started = [], time.process_time()
     for scene in scenes:
         try:
@@ -72,7 +88,12 @@ def apply(matting: Callable[[np.ndarray, np.ndarray], np.ndarray], scenes: list[
 
 
 def add_scene_flags(parser: argparse.ArgumentParser, per_family: int) -> None:
-    """Declare what a network is measured on."""
+    """Declare what a network is measured on.
+
+    Args:
+        parser: of the program.
+        per_family: default number of scenes of each kind.
+    """
     add = parser.add_argument
     add("--bank", type=file, required=True, metavar="FILE", help="of hfb train matting-bank --held-out")
     add(
@@ -84,13 +105,21 @@ def add_scene_flags(parser: argparse.ArgumentParser, per_family: int) -> None:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_scene_flags(parser, per_family=12)
     parser.add_argument("--projection", type=Path, metavar="FILE.npy", help="cache of the projection's mattes")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print a table; write every figure to --out."""
+    """Print a table; write every figure to --out.
+
+    Args:
+        options: the parsed options.
+    """
     torch.set_num_threads(1)
     drawn = held_out_scenes(options.bank, options.photos, options.per_family)
     scenes = [scene for _, _, scene in drawn]
@@ -114,7 +143,12 @@ def run(options: argparse.Namespace) -> None:
 
 
 def network_of(weights: Path | None, channels: int = CHANNELS) -> MatteNetwork | None:
-    """With these weights; nothing for the shipped ones."""
+    """Return a network with these weights, or None for the shipped ones.
+
+    Args:
+        weights: a file of weights; None for the shipped ones.
+        channels: of the network's input.
+    """
     if weights is None:
         return None
     network = MatteNetwork(channels=channels)

@@ -1,7 +1,7 @@
-"""Train the matting network: `hfb train matting --bank train.npy --photos DIR... --out DIR`.
+"""Train the matting networks: `hfb train matting --bank train.npy --photos DIR... --out DIR`.
 
-Every iteration draws a few new scenes and takes the rest of its batch from the latest ones, flipped and with other
-colour channels: drawing costs more than learning. The same options and seed see the same pictures in the same order.
+Every iteration draws a few new scenes and takes the rest of its batch from the latest ones, flipped and with permuted
+colour channels: drawing is slower than learning. The same options and seed give the same images in the same order.
 """
 
 import argparse
@@ -55,7 +55,7 @@ _OF_FITS = 0.6
 
 
 class Scenes(IterableDataset[torch.Tensor]):
-    """New scenes, one after another, for ever."""
+    """An endless stream of new scenes."""
 
     def __init__(
         self, banks: list[Path], photos: list[Path], size_px: int, seed: int, look: int, fits: list[Path]
@@ -64,7 +64,7 @@ class Scenes(IterableDataset[torch.Tensor]):
         self.size_px, self.seed, self.look = size_px, seed, look
 
     def __iter__(self) -> Iterator[torch.Tensor]:
-        """(features and alpha) as (channels + 1, size, size) float16; several processes share the numbers."""
+        """Yield features and alpha as (channels + 1, size, size) float16; several processes share the numbers."""
         cv2.setNumThreads(1)
         torch.set_num_threads(1)
         worker = get_worker_info()
@@ -117,7 +117,13 @@ def _answer(network: MatteNetwork, seen: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) -> torch.Tensor:
-    """Error, weighted in the blurred band; overlap; edges; and how well the network knows its own error."""
+    """Return the error, weighted in the blurred band, plus overlap, edges and calibration of the predicted error.
+
+    Args:
+        output: (N, 2, H, W) logits and log error.
+        alpha: (N, 1, H, W) truth.
+        band_weight: additional weight of the blurred band.
+    """
     matte, spread = torch.sigmoid(output[:, :1]), output[:, 1:].clamp(-6, 1)
     error = (matte - alpha).abs()
     band = ((alpha > 0.02) & (alpha < 0.98)).float()
@@ -134,7 +140,12 @@ def matte_loss(output: torch.Tensor, alpha: torch.Tensor, band_weight: float) ->
 
 
 def augment(batch: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Flip, and reorder the colour channels of everything that has them."""
+    """Flip at random, and permute the colour channels of all colours alike.
+
+    Args:
+        batch: (N, C, H, W) features and alpha.
+        generator: draws both.
+    """
     order = torch.randperm(3, generator=generator)
     channels = torch.arange(batch.shape[1])
     starts = [0, 3, 6, 9]
@@ -149,7 +160,13 @@ def augment(batch: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
 
 
 def widened(state: dict[str, torch.Tensor], channels: int, shared: int) -> dict[str, torch.Tensor]:
-    """The same network for other channels behind those that are shared, of which it does not make use yet."""
+    """Return weights of the same function for more input channels; the new ones have weight zero.
+
+    Args:
+        state: weights by name.
+        channels: of the input.
+        shared: input channels of ``state`` to keep.
+    """
     entry = state["entry.0.weight"]
     wide = entry.new_zeros(len(entry), channels, *entry.shape[2:])
     wide[:, :shared] = entry[:, :shared]
@@ -157,7 +174,12 @@ def widened(state: dict[str, torch.Tensor], channels: int, shared: int) -> dict[
 
 
 def fold(network: MatteNetwork, widths: tuple[int, ...]) -> MatteNetwork:
-    """The same function without normalisation layers."""
+    """Return the same function without normalisation layers.
+
+    Args:
+        network: with normalisation layers.
+        widths: its channels per level.
+    """
     plain = MatteNetwork(widths, channels=network.state_dict()["entry.0.weight"].shape[1]).eval()
     modules = dict(network.eval().named_modules())
     for name, module in plain.named_modules():
@@ -170,7 +192,11 @@ def fold(network: MatteNetwork, widths: tuple[int, ...]) -> MatteNetwork:
 
 
 def add_flags(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
+    """Declare the options.
+
+    Args:
+        parser: of the program.
+    """
     add_schedule_flags(parser, iterations=8000, batch=8, rate=2e-3, seed=1)
     add = parser.add_argument
     add("--bank", type=file, nargs="+", required=True, metavar="FILE", help="of hfb train matting-bank")
@@ -188,7 +214,11 @@ def add_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Train until the iterations or the minutes are over; the latest averaged weights lie in the folder at any time."""
+    """Train until the iterations or the minutes are over; the latest averaged weights are always in the folder.
+
+    Args:
+        options: the parsed options.
+    """
     if options.fresh > options.batch:
         raise InputError(f"--fresh {options.fresh} is more than a batch of {options.batch}")
     torch.set_num_threads(options.threads)

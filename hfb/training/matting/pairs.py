@@ -1,7 +1,7 @@
-"""Composites of known alpha for comparing matting methods: a clothed figure, moved by exactly so many pixels.
+"""Composites of known alpha for comparing matting methods: a clothed figure with motion blur of exact length.
 
 A silhouette of a held-out figure wears a held-out texture and slides along a straight path during the exposure, so
-every ramp of alpha is known, or it moves as a person does, drawn so large that its fastest joint smears that far.
+that every ramp of alpha is known; or it moves as a person does, scaled so that its fastest joint smears that far.
 """
 
 import json
@@ -23,7 +23,7 @@ _LONGER_PX = 200  # of the sharp figure
 
 @dataclass(frozen=True)
 class Pair:
-    """One texture before one background, and what troubles the camera."""
+    """One texture before one background, with one camera defect."""
 
     kind: str
     smear_px: int
@@ -32,10 +32,13 @@ class Pair:
 
 
 def draw_pairs(bank: Path, plates: list[np.ndarray], photos: list[np.ndarray], per_kind: int) -> list[Pair]:
-    """All pairs, the same on every call: each kind and smear over `per_kind` textures and backgrounds.
+    """Draw all pairs, the same on every call: each kind and smear over textures and backgrounds.
 
     Args:
-        bank: of hfb train matting-bank --held-out. plates, photos: uint8 sRGB, what stands behind and what is worn.
+        bank: a file of matting-bank --held-out.
+        plates: backgrounds, uint8 sRGB.
+        photos: textures, uint8 sRGB.
+        per_kind: pairs of each kind and smear.
     """
     figures = np.load(bank, mmap_mode="r")
     smears = np.array([one["smear_px"] for one in json.loads(bank.with_suffix(".json").read_text())["figures"]])

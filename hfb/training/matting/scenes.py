@@ -1,4 +1,4 @@
-"""A training picture: a figure gets colours, a place before a plate, shadows, and goes through a camera."""
+"""Training images of the matting networks: figures with colours before plates, with shadows and a camera model."""
 
 from dataclasses import dataclass
 
@@ -17,10 +17,13 @@ _FIGURE_SHARE = 0.78
 
 @dataclass(frozen=True)
 class Scene:
-    """What a matting method gets, and what it should answer; pictures in linear light.
+    """Input and truth of a matting method; images in linear light.
 
     Attributes:
-        double: premultiplied light and coverage (H, W, 4) of somebody who stands for a fit, where the bank has doubles.
+        frame: (H, W, 3).
+        plate: (H, W, 3) without the person.
+        alpha: (H, W) truth.
+        double: (H, W, 4) premultiplied light and coverage of a substitute for a fit, where the bank has doubles.
     """
 
     frame: np.ndarray
@@ -31,7 +34,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Difficulty:
-    """Ranges of what is drawn; the measurements narrow them."""
+    """Ranges of everything drawn; measurements narrow them."""
 
     size_px: int = 160
     photo_share: float = 0.3  # of figures wear a photograph or the project's own generated clothes
@@ -50,10 +53,13 @@ class Difficulty:
 def draw_scene(
     figures: np.ndarray, plates: list[list[np.ndarray]], rules: Difficulty, rng: np.random.Generator
 ) -> Scene:
-    """One composite.
+    """Draw one composite.
 
     Args:
-        figures: a bank (N, CHANNELS, H, W). plates: families of uint8 sRGB pictures, chosen with equal chances.
+        figures: a bank (N, CHANNELS, H, W).
+        plates: families of uint8 sRGB images, chosen with equal chances.
+        rules: ranges of everything drawn.
+        rng: of the scene.
     """
     size = rules.size_px
     plate = _draw_plate(plates, size, rng)
@@ -109,11 +115,15 @@ def _draw_plate(plates: list[list[np.ndarray]], size: int, rng: np.random.Genera
 def _place(
     figures: np.ndarray, plate: np.ndarray, picture: np.ndarray | None, rules: Difficulty, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Premultiplied colour and coverage of a figure somewhere in the picture, perhaps cut by its border; then of its
-    double, where the bank has doubles.
+    """Return premultiplied colour and coverage of a figure at a random place; then of its double, where the bank has
+    doubles.
 
     Args:
-        picture: what the figure wears in place of its own colours.
+        figures: a bank (N, CHANNELS, H, W).
+        plate: (H, W, 3) linear light.
+        picture: what the figure wears instead of its own colours.
+        rules: ranges of everything drawn.
+        rng: of the scene.
     """
     size = rules.size_px
     channels = figures[rng.integers(len(figures))]
@@ -161,7 +171,12 @@ def _place(
 
 
 def draw_path(length_px: float, rng: np.random.Generator) -> np.ndarray:
-    """A kernel that moves a picture along an arc, faster or slower towards its end."""
+    """Draw a blur kernel along an arc, with speed changing towards its end.
+
+    Args:
+        length_px: of the path.
+        rng: of the path.
+    """
     steps = max(32, int(8 * length_px))
     time = (np.arange(steps) + 0.5) / steps
     along = time + rng.uniform(-0.4, 0.4) * (time**2 - time)
@@ -171,7 +186,11 @@ def draw_path(length_px: float, rng: np.random.Generator) -> np.ndarray:
 
 
 def path_kernel(points_px: np.ndarray) -> np.ndarray:
-    """Instants (N, 2) at which a thing is somewhere, as a kernel around their mean that adds up to 1."""
+    """Return the blur kernel of a path around its mean; it sums to 1.
+
+    Args:
+        points_px: (N, 2) positions at equally spaced instants.
+    """
     points = points_px - points_px.mean(0)
     half = int(np.ceil(np.abs(points).max())) + 1
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
@@ -185,7 +204,13 @@ def path_kernel(points_px: np.ndarray) -> np.ndarray:
 
 
 def draw_colours(behind: np.ndarray, rules: Difficulty, rng: np.random.Generator) -> np.ndarray:
-    """(GARMENTS, 3) linear: from the plate behind the figure, dark, bright, skin, or anything."""
+    """Draw colours (GARMENTS, 3) in linear light: from the plate behind the figure, dark, bright, skin, or random.
+
+    Args:
+        behind: (n, 3) colours of the plate behind the figure.
+        rules: ranges of everything drawn.
+        rng: of the scene.
+    """
     count = len(GARMENTS)
     colours = srgb_to_linear(rng.uniform(0.02, 0.98, (count, 3)))
     kind = rng.random(count)
@@ -209,7 +234,12 @@ def draw_colours(behind: np.ndarray, rules: Difficulty, rng: np.random.Generator
 
 
 def cast_shadows(alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """What share of its light every pixel of the plate keeps: cast shadows, shade at the feet, light kept from afar."""
+    """Return the share of its light that every pixel of the plate keeps (H, W, 3): shadows and contact shade.
+
+    Args:
+        alpha: (H, W) matte of the figure.
+        rng: of the scene.
+    """
     size = len(alpha)
     keeps = np.ones((size, size), np.float32)
     rows, columns = np.flatnonzero((alpha > 0.2).any(1)), np.flatnonzero((alpha > 0.2).any(0))
@@ -267,7 +297,14 @@ def _flutter(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def take_picture(linear: np.ndarray, noise: float, compressed: bool, rng: np.random.Generator) -> np.ndarray:
-    """Shot and read noise, 8 bits, sometimes JPEG, seen as linear light again."""
+    """Simulate a camera: shot and read noise, 8 bits, optionally JPEG; returns linear light.
+
+    Args:
+        linear: (H, W, 3) linear light.
+        noise: standard deviation at white, in linear light.
+        compressed: whether through JPEG.
+        rng: of the scene.
+    """
     light = np.clip(linear, 0, 1)
     grain: np.ndarray = rng.standard_normal(linear.shape, np.float32)
     if compressed:

@@ -1,4 +1,4 @@
-"""Backgrounds for the training pictures: photographs, generated rooms, and patterns."""
+"""Backgrounds of the matting images: photographs, generated rooms, and patterns."""
 
 from pathlib import Path
 
@@ -13,7 +13,12 @@ _LONGER_PX = 640
 
 
 def read_photos(folders: list[Path], held_out: bool) -> list[np.ndarray]:
-    """uint8 sRGB pictures; of every folder each fourth scene (names up to the last underscore) is held out."""
+    """Read uint8 sRGB images; every fourth scene of a folder (names up to the last underscore) is held out.
+
+    Args:
+        folders: of .jpg and .png files.
+        held_out: whether to read the held-out scenes or the others.
+    """
     photos = []
     for folder in folders:
         files = sorted(path for path in folder.glob("*.*") if path.suffix in (".jpg", ".png"))
@@ -28,13 +33,23 @@ def read_photos(folders: list[Path], held_out: bool) -> list[np.ndarray]:
 
 
 def make_rooms(count: int, seed: int) -> list[np.ndarray]:
-    """The project's own rooms, as the synthetic sets use them."""
+    """Generate rooms as in the synthetic sets, uint8 sRGB.
+
+    Args:
+        count: how many.
+        seed: of the random numbers.
+    """
     rooms = (room_background(256, 256, np.random.default_rng([seed, 1, number])) for number in range(count))
     return [(room * 255).astype(np.uint8) for room in rooms]
 
 
 def make_patterns(count: int, seed: int) -> list[np.ndarray]:
-    """Walls, gradients, clouds of every fineness, stripes, bricks, checks."""
+    """Generate walls, gradients, clouds of every scale, stripes, bricks and checks, uint8 sRGB.
+
+    Args:
+        count: how many.
+        seed: of the random numbers.
+    """
     return [_pattern(256, np.random.default_rng([seed, 2, number])) for number in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""Motions made wrong on purpose: what the discriminator learns to tell, and the corrector to put right.
+"""Corrupted motions: what the discriminator learns to detect, and the corrector to repair.
 
 The paper reverses random joints in time, c(u) -> c(1 - u). Here whole limbs are reversed too, each with even odds, as
 that is what one picture leaves open; and some columns are made unrealistic in other ways. Besides, motions get the
@@ -40,10 +40,11 @@ _STILL = 0.01
 
 @dataclass(frozen=True)
 class Corrupted:
-    """Motions made wrong, and what was done.
+    """Corrupted motions, and what was done to them.
 
     Attributes:
-        columns: C as it would be met. clean: C before anything was reversed or made unrealistic.
+        columns: C as corrupted.
+        clean: C before anything was reversed or made unrealistic.
         backwards: columns that run backwards; meaningless where a column is unrealistic.
         unrealistic: columns that are wrong in another way.
         whole: 1 where the whole body runs backwards, 0 where all of it runs forwards, NaN where its parts disagree.

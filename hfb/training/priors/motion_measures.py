@@ -1,4 +1,4 @@
-"""What a motion prior knows of motions that it was not trained on, by how long the shutter was open."""
+"""Accuracy of a motion prior on held-out motions, by exposure time."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -29,7 +29,7 @@ def measure_motion_prior(
     exposure_s: Float[Array, "n"],
     seed: int,
 ) -> dict[str, Any]:
-    """Accuracies on true motions that are reversed on purpose, and what the correction is worth.
+    """Measure accuracies on artificially reversed motions, and the gain of the correction.
 
     Args:
         discriminator: trained.

@@ -115,13 +115,21 @@ def test_a_skeleton_of_endless_joints_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("MOTION\n", "MOTION\n\n"), ("MOTION\n", "Motion\n \n\t\n"), ("End Site", "End site"), ("End Site", "END SITE"),
-        ("End Site", "End Site left_end"), ("OFFSET 0 5 0\n", "OFFSET 0 5 0\n      CHANNELS 0\n"), ("JOINT", "joint"),
-        ("HIERARCHY", "Hierarchy"), ("Frames: 3", "FRAMES:3"), ("Frames: 3", "Frames:\t3\n"),
-        ("Frame Time: .0083333", "Frame time:  0.00833333"), ("0 0 90\n", "0 0 90\n\n\n"),
+        ("MOTION\n", "MOTION\n\n"),
+        ("MOTION\n", "Motion\n \n\t\n"),
+        ("End Site", "End site"),
+        ("End Site", "END SITE"),
+        ("End Site", "End Site left_end"),
+        ("OFFSET 0 5 0\n", "OFFSET 0 5 0\n      CHANNELS 0\n"),
+        ("JOINT", "joint"),
+        ("HIERARCHY", "Hierarchy"),
+        ("Frames: 3", "FRAMES:3"),
+        ("Frames: 3", "Frames:\t3\n"),
+        ("Frame Time: .0083333", "Frame time:  0.00833333"),
+        ("0 0 90\n", "0 0 90\n\n\n"),
         ("Zrotation Xrotation Yrotation", "ZROTATION xrotation YRotation"),
     ],
-)  # fmt: skip
+)
 def test_harmless_variants_of_exporters(tmp_path, old, new):
     text = _ARM.replace(old, new, 1)
     assert text != _ARM

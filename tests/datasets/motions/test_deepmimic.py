@@ -81,13 +81,16 @@ def test_durations_may_differ(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ({"Frames": [[0.1] * 61] * 3}, "frames of 61 numbers.*44"), ({"Frames": [[0.1] * 44]}, "1 frames"),
-        ({"Frames": 3}, "no motion of DeepMimic"), ('{"Frames": [', "no motion of DeepMimic"),
+        ({"Frames": [[0.1] * 61] * 3}, "frames of 61 numbers.*44"),
+        ({"Frames": [[0.1] * 44]}, "1 frames"),
+        ({"Frames": 3}, "no motion of DeepMimic"),
+        ('{"Frames": [', "no motion of DeepMimic"),
         ({"Frames": [[0.1] * 43 + ["a"]] * 3}, "no motion of DeepMimic"),
         ({"Frames": [[0.1] * 44] * 3}, "unit quaternions"),
-        ({"Frames": [[float("nan")] * 44] * 3}, "not finite"), ({"Frames": [[0.0] * 44] * 3}, "without a duration"),
+        ({"Frames": [[float("nan")] * 44] * 3}, "not finite"),
+        ({"Frames": [[0.0] * 44] * 3}, "without a duration"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_motion_is_a_sentence(tmp_path: Path, content: object, says: str) -> None:
     with pytest.raises(InputError, match=says):
         load(tmp_path, content)

@@ -16,14 +16,37 @@ from tests.datasets.motions.skeletons import Foreign, bones_along_one_axis
 
 _J = {name: number for number, name in enumerate(JOINT_NAMES)}
 _TURNS = {
-    "z up": Rotation.from_euler("x", 90, degrees=True), "z down": Rotation.from_euler("x", -90, degrees=True),
-    "x up": Rotation.from_euler("z", -90, degrees=True), "y down": Rotation.from_euler("x", 180, degrees=True),
-}  # fmt: skip
+    "z up": Rotation.from_euler("x", 90, degrees=True),
+    "z down": Rotation.from_euler("x", -90, degrees=True),
+    "x up": Rotation.from_euler("z", -90, degrees=True),
+    "y down": Rotation.from_euler("x", 180, degrees=True),
+}
 _BANDAI = (
-    "Hips", "UpperLeg_L", "UpperLeg_R", "Spine", "LowerLeg_L", "LowerLeg_R", "Spine1", "Foot_L", "Foot_R", "Chest",
-    "Toes_L", "Toes_R", "Neck", "Shoulder_L", "Shoulder_R", "Head", "UpperArm_L", "UpperArm_R", "LowerArm_L",
-    "LowerArm_R", "Hand_L", "Hand_R", "Mid_L", "Mid_R",
-)  # fmt: skip
+    "Hips",
+    "UpperLeg_L",
+    "UpperLeg_R",
+    "Spine",
+    "LowerLeg_L",
+    "LowerLeg_R",
+    "Spine1",
+    "Foot_L",
+    "Foot_R",
+    "Chest",
+    "Toes_L",
+    "Toes_R",
+    "Neck",
+    "Shoulder_L",
+    "Shoulder_R",
+    "Head",
+    "UpperArm_L",
+    "UpperArm_R",
+    "LowerArm_L",
+    "LowerArm_R",
+    "Hand_L",
+    "Hand_R",
+    "Mid_L",
+    "Mid_R",
+)
 
 
 def _motion(name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -51,12 +51,40 @@ def _joints(poses: np.ndarray, translations: np.ndarray) -> np.ndarray:
         (Foreign(scale=39.37, axes=_Z_UP), 0.012),
         (Foreign(scale=1.0, axes=_HALF_TURN), 0.012),
         (Foreign(names=tuple(f"mixamorig:{name}" for name in MIXAMO), rest=_A_POSE), 0.012),
-        (Foreign(names=("hip", "lThigh", "rThigh", "spine", "lShin", "rShin", "abdomen", "lFoot", "rFoot", "chest",
-                        "lToe", "rToe", "neck", "lCollar", "rCollar", "head", "lShldr", "rShldr", "lForeArm",
-                        "rForeArm", "lHand", "rHand", "lMid", "rMid")), 0.012),
+        (
+            Foreign(
+                names=(
+                    "hip",
+                    "lThigh",
+                    "rThigh",
+                    "spine",
+                    "lShin",
+                    "rShin",
+                    "abdomen",
+                    "lFoot",
+                    "rFoot",
+                    "chest",
+                    "lToe",
+                    "rToe",
+                    "neck",
+                    "lCollar",
+                    "rCollar",
+                    "head",
+                    "lShldr",
+                    "rShldr",
+                    "lForeArm",
+                    "rForeArm",
+                    "lHand",
+                    "rHand",
+                    "lMid",
+                    "rMid",
+                )
+            ),
+            0.012,
+        ),
         (Foreign(frames=own_frames()), 0.06),
     ],
-)  # fmt: skip
+)
 def test_a_known_motion_comes_back(skeleton, tolerance_m, name):
     poses, translations = _motion(name)
     got = retarget(skeleton.carry(poses, translations, 30.0))
@@ -157,10 +185,19 @@ def test_names_of_many_makers(convention):
     found = map_joints(_CONVENTIONS[convention].split(), _PARENTS)
     assert (found.pelvis, found.chest, found.head) == (0, 11, 12)
     assert found.limbs == {
-        "left_hip": 2, "left_knee": 3, "left_ankle": 4, "right_hip": 6, "right_knee": 7, "right_ankle": 8,
-        "left_shoulder": 14, "left_elbow": 15, "left_wrist": 16, "right_shoulder": 18, "right_elbow": 19,
+        "left_hip": 2,
+        "left_knee": 3,
+        "left_ankle": 4,
+        "right_hip": 6,
+        "right_knee": 7,
+        "right_ankle": 8,
+        "left_shoulder": 14,
+        "left_elbow": 15,
+        "left_wrist": 16,
+        "right_shoulder": 18,
+        "right_elbow": 19,
         "right_wrist": 20,
-    }  # fmt: skip
+    }
     assert found.collars == {"left": 13, "right": 17}
     assert found.toes == {"left": 5, "right": None}
 

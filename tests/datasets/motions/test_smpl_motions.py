@@ -65,9 +65,13 @@ def test_amass_in_parts(tmp_path):
     arrays = _amass(66)
     poses = arrays.pop("poses")
     np.savez(
-        tmp_path / "a.npz", **arrays, root_orient=poses[:, :3], pose_body=poses[:, 3:66],
-        pose_hand=np.ones((_FRAMES, 90)), mocap_frame_rate=np.array([60]),
-    )  # fmt: skip
+        tmp_path / "a.npz",
+        **arrays,
+        root_orient=poses[:, :3],
+        pose_body=poses[:, 3:66],
+        pose_hand=np.ones((_FRAMES, 90)),
+        mocap_frame_rate=np.array([60]),
+    )
     clip = load_smpl_motion(tmp_path / "a.npz", "walk")
     assert clip.fps == 60
     _same_motion(clip)
@@ -107,9 +111,14 @@ def _own(frames: int, subframes: int, shutter: float) -> dict[str, np.ndarray]:
     poses[:, 1] = 3.0 * times_s
     places = times_s[:, None] * np.array([1.0, -2.0, 0.5])
     return {
-        "poses": _in_world(poses, _TO_CAMERA), "trans": _TO_CAMERA.apply(places), "times_s": times_s,
-        "frame_index": frame_index, "K": np.eye(3), "betas": np.zeros(10), "betas_space": np.array("hfb"),
-    }  # fmt: skip
+        "poses": _in_world(poses, _TO_CAMERA),
+        "trans": _TO_CAMERA.apply(places),
+        "times_s": times_s,
+        "frame_index": frame_index,
+        "K": np.eye(3),
+        "betas": np.zeros(10),
+        "betas_space": np.array("hfb"),
+    }
 
 
 @pytest.mark.parametrize(("frames", "shutter"), [(1, 0.8), (3, 0.5), (3, 1.0), (4, 0.9)])

@@ -33,9 +33,12 @@ def _write_cape(folder: Path, frames: list[int], rng: np.random.Generator) -> np
     clothed = rng.normal(size=(6890, 3))
     for k, frame in enumerate(frames):
         np.savez(
-            folder / f"{folder.name}.{frame:06d}.npz", transl=[frame / 60, 0, 0], pose=np.full(72, 0.01 * frame),
-            v_cano=clothed + 0.001 * k, v_posed=clothed,
-        )  # fmt: skip
+            folder / f"{folder.name}.{frame:06d}.npz",
+            transl=[frame / 60, 0, 0],
+            pose=np.full(72, 0.01 * frame),
+            v_cano=clothed + 0.001 * k,
+            v_posed=clothed,
+        )
     return clothed
 
 

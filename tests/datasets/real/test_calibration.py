@@ -48,16 +48,18 @@ def test_the_pinhole_of_a_distorted_camera(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("matrix", "metrix", "matrix"), ("[0.0, 0.0, 1.0]]", "[0.0, 0.0, 2.0]]", "matrix"),
+        ("matrix", "metrix", "matrix"),
+        ("[0.0, 0.0, 1.0]]", "[0.0, 0.0, 2.0]]", "matrix"),
         ("rotation = [0.0, 0.0, 0.0]", "rotation = [0.0, 0.0]", "rotation"),
         ("translation = [0.0, 0.0, 0.0]", 'translation = ["a", 0.0, 0.0]', "translation"),
         ("translation = [0.0, 0.0, 0.0]", "translation = [nan, 0.0, 0.0]", "translation"),
         ("fisheye = false", "distortion_model = 'omni'", "omni"),
         ("distortions = [0.0,", "distortions = [", "distortions"),
-        ("size = [160.0", "size = [-160.0", "size"), ("[cam01]", "[cam01", "TOML"),
+        ("size = [160.0", "size = [-160.0", "size"),
+        ("[cam01]", "[cam01", "TOML"),
         ("[cam01]", "cam02 = 3\n[cam01]", "cam02"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_toml_is_refused(tmp_path: Path, old: str, new: str, says: str) -> None:
     text = calibration_toml()
     assert old in text
@@ -118,8 +120,15 @@ def test_damaged_json_is_refused(tmp_path: Path) -> None:
         path.write_text(content)
         with pytest.raises(InputError, match=r"cameras\.json"):
             read_calibration(path)
-    for key, value in {"K": None, "width": "wide", "R_world_to_cam": np.ones((3, 3)).tolist(), "first_frame": -1,
-                       "t_world_to_cam": [0, 0], "video": 3, "height": 1e400}.items():  # fmt: skip
+    for key, value in {
+        "K": None,
+        "width": "wide",
+        "R_world_to_cam": np.ones((3, 3)).tolist(),
+        "first_frame": -1,
+        "t_world_to_cam": [0, 0],
+        "video": 3,
+        "height": 1e400,
+    }.items():
         broken = json.loads(cameras_json())
         broken["cameras"]["cam01"] = good["cameras"]["cam01"] | {key: value}
         path.write_text(json.dumps(broken))

@@ -156,9 +156,13 @@ def test_standard_lenses(tmp_path: Path, name: str) -> None:
     assert lens.K == (300, 310, 320, 240)
     assert not lens.fisheye
     expected = {
-        "rational.yaml": (*STANDARD, 0.1, 0.2, 0.3), "kalibr.yaml": STANDARD[:4], "euroc.yaml": STANDARD[:4],
-        "kalibr_none.yaml": (0, 0, 0, 0), "opencv_sample.yaml": FISHEYE, "realsense.json": (0,) * 5,
-    }  # fmt: skip
+        "rational.yaml": (*STANDARD, 0.1, 0.2, 0.3),
+        "kalibr.yaml": STANDARD[:4],
+        "euroc.yaml": STANDARD[:4],
+        "kalibr_none.yaml": (0, 0, 0, 0),
+        "opencv_sample.yaml": FISHEYE,
+        "realsense.json": (0,) * 5,
+    }
     assert lens.distortion == expected.get(name, STANDARD)
 
 
@@ -183,7 +187,7 @@ def test_standard_lenses(tmp_path: Path, name: str) -> None:
         ("keys_of_lens.yaml", "K: [300, 310, 320, 240]\nD: {1: 0.5}\n7: x\n", "which is none of k1"),
         ("section.toml", "[metadata]\nerror = 1.0\n", "no camera_matrix"),
     ],
-)  # fmt: skip
+)
 def test_other_models_are_refused_by_name(tmp_path: Path, name: str, text: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         read(tmp_path, name, text)

@@ -106,8 +106,10 @@ def test_joints_npz(tmp_path: Path) -> None:
     assert read.rate_hz is None
     np.testing.assert_allclose(read.rows(3, 5), _points(), atol=1e-6)
     bad = {
-        "xyz": good["xyz"][:, :2], "names": np.array([{"a": 1}] * 3, object), "frames": np.array([3, 3, 4, 5, 6]),
-    }  # fmt: skip
+        "xyz": good["xyz"][:, :2],
+        "names": np.array([{"a": 1}] * 3, object),
+        "frames": np.array([3, 3, 4, 5, 6]),
+    }
     for name, value in bad.items():
         np.savez(tmp_path / "bad.npz", **(good | {name: value}))
         with pytest.raises(InputError, match=r"bad\.npz"):
@@ -123,12 +125,24 @@ def test_joints_npz(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "joint"),
     [
-        ("RHip", "right_hip"), ("LKnee", "left_knee"), ("left_wrist", "left_wrist"), ("Right Ankle", "right_ankle"),
-        ("l_shoulder", "left_shoulder"), ("RElbow", "right_elbow"), ("ankle.left", "left_ankle"),
-        ("Neck", None), ("Nose", None), ("Head", None), ("Hip", None), ("CHip", None), ("RBigToe", None),
-        ("LHeel", None), ("left", None), ("", None),
+        ("RHip", "right_hip"),
+        ("LKnee", "left_knee"),
+        ("left_wrist", "left_wrist"),
+        ("Right Ankle", "right_ankle"),
+        ("l_shoulder", "left_shoulder"),
+        ("RElbow", "right_elbow"),
+        ("ankle.left", "left_ankle"),
+        ("Neck", None),
+        ("Nose", None),
+        ("Head", None),
+        ("Hip", None),
+        ("CHip", None),
+        ("RBigToe", None),
+        ("LHeel", None),
+        ("left", None),
+        ("", None),
     ],
-)  # fmt: skip
+)
 def test_names_of_joints(name: str, joint: str | None) -> None:
     assert smpl_joint(name) == (None if joint is None else JOINT_NAMES.index(joint))
 

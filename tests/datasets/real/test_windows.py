@@ -87,11 +87,16 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on(tmp_path: Path) -> No
     windows, refused = real_windows(RealSpec(videos=tmp_path, average=5))
     assert {window.recording.video.parent.name for window in windows} == {"good"}
     for name, says in {
-        "text.mp4": "video", "empty.mov": "video", "plate/cam01_walk.mp4": "same size", "rate/cam01_walk.mp4": "rate",
-        "joints/cam01_walk.mp4": "of its joints fall on the person", "toml/cam01_walk.mp4": "camera cam01",
-        "short/cam01_walk.mp4": "has 2 frames", "camera/cam01_walk.mp4": "camera moves",
+        "text.mp4": "video",
+        "empty.mov": "video",
+        "plate/cam01_walk.mp4": "same size",
+        "rate/cam01_walk.mp4": "rate",
+        "joints/cam01_walk.mp4": "of its joints fall on the person",
+        "toml/cam01_walk.mp4": "camera cam01",
+        "short/cam01_walk.mp4": "has 2 frames",
+        "camera/cam01_walk.mp4": "camera moves",
         "size/cam01_walk.mp4": "192 x 160",
-    }.items():  # fmt: skip
+    }.items():
         assert says in refused[name], refused[name]
     assert len(refused) == 9
 

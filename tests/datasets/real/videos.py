@@ -11,8 +11,22 @@ from hfb.io.media.images.image_io import write_png
 HEIGHT, WIDTH, FPS = 192, 160, 50
 FOCAL = 200.0
 DEPTH_M = 4.0
-BODY = ("RHip", "LHip", "RKnee", "LKnee", "RAnkle", "LAnkle", "RShoulder", "LShoulder", "RElbow", "LElbow", "RWrist",
-        "LWrist", "Neck", "Nose")  # fmt: skip
+BODY = (
+    "RHip",
+    "LHip",
+    "RKnee",
+    "LKnee",
+    "RAnkle",
+    "LAnkle",
+    "RShoulder",
+    "LShoulder",
+    "RElbow",
+    "LElbow",
+    "RWrist",
+    "LWrist",
+    "Neck",
+    "Nose",
+)
 # Where the joints are, in pixels from the figure's middle.
 _PLACES = np.array(
     [[-8, 8], [8, 8], [-9, 32], [9, 32], [-9, 56], [9, 56], [-14, -38], [14, -38], [-22, -20], [22, -20], [-24, -2],
@@ -46,9 +60,7 @@ def figure(frame: int) -> np.ndarray:
 def joints_m(frame: int) -> np.ndarray:
     """The joints of BODY in the world, which is the camera's frame here [m]."""
     pixels = _PLACES + middle(frame)
-    return np.concatenate(
-        [(pixels - (WIDTH / 2, HEIGHT / 2)) / FOCAL * DEPTH_M, np.full((len(pixels), 1), DEPTH_M)], 1
-    )  # fmt: skip
+    return np.concatenate([(pixels - (WIDTH / 2, HEIGHT / 2)) / FOCAL * DEPTH_M, np.full((len(pixels), 1), DEPTH_M)], 1)
 
 
 def write_video(path: Path, frames: list[np.ndarray], fps: int = FPS) -> None:
@@ -92,9 +104,15 @@ def cameras_json() -> str:
     """The same camera as cameras.json."""
     matrix = [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]
     camera = {
-        "video": "cam01_walk.mp4", "width": WIDTH, "height": HEIGHT, "K": matrix, "dist_k1k2p1p2": [0, 0, 0, 0],
-        "R_world_to_cam": np.eye(3).tolist(), "t_world_to_cam": [0, 0, 0], "first_frame": 0,
-    }  # fmt: skip
+        "video": "cam01_walk.mp4",
+        "width": WIDTH,
+        "height": HEIGHT,
+        "K": matrix,
+        "dist_k1k2p1p2": [0, 0, 0, 0],
+        "R_world_to_cam": np.eye(3).tolist(),
+        "t_world_to_cam": [0, 0, 0],
+        "first_frame": 0,
+    }
     return json.dumps({"cameras": {"cam01": camera}})
 
 

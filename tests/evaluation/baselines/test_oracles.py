@@ -167,8 +167,11 @@ def test_the_simulated_estimator_is_as_good_as_without_blur(tmp_path: Path) -> N
     assert not np.allclose(other.motion.poses, motion.poses, atol=1e-3)
 
 
-LIMBS = [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-         for side in ("left", "right")]  # fmt: skip
+LIMBS = [
+    JOINT_NAMES.index(f"{side}_{part}")
+    for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    for side in ("left", "right")
+]
 
 
 def real_case_of(scene: Scene, folder: Path, average: int = 5) -> tuple[Case, JointTruth]:

@@ -19,10 +19,20 @@ from hfb.typing import Array
 
 HEIGHT, WIDTH, COUNT = 480, 640, 5
 MHR70 = {
-    "left_shoulder": 5, "right_shoulder": 6, "left_elbow": 7, "right_elbow": 8, "left_hip": 9, "right_hip": 10,
-    "left_knee": 11, "right_knee": 12, "left_ankle": 13, "right_ankle": 14, "right_wrist": 41, "left_wrist": 62,
+    "left_shoulder": 5,
+    "right_shoulder": 6,
+    "left_elbow": 7,
+    "right_elbow": 8,
+    "left_hip": 9,
+    "right_hip": 10,
+    "left_knee": 11,
+    "right_knee": 12,
+    "left_ankle": 13,
+    "right_ankle": 14,
+    "right_wrist": 41,
+    "left_wrist": 62,
     "neck": 69,
-}  # fmt: skip
+}
 
 
 def smpl() -> Body:
@@ -81,12 +91,17 @@ def pymaf(folder: Path, person: Person) -> Written:
     ty = (220 - HEIGHT / 2) / (HEIGHT / 2) / sy + cam[:, 2]
     content = {
         1: {
-            "pred_cam": cam.astype(np.float32), "orig_cam": np.stack([sx, sy, tx, ty]).T,
-            "verts": np.zeros((COUNT, 30, 3), np.float32), "pose": person.poses.reshape(-1, 72).astype(np.float32),
-            "betas": person.betas.astype(np.float32), "joints3d": np.zeros((COUNT, 49, 3), np.float32),
-            "joints2d": None, "bboxes": boxes, "frame_ids": np.arange(COUNT) + 2,
+            "pred_cam": cam.astype(np.float32),
+            "orig_cam": np.stack([sx, sy, tx, ty]).T,
+            "verts": np.zeros((COUNT, 30, 3), np.float32),
+            "pose": person.poses.reshape(-1, 72).astype(np.float32),
+            "betas": person.betas.astype(np.float32),
+            "joints3d": np.zeros((COUNT, 49, 3), np.float32),
+            "joints2d": None,
+            "bboxes": boxes,
+            "frame_ids": np.arange(COUNT) + 2,
         }
-    }  # fmt: skip
+    }
     u = (sx[:, None] * (person.standing[..., 0] + tx[:, None]) + 1) * WIDTH / 2
     v = (sy[:, None] * (person.standing[..., 1] + ty[:, None]) + 1) * HEIGHT / 2
     return _joblib(folder / "output.pkl", content, np.stack([u, v], -1))
@@ -98,11 +113,18 @@ def hybrik(folder: Path, person: Person) -> Written:
     boxes = np.tile([220.0, 100.0, 420.0, 300.0], (COUNT, 1))
     centred = person.standing - person.standing[:, :1]
     content = {
-        "pred_uvd": np.zeros((COUNT, 29, 3), np.float32), "pred_thetas": person.matrices.reshape(COUNT, 216),
-        "pred_betas": person.betas, "pred_phi": np.zeros((COUNT, 23, 2)), "transl": place, "transl_camsys": place,
-        "pred_camera": np.ones((COUNT, 1)), "bbox": boxes, "height": np.full(COUNT, HEIGHT),
-        "width": np.full(COUNT, WIDTH), "img_path": np.array([f"out/raw/clip-{3 + n:06d}.png" for n in range(COUNT)]),
-    }  # fmt: skip
+        "pred_uvd": np.zeros((COUNT, 29, 3), np.float32),
+        "pred_thetas": person.matrices.reshape(COUNT, 216),
+        "pred_betas": person.betas,
+        "pred_phi": np.zeros((COUNT, 23, 2)),
+        "transl": place,
+        "transl_camsys": place,
+        "pred_camera": np.ones((COUNT, 1)),
+        "bbox": boxes,
+        "height": np.full(COUNT, HEIGHT),
+        "width": np.full(COUNT, WIDTH),
+        "img_path": np.array([f"out/raw/clip-{3 + n:06d}.png" for n in range(COUNT)]),
+    }
     return _pickle(folder / "res.pk", content, perspective(centred + place[:, None], 1000 / 256 * 200))
 
 
@@ -118,12 +140,19 @@ def phalp(folder: Path, person: Person) -> Written:
         }
         others = [4] if n < 2 else []
         content[f"_DEMO/img/{n + 1:06d}.jpg"] = {
-            "time": n, "shot": 0, "tid": [7, *others], "bbox": [np.array([1.0, 2, 3, 4])] * (1 + len(others)),
-            "tracked_ids": [7], "tracked_time": [0, *(3 for _ in others)], "smpl": [one] * (1 + len(others)),
+            "time": n,
+            "shot": 0,
+            "tid": [7, *others],
+            "bbox": [np.array([1.0, 2, 3, 4])] * (1 + len(others)),
+            "tracked_ids": [7],
+            "tracked_time": [0, *(3 for _ in others)],
+            "smpl": [one] * (1 + len(others)),
             "camera": [camera[n].astype(np.float32)] * (1 + len(others)),
-            "size": [[HEIGHT, WIDTH]] * (1 + len(others)), "embedding": [torch.zeros(8)] * (1 + len(others)),
-            "mask": [{"size": [HEIGHT, WIDTH], "counts": b"abc"}], "conf": [np.float32(0.9)],
-        }  # fmt: skip
+            "size": [[HEIGHT, WIDTH]] * (1 + len(others)),
+            "embedding": [torch.zeros(8)] * (1 + len(others)),
+            "mask": [{"size": [HEIGHT, WIDTH], "counts": b"abc"}],
+            "conf": [np.float32(0.9)],
+        }
     # In a picture of 256 px that the padded frame fills.
     square = perspective(person.standing + camera[:, None], 5000.0, (128.0, 128.0)) / 256 * WIDTH
     return _joblib(folder / "demo_clip.pkl", content, square - [0, (WIDTH - HEIGHT) / 2])
@@ -134,10 +163,14 @@ def wham(folder: Path, person: Person) -> Written:
     place = np.stack([np.linspace(-0.2, 0.3, COUNT), np.full(COUNT, 0.1), np.full(COUNT, 4.0)], 1)
     content: Any = defaultdict(dict)
     content[0] = {
-        "pose": person.poses.reshape(-1, 72), "trans": place, "pose_world": person.poses.reshape(-1, 72),
-        "trans_world": place, "betas": person.betas, "verts": np.zeros((COUNT, 40, 3), np.float32),
+        "pose": person.poses.reshape(-1, 72),
+        "trans": place,
+        "pose_world": person.poses.reshape(-1, 72),
+        "trans_world": place,
+        "betas": person.betas,
+        "verts": np.zeros((COUNT, 40, 3), np.float32),
         "frame_ids": np.arange(COUNT),
-    }  # fmt: skip
+    }
     focal_px = (WIDTH**2 + HEIGHT**2) ** 0.5
     return _joblib(folder / "wham_output.pkl", content, perspective(person.standing + place[:, None], focal_px))
 
@@ -146,14 +179,19 @@ def tram(folder: Path, person: Person) -> Written:
     """estimate_humans.py: numpy.save of a dictionary of tensors, and camera.npy one folder up."""
     place = np.stack([np.linspace(-0.2, 0.3, COUNT), np.full(COUNT, 0.1), np.full(COUNT, 4.0)], 1)
     camera = {
-        "pred_cam_R": np.tile(np.eye(3), (COUNT, 1, 1)), "pred_cam_T": np.zeros((COUNT, 3)),
-        "img_focal": torch.tensor(700.0), "img_center": torch.tensor([WIDTH / 2 + 3, HEIGHT / 2]),
-    }  # fmt: skip
+        "pred_cam_R": np.tile(np.eye(3), (COUNT, 1, 1)),
+        "pred_cam_T": np.zeros((COUNT, 3)),
+        "img_focal": torch.tensor(700.0),
+        "img_center": torch.tensor([WIDTH / 2 + 3, HEIGHT / 2]),
+    }
     content = {
-        "pred_cam": torch.ones(COUNT, 3), "pred_pose": torch.zeros(COUNT, 144),
-        "pred_shape": torch.from_numpy(person.betas), "pred_rotmat": torch.from_numpy(person.matrices),
-        "pred_trans": torch.from_numpy(place)[:, None], "frame": torch.arange(COUNT),
-    }  # fmt: skip
+        "pred_cam": torch.ones(COUNT, 3),
+        "pred_pose": torch.zeros(COUNT, 144),
+        "pred_shape": torch.from_numpy(person.betas),
+        "pred_rotmat": torch.from_numpy(person.matrices),
+        "pred_trans": torch.from_numpy(place)[:, None],
+        "frame": torch.arange(COUNT),
+    }
     (folder / "hps").mkdir(exist_ok=True)
     np.save(folder / "camera.npy", np.array(camera, dtype=object), allow_pickle=True)
     path = folder / "hps" / "hps_track_0.npy"
@@ -167,13 +205,17 @@ def gvhmr(folder: Path, person: Person, pelvis: Array) -> Written:
     K = np.array([[800.0, 0, WIDTH / 2], [0, 800.0, HEIGHT / 2], [0, 0, 1]])
     tensor = torch.from_numpy
     body = {
-        "body_pose": tensor(person.poses[:, 1:22].reshape(COUNT, 63)).float(), "betas": tensor(person.betas).float(),
-        "global_orient": tensor(person.poses[:, 0]).float(), "transl": tensor(place).float(),
-    }  # fmt: skip
+        "body_pose": tensor(person.poses[:, 1:22].reshape(COUNT, 63)).float(),
+        "betas": tensor(person.betas).float(),
+        "global_orient": tensor(person.poses[:, 0]).float(),
+        "transl": tensor(place).float(),
+    }
     content = {
-        "smpl_params_global": body, "smpl_params_incam": body, "K_fullimg": tensor(np.tile(K, (COUNT, 1, 1))).float(),
+        "smpl_params_global": body,
+        "smpl_params_incam": body,
+        "K_fullimg": tensor(np.tile(K, (COUNT, 1, 1))).float(),
         "net_outputs": {"static_conf_logits": torch.zeros(1, COUNT, 6)},
-    }  # fmt: skip
+    }
     path = folder / "hmr4d_results.pt"
     torch.save(content, path)
     joints = person.standing - person.standing[:, :1] + (place + pelvis)[:, None]
@@ -195,10 +237,14 @@ def sam3d(folder: Path, person: Person, suffix: str = ".pkl") -> Written:
         for name, keypoint in MHR70.items():
             pixels[n, JOINT_NAMES.index(name)] = seen[keypoint]
         one = {
-            "bbox": np.zeros(4), "focal_length": np.float32(900.0), "pred_keypoints_3d": points.astype(np.float32),
-            "pred_keypoints_2d": seen.astype(np.float32), "pred_cam_t": place.astype(np.float32), "mask": None,
+            "bbox": np.zeros(4),
+            "focal_length": np.float32(900.0),
+            "pred_keypoints_3d": points.astype(np.float32),
+            "pred_keypoints_2d": seen.astype(np.float32),
+            "pred_cam_t": place.astype(np.float32),
+            "mask": None,
             "global_rot": np.zeros(3),
-        }  # fmt: skip
+        }
         content.append([one])
     path = folder / f"people{suffix}"
     if suffix == ".pkl":

@@ -170,10 +170,12 @@ def test_damaged_torch_files_are_a_sentence() -> None:
 @pytest.mark.parametrize(
     ("place", "others"),
     [
-        ("joints", {}), ("K", {"joints": np.ones((1, 24, 3))}), ("thetas", {}),
+        ("joints", {}),
+        ("K", {"joints": np.ones((1, 24, 3))}),
+        ("thetas", {}),
         ("poses", {"trans": [[0.0] * 3], "mocap_framerate": 30}),
     ],
-)  # fmt: skip
+)
 def test_lists_of_the_same_list_are_not_multiplied_out(tmp_path: Path, place: str, others: dict[str, Any]) -> None:
     endless: list[Any] = [0.0]
     for _ in range(18):

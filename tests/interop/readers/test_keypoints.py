@@ -20,10 +20,24 @@ from tests.interop.readers.files import COUNT, HEIGHT, WIDTH, Person
 
 SMPL = files.smpl()
 COCO = (
-    "nose", "left_eye", "right_eye", "left_ear", "right_ear", "left_shoulder", "right_shoulder", "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist", "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle",
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
     "right_ankle",
-)  # fmt: skip
+)
 KNEE = JOINT_NAMES.index("left_knee")
 
 
@@ -63,8 +77,10 @@ def test_arrays(tmp_path: Path) -> None:
 
 def test_results_of_coco_and_alphapose(tmp_path: Path) -> None:
     pixels = shown(tmp_path)
-    body = [{"image_id": f"{n}.jpg", "score": 2.9, "idx": 4, "keypoints": as_coco(pixels[n]).ravel().tolist()}
-            for n in range(COUNT)]  # fmt: skip
+    body = [
+        {"image_id": f"{n}.jpg", "score": 2.9, "idx": 4, "keypoints": as_coco(pixels[n]).ravel().tolist()}
+        for n in range(COUNT)
+    ]
     other = [{**one, "idx": 2, "score": 3.0, "keypoints": [v + 100 for v in one["keypoints"]]} for one in body[:2]]
     tracks = read(tmp_path, [*other, *body])
     assert [(track.person, len(track)) for track in tracks] == [("2", 2), ("4", COUNT)]

@@ -23,9 +23,11 @@ def large_by_reference(kind: str) -> Any:
         one = {"pred_keypoints_3d": 0, "pred_cam_t": 0, "focal_length": 0, **keys}
         return [[one] * 1500] * 1500
     needed = {
-        "WHAM": ("pose", "trans", "betas", "frame_ids"), "PyMAF": ("pose", "betas", "orig_cam"),
-        "PHALP": ("tid", "smpl", "camera"), "nobody's": (),
-    }[kind]  # fmt: skip
+        "WHAM": ("pose", "trans", "betas", "frame_ids"),
+        "PyMAF": ("pose", "betas", "orig_cam"),
+        "PHALP": ("tid", "smpl", "camera"),
+        "nobody's": (),
+    }[kind]
     one: dict[str, Any] = {**keys, **{name: [] for name in needed}}
     return dict.fromkeys(range(3000), one)
 

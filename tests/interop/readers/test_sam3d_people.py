@@ -78,8 +78,10 @@ def test_who_comes_is_new_and_who_returns_is_known(tmp_path: Path, someone: dict
     ]
     found = {track.person: track for track in read(tmp_path, frames)}
     assert {name: track.frames.tolist() for name, track in found.items()} == {
-        "0": [0, 3], "1": [0, 1, 2, 3], "2": [2, 3],
-    }  # fmt: skip
+        "0": [0, 3],
+        "1": [0, 1, 2, 3],
+        "2": [2, 3],
+    }
     assert found["2"].joints is not None
     assert float(found["2"].joints[:, 0, 2].min()) > 8
 

@@ -166,9 +166,11 @@ def test_joints_of_any_system(tmp_path: Path) -> None:
     assert np.linalg.norm(seen(first, own_camera(track, 2)) - expected, axis=1).mean() < 3
     order = [3, 1, 2, 0, *range(4, 20)]
     np.savez(
-        tmp_path / "named.npz", joints=joints[:, order] * [1, -1, -1], y_up=True,
+        tmp_path / "named.npz",
+        joints=joints[:, order] * [1, -1, -1],
+        y_up=True,
         joint_names=np.array([JOINT_NAMES[joint] for joint in order]),
-    )  # fmt: skip
+    )
     (track,) = read(tmp_path / "named.npz")
     assert track.joints is not None
     np.testing.assert_allclose(track.joints[:, 7], joints[:, 7])
@@ -179,9 +181,14 @@ def test_our_own_motion_starts_another_fit(tmp_path: Path) -> None:
     person = Person.some(4, count=6)
     K = np.array([[700.0, 0, 320], [0, 700, 240], [0, 0, 1]])
     motion = SampledMotion(
-        person.poses.reshape(6, 72), np.tile([0.0, 0, 4], (6, 1)), person.betas[0], person.standing,
-        np.arange(6) / 100, np.repeat([0, 1], 3), K,
-    )  # fmt: skip
+        person.poses.reshape(6, 72),
+        np.tile([0.0, 0, 4], (6, 1)),
+        person.betas[0],
+        person.standing,
+        np.arange(6) / 100,
+        np.repeat([0, 1], 3),
+        K,
+    )
     save_motion(tmp_path / "motion.npz", motion, "hfb")
     (track,) = read(tmp_path / "motion.npz")
     assert track.frames.tolist() == [0, 1]

@@ -42,13 +42,20 @@ def two_people(folder: Path, marks: Any, image: str = "{}.jpg", first: int = 0) 
 @pytest.mark.parametrize(
     "marks",
     [
-        lambda person: {"idx": person}, lambda person: {"idx": [person]}, lambda person: {"idx": [[float(person)]]},
-        lambda person: {"idx": float(person)}, lambda person: {"idx": str(person)}, lambda person: {},
-        lambda person: {"idx": None}, lambda person: {"track_id": person, "idx": 0}, lambda person: {"idx": []},
-        lambda person: {"track_id": -1, "idx": [person]}, lambda person: {"idx": -1},
+        lambda person: {"idx": person},
+        lambda person: {"idx": [person]},
+        lambda person: {"idx": [[float(person)]]},
+        lambda person: {"idx": float(person)},
+        lambda person: {"idx": str(person)},
+        lambda person: {},
+        lambda person: {"idx": None},
+        lambda person: {"track_id": person, "idx": 0},
+        lambda person: {"idx": []},
+        lambda person: {"track_id": -1, "idx": [person]},
+        lambda person: {"idx": -1},
     ],
     ids=["int", "list", "nested", "float", "text", "absent", "null", "track_id", "empty", "no track", "-1"],
-)  # fmt: skip
+)
 def test_a_person_stays_that_person(tmp_path: Path, marks: Any) -> None:
     tracks = read(tmp_path, two_people(tmp_path, marks))
     assert [len(track) for track in tracks] == [COUNT, COUNT]
@@ -76,14 +83,17 @@ def frames_of(folder: Path, image: str, names: tuple[str, ...], first: int = 0, 
 @pytest.mark.parametrize(
     ("image", "first", "names", "expected"),
     [
-        ("{:06d}.png", 1, "{:06d}.png", range(5)), ("{:06d}.jpg", 1, "{:06d}.PNG", range(5)),
-        ("/home/x/frames/img_{:04d}.jpeg", 1, "img_{:04d}.png", range(5)), ("{}.jpg", 1, "frame{:03d}.tif", range(5)),
+        ("{:06d}.png", 1, "{:06d}.png", range(5)),
+        ("{:06d}.jpg", 1, "{:06d}.PNG", range(5)),
+        ("/home/x/frames/img_{:04d}.jpeg", 1, "img_{:04d}.png", range(5)),
+        ("{}.jpg", 1, "frame{:03d}.tif", range(5)),
         ("_{:012d}_keypoints.json", 1, "{:06d}.png", range(5)),
         ("walk_{:012d}_keypoints.json", 1, "walk_{:012d}.png", range(5)),
-        ("{:06d}.png", 1, "IMG_{:d}.JPG", range(5)), ("{}.jpg", 0, "{:06d}.png", range(5)),
+        ("{:06d}.png", 1, "IMG_{:d}.JPG", range(5)),
+        ("{}.jpg", 0, "{:06d}.png", range(5)),
         ("{:06d}_vis.png", 3, "{:06d}.png", range(2, 7)),
     ],
-)  # fmt: skip
+)
 def test_pictures_are_found_by_the_clips_own_names(
     tmp_path: Path, image: str, first: int, names: str, expected: range
 ) -> None:
@@ -124,12 +134,20 @@ def test_mmpose(tmp_path: Path) -> None:
     content = {
         "meta_info": {"dataset_name": "coco"},
         "instance_info": [
-            {"frame_id": number + 1, "instances": [
-                {"keypoints": as_coco(one)[:, :2].tolist(), "keypoint_scores": as_coco(one)[:, 2].tolist(),
-                 "bbox": [[1, 2, 3, 4]], "bbox_score": 0.9}]}
+            {
+                "frame_id": number + 1,
+                "instances": [
+                    {
+                        "keypoints": as_coco(one)[:, :2].tolist(),
+                        "keypoint_scores": as_coco(one)[:, 2].tolist(),
+                        "bbox": [[1, 2, 3, 4]],
+                        "bbox_score": 0.9,
+                    }
+                ],
+            }
             for number, one in enumerate(pixels)
         ],
-    }  # fmt: skip
+    }
     (track,) = read(tmp_path, content)
     assert track.frames.tolist() == list(range(COUNT))
     np.testing.assert_allclose(track.pixels[:, KNEE], pixels[:, KNEE], atol=1e-3)
@@ -144,8 +162,11 @@ def wham_in_pieces(folder: Path, cuts: list[range], away: float = 0.0) -> Path:
         at = np.array(frames)
         place = np.stack([0.02 * at + away * name, 0 * at, 4 + 0.01 * at], 1)
         content[name * 3] = {
-            "pose": person.poses[at].reshape(-1, 72), "trans": place, "betas": person.betas[at], "frame_ids": at,
-        }  # fmt: skip
+            "pose": person.poses[at].reshape(-1, 72),
+            "trans": place,
+            "betas": person.betas[at],
+            "frame_ids": at,
+        }
     joblib.dump(content, folder / "wham_output.pkl")
     return folder / "wham_output.pkl"
 

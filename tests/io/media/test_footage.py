@@ -191,8 +191,12 @@ def test_the_files_light(tmp_path: Path, transfer: str) -> None:
     footage = open_footage(tmp_path, transfer=transfer)
     assert footage.transfer == ("linear" if transfer == "linear" else "srgb")
     frame = next(footage.frames())
-    linear = {"bt709": np.where(stored < 0.081, stored / 4.5, ((stored + 0.099) / 1.099) ** (1 / 0.45)),
-              "gamma22": stored**2.2, "linear": stored, "srgb": srgb_to_linear(stored)}[transfer]  # fmt: skip
+    linear = {
+        "bt709": np.where(stored < 0.081, stored / 4.5, ((stored + 0.099) / 1.099) ** (1 / 0.45)),
+        "gamma22": stored**2.2,
+        "linear": stored,
+        "srgb": srgb_to_linear(stored),
+    }[transfer]
     found = frame if transfer == "linear" else srgb_to_linear(frame)
     assert np.allclose(found, linear, atol=2e-4)
     assert np.allclose(as_srgb(stored, transfer), frame, atol=1e-4)

@@ -25,9 +25,12 @@ def npy(header: str, body: bytes = b"") -> bytes:
 
 def test_arrays_come_back(tmp_path: Path) -> None:
     arrays = {
-        "a": np.arange(6.0).reshape(2, 3), "b": np.array(["x", "long"]), "c": np.asfortranarray(np.eye(3, dtype=">f4")),
-        "d": np.array(True), "e": np.zeros((0, 3), np.uint8),
-    }  # fmt: skip
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.array(["x", "long"]),
+        "c": np.asfortranarray(np.eye(3, dtype=">f4")),
+        "d": np.array(True),
+        "e": np.zeros((0, 3), np.uint8),
+    }
     np.savez_compressed(tmp_path / "a.npz", **arrays)
     found = read_arrays(tmp_path / "a.npz")
     for name, array in arrays.items():
@@ -47,9 +50,11 @@ def test_arrays_come_back(tmp_path: Path) -> None:
         (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 99999999999999999999)}"), "impossible shape"),
         (npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}", b"cos\nsystem\n"), "no plain numbers"),
         (npy("{'descr': '<U0', 'fortran_order': False, 'shape': (1,)}"), "no plain numbers"),
-        (npy("[" * 5000), "readable header"), (npy("__import__('os')"), "readable header"), (b"", "readable header"),
+        (npy("[" * 5000), "readable header"),
+        (npy("__import__('os')"), "readable header"),
+        (b"", "readable header"),
     ],
-)  # fmt: skip
+)
 def test_headers_that_lie(data: bytes, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         parse_array(data)
@@ -117,10 +122,11 @@ def test_toml_without_end(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "says"),
     [
-        ("a.xml", "<a>" * 100_000, "nests without end"), ("a.yaml", "%YAML:1.0\n---\na: " + "[" * 100_000, "nests"),
+        ("a.xml", "<a>" * 100_000, "nests without end"),
+        ("a.yaml", "%YAML:1.0\n---\na: " + "[" * 100_000, "nests"),
         ("a.yaml", "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 100000\n   cols: 100000\n   dt: d\n", "size"),
     ],
-)  # fmt: skip
+)
 def test_a_calibration_that_ends_opencv(tmp_path: Path, name: str, text: str, says: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=says):

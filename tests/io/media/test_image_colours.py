@@ -135,9 +135,11 @@ def test_it_agrees_with_littlecms(tmp_path: Path) -> None:
     levels = np.round(SCENE * 255).astype(np.uint8)
     icc = profile(P3, SRGB_CURVE)
     theirs = ImageCms.profileToProfile(
-        Image.fromarray(levels), ImageCms.ImageCmsProfile(io.BytesIO(icc)), ImageCms.createProfile("sRGB"),
+        Image.fromarray(levels),
+        ImageCms.ImageCmsProfile(io.BytesIO(icc)),
+        ImageCms.createProfile("sRGB"),
         outputMode="RGB",
-    )  # fmt: skip
+    )
     ours = read_picture_srgb(save(tmp_path / "a.png", levels, icc))
     assert np.abs(ours * 255 - np.asarray(theirs, np.float32)).max() < 1.1
 

@@ -33,10 +33,16 @@ def packed_tiff(path: Path, light: np.ndarray, bits: int, order: str = "<", inve
     cut = height // 2 + 1
     strips = [rows[:cut].tobytes(), rows[cut:].tobytes()]
     tags = {
-        256: ("I", [width]), 257: ("I", [height]), 258: ("H", [bits] * samples), 259: ("H", [1]),
-        262: ("H", [2 if samples == 3 else 0 if inverted else 1]), 273: ("I", [0, 0]), 277: ("H", [samples]),
-        278: ("I", [cut]), 279: ("I", [len(strip) for strip in strips]),
-    }  # fmt: skip
+        256: ("I", [width]),
+        257: ("I", [height]),
+        258: ("H", [bits] * samples),
+        259: ("H", [1]),
+        262: ("H", [2 if samples == 3 else 0 if inverted else 1]),
+        273: ("I", [0, 0]),
+        277: ("H", [samples]),
+        278: ("I", [cut]),
+        279: ("I", [len(strip) for strip in strips]),
+    }
     at = 8 + 2 + 12 * len(tags) + 4
     starts = [at + 100, at + 100 + len(strips[0])]
     tags[273] = ("I", starts)
@@ -83,9 +89,15 @@ def test_planes_of_sixteen_bits(tmp_path: Path, compression: str | None, samples
         pytest.importorskip("imagecodecs")
     levels = np.round(np.dstack([LIGHT, LIGHT[..., :1]])[..., :samples] * 65535).astype(np.uint16)
     tifffile.imwrite(
-        tmp_path / "a.tif", levels.transpose(2, 0, 1), photometric="rgb", planarconfig="separate", rowsperstrip=5,
-        compression=compression, byteorder=order, extrasamples=["unassalpha"] if samples == 4 else None,
-    )  # fmt: skip
+        tmp_path / "a.tif",
+        levels.transpose(2, 0, 1),
+        photometric="rgb",
+        planarconfig="separate",
+        rowsperstrip=5,
+        compression=compression,
+        byteorder=order,
+        extrasamples=["unassalpha"] if samples == 4 else None,
+    )
     assert np.array_equal(np.round(decode_picture(tmp_path / "a.tif").pixels * 65535), levels[..., :3])
 
 

@@ -43,11 +43,16 @@ def test_raw_files_of_cameras(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "head"),
     [
-        ("a.CR3", b"\0\0\0\x18ftypcrx \0\0\0\x01crx isom"), ("a.cr2", b"II*\0\x10\0\0\0CR\x02\0"),
-        ("a.raf", b"FUJIFILMCCD-RAW 0201FF159503"), ("a.orf", b"IIRO\x08\0\0\0"), ("a.rw2", b"IIU\0\x18\0\0\0"),
-        ("a.crw", b"II\x1a\0\0\0HEAPCCDR"), ("a.x3f", b"FOVb\0\0\0\0"), ("a.mrw", b"\0MRM\0\0\0\0"),
+        ("a.CR3", b"\0\0\0\x18ftypcrx \0\0\0\x01crx isom"),
+        ("a.cr2", b"II*\0\x10\0\0\0CR\x02\0"),
+        ("a.raf", b"FUJIFILMCCD-RAW 0201FF159503"),
+        ("a.orf", b"IIRO\x08\0\0\0"),
+        ("a.rw2", b"IIU\0\x18\0\0\0"),
+        ("a.crw", b"II\x1a\0\0\0HEAPCCDR"),
+        ("a.x3f", b"FOVb\0\0\0\0"),
+        ("a.mrw", b"\0MRM\0\0\0\0"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("ending", ["", ".png", ".mp4"])
 def test_raw_files_by_their_heads(tmp_path: Path, name: str, head: bytes, ending: str) -> None:
     path = tmp_path / (name + ending)
@@ -63,10 +68,11 @@ def test_raw_files_by_their_heads(tmp_path: Path, name: str, head: bytes, ending
         (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "is a HEIC picture, which is not read; convert it to PNG"),
         (b"\0\0\0\x18ftypmif1\0\0\0\0mif1heic", "is a HEIC picture"),
         (b"\0\0\0\x18ftypavif\0\0\0\0avifmif1", "is an AVIF picture"),
-        (b"8BPS\0\x01", "is a Photoshop document"), (b"\xff\x0a\0\0", "is a JPEG XL picture"),
+        (b"8BPS\0\x01", "is a Photoshop document"),
+        (b"\xff\x0a\0\0", "is a JPEG XL picture"),
         (b"\x76\x2f\x31\x01", "is an OpenEXR picture"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("name", ["IMG_0001.HEIC", "IMG_0001.jpg", "IMG_0001.mov"])
 def test_other_kinds_by_name(tmp_path: Path, head: bytes, words: str, name: str) -> None:
     (tmp_path / name).write_bytes(head.ljust(4096, b"\0"))

@@ -39,8 +39,12 @@ def listening(path: Path) -> None:
 
 
 KINDS: dict[str, Callable[[Path], None]] = {
-    "symbolic link": link, "dangling": dangling, "to a device": device, "named pipe": os.mkfifo, "socket": listening,
-}  # fmt: skip
+    "symbolic link": link,
+    "dangling": dangling,
+    "to a device": device,
+    "named pipe": os.mkfifo,
+    "socket": listening,
+}
 
 
 @pytest.fixture(params=KINDS)

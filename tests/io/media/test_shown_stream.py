@@ -85,10 +85,13 @@ def two_streams(path: Path, first: int = 0, second: int = 0, sizes: tuple[int, i
 @pytest.mark.parametrize(
     ("dispositions", "sizes", "brightness"),
     [
-        ((0, 0), (32, 64), 200), ((0, 0), (64, 32), 40), ((1, 0), (32, 64), 40), ((0, 1), (64, 32), 200),
+        ((0, 0), (32, 64), 200),
+        ((0, 0), (64, 32), 40),
+        ((1, 0), (32, 64), 40),
+        ((0, 1), (64, 32), 200),
         ((0, 0), (64, 64), 40),
     ],
-)  # fmt: skip
+)
 def test_the_default_then_the_largest(
     tmp_path: Path, dispositions: tuple[int, int], sizes: tuple[int, int], brightness: int
 ) -> None:

@@ -57,11 +57,15 @@ class ProceduralMotions:
         return [(f"{number:03d} {name}", legs, arms) for number, (name, legs, arms) in enumerate(plans)]
 
     def names(self) -> Sequence[str]:
-        """The gesture of every clip, with its number."""
+        """Return the gesture of every clip, with its number."""
         return [name for name, _, _ in self._plans]
 
     def load(self, index: int) -> MotionClip:
-        """Make one of them: 2.2 to 4 s at 120 frames per second."""
+        """Make one motion: 2.2 to 4 s at 120 frames per second.
+
+        Args:
+            index: of `names`.
+        """
         name, legs, arms = self._plans[index]
         rng = np.random.default_rng(np.random.SeedSequence([self._seed, index]))
         times_s = np.arange(int(rng.uniform(2.2, 4.0) * FPS)) / FPS

@@ -43,7 +43,7 @@ class BvhMotion:
     fps: float
 
     def world(self) -> tuple[Float[Array, "F N 4"], Float[Array, "F N 3"]]:
-        """World rotation and position of every joint."""
+        """Return world rotation and position of every joint."""
         rotations, places = self.rotations.copy(), self.places.copy()
         for joint, parent in enumerate(self.parents):
             if parent >= 0:
@@ -52,7 +52,7 @@ class BvhMotion:
         return rotations, places
 
     def rest(self) -> Float[Array, "N 3"]:
-        """Joints of the pose in which every angle is zero."""
+        """Return joints of the pose in which every angle is zero."""
         places = self.offsets.copy()
         for joint, parent in enumerate(self.parents):
             if parent >= 0:
@@ -71,6 +71,9 @@ class _Joint:
 
 def read_bvh(path: Path) -> BvhMotion:
     """Read one file.
+
+    Args:
+        path: the .bvh file.
 
     Raises:
         InputError: not a BVH file, cut off, or damaged; the text names the line.

@@ -27,6 +27,10 @@ _LARGEST_CLOTHING_M = 1.0
 def load_cape(paths: Sequence[Path], name: str) -> MotionClip:
     """Read the frames of one sequence; frames that are missing between others are interpolated.
 
+    Args:
+        paths: one .npz per frame, in order.
+        name: of the sequence.
+
     Raises:
         InputError: a frame is damaged or of another layout.
     """

@@ -45,7 +45,11 @@ _SKELETON = {
 
 
 def is_deepmimic(path: Path) -> bool:
-    """Whether a text file begins as such a motion does; False where it cannot be read."""
+    """Return whether a text file begins like such a motion; False where it cannot be read.
+
+    Args:
+        path: the .txt.
+    """
     try:
         with path.open("rb") as file:
             begin = file.read(_SNIFFED)
@@ -55,7 +59,10 @@ def is_deepmimic(path: Path) -> bool:
 
 
 def read_deepmimic(path: Path) -> tuple[BvhMotion, Float[Array, "F"]]:
-    """(the motion, the instant of each frame [s]).
+    """Read a motion and the time of each of its frames [s].
+
+    Args:
+        path: the .txt.
 
     Raises:
         InputError: damaged, or of another character than the humanoid.

@@ -9,7 +9,11 @@ from hfb.typing import Array, Shaped
 
 
 def read_npz(path: Path, wanted: Collection[str]) -> tuple[dict[str, Shaped[Array, "..."]], list[str]]:
-    """(the wanted numeric arrays that the file has, the names of everything in it).
+    """Return the wanted numeric arrays that the file has, and the names of everything in it.
+
+    Args:
+        path: of the .npz.
+        wanted: names of arrays to read.
 
     Raises:
         InputError: no archive, a damaged one, a wanted array that is too large or holds no numbers.
@@ -28,7 +32,10 @@ def read_npz(path: Path, wanted: Collection[str]) -> tuple[dict[str, Shaped[Arra
 
 
 def read_npy(path: Path) -> Shaped[Array, "..."]:
-    """One array of numbers from a .npy file.
+    """Read one array of numbers from a .npy file.
+
+    Args:
+        path: of the .npy.
 
     Raises:
         InputError: unreadable, damaged, too large or not numbers.

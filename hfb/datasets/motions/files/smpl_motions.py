@@ -40,6 +40,10 @@ _Y_DOWN = np.array([0.0, 1.0, 0.0, 0.0])
 def load_smpl_motion(path: Path, name: str) -> MotionClip:
     """Read one file; hands of SMPL-H and SMPL-X are left at rest.
 
+    Args:
+        path: the .npz.
+        name: of the motion.
+
     Raises:
         InputError: damaged, an unknown layout (the text names the keys), too short or not finite.
     """
@@ -83,10 +87,14 @@ def check_clip(
     fps: float,
     world: Float[Array, "4"] | None = None,
 ) -> MotionClip:
-    """A clip of arrays from outside, its world turned to have y up.
+    """Check arrays from outside and return them as a clip whose world has y up.
 
     Args:
+        name: of the motion.
+        path: the file, named in errors.
         poses: axis-angle columns of the first joints [rad]; the others stay at rest.
+        trans: of the root [m], in the file's world.
+        fps: frames per second.
         world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
     Raises:
@@ -116,9 +124,17 @@ def uniform_clip(
     times_s: Float[Array, "F"],
     world: Float[Array, "4"] | None = None,
 ) -> MotionClip:
-    """A clip of poses at uneven instants, such as the sub-frames of several exposures.
+    """Resample poses at uneven instants, such as the sub-frames of several exposures, to a clip of even rate.
 
     Poses are interpolated between them, at the rate that most of them have.
+
+    Args:
+        name: of the motion.
+        path: the file, named in errors.
+        poses: axis-angle columns of the first joints [rad].
+        trans: of the root [m], in the file's world.
+        times_s: of the poses, in order.
+        world: rotation (w, x, y, z) from the file's world to one with y up; None where it is one.
 
     Raises:
         InputError: as `check_clip`, or instants that are not in order.

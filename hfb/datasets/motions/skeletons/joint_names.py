@@ -53,6 +53,10 @@ class JointMap:
 def map_joints(names: Sequence[str], parents: Sequence[int]) -> JointMap:
     """Find a person's joints in a skeleton.
 
+    Args:
+        names: of the skeleton's joints.
+        parents: number of each joint's parent, -1 for the root.
+
     Raises:
         InputError: some are missing; the text names them.
     """

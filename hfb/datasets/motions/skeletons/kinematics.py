@@ -12,12 +12,16 @@ from hfb.typing import Array, Float
 
 @lru_cache(maxsize=1)
 def rest_joints() -> Float[Array, "24 3"]:
-    """Joints of the embedded body at rest [m]: the person whose proportions foreign motions are brought to."""
+    """Return the joints of the embedded body at rest [m], whose proportions retargeted motions get."""
     return load_default_body().joint_template.double().numpy()
 
 
 def to_world(local: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:
-    """Rotations of each joint in its parent's frame to rotations in the world's."""
+    """Convert rotations in the parent joint's frame to rotations in the world's.
+
+    Args:
+        local: rotations in the parent joint's frame (w, x, y, z).
+    """
     world = local.copy()
     for joint in range(1, JOINT_COUNT):
         world[:, joint] = multiply(world[:, PARENTS[joint]], local[:, joint])
@@ -25,7 +29,11 @@ def to_world(local: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:
 
 
 def to_local(world: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:
-    """The inverse of `to_world`."""
+    """Invert `to_world`.
+
+    Args:
+        world: rotations in the world's frame (w, x, y, z).
+    """
     above = conjugate(world[:, PARENTS[1:]])
     return np.concatenate([world[:, :1], multiply(above, world[:, 1:])], 1)
 
@@ -33,7 +41,13 @@ def to_local(world: Float[Array, "F 24 4"]) -> Float[Array, "F 24 4"]:
 def joint_positions(
     world: Float[Array, "F 24 4"], translations: Float[Array, "F 3"], rest: Float[Array, "24 3"]
 ) -> Float[Array, "F 24 3"]:
-    """Joints [m] of a person with these rest joints; the root's is at its rest place plus the translation."""
+    """Return joints [m] of a person with these rest joints; the root's is at its rest position plus the translation.
+
+    Args:
+        world: rotations in the world's frame (w, x, y, z).
+        translations: of the root [m].
+        rest: rest joints [m].
+    """
     places = [rest[0] + translations]
     for joint in range(1, JOINT_COUNT):
         parent = PARENTS[joint]

@@ -32,7 +32,7 @@ class Limb:
     fps: float
 
     def hinge(self, expected: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
-        """The axis about which knee or elbow bend, over time [unit length].
+        """Return the axis about which knee or elbow bend, over time [unit length].
 
         It is across both bones where the limb is bent. In the upper bone's own frame it hardly moves, which tells the
         rest: its mean there over the clip, turned towards the plane of the bend as far as that is visible.
@@ -51,13 +51,17 @@ class Limb:
         return np.cos(angle) * carried + np.sin(angle) * sideways
 
     def bends_backward(self, expected: Float[Array, "F 3"]) -> bool:
-        """Whether it bends the way that no joint can, over the clip as a whole; `expected` is the anatomical axis."""
+        """Return whether the hinge bends the impossible way, over the clip as a whole.
+
+        Args:
+            expected: anatomical axis of the hinge.
+        """
         across = np.cross(self.upper, self.lower)
         seen = self._mean_in_frame(across * np.linalg.norm(across, axis=-1, keepdims=True))
         return bool(seen @ self._mean_in_frame(expected) < _BACKWARD)
 
     def turned_round(self) -> "Limb":
-        """The lower bone on the other side of the upper one."""
+        """Return the limb with the lower bone on the other side of the upper one."""
         along = (self.lower * self.upper).sum(-1, keepdims=True) * self.upper
         return replace(self, lower=2 * along - self.lower)
 
@@ -78,7 +82,14 @@ class Limb:
 def align_frame(
     bone: Float[Array, "F 3"], hinge: Float[Array, "F 3"], rest_bone: Float[Array, "3"], rest_hinge: Float[Array, "3"]
 ) -> Float[Array, "F 4"]:
-    """The rotation that takes a bone at rest to its direction, and its hinge as near as that allows."""
+    """Return the rotation that takes a bone from rest to its direction, and its hinge as near as that allows.
+
+    Args:
+        bone: direction of the bone.
+        hinge: axis of the hinge.
+        rest_bone: direction of the bone at rest.
+        rest_hinge: axis of the hinge at rest.
+    """
     return multiply(_frame(bone, hinge), conjugate(_frame(unit(rest_bone), rest_hinge)))
 
 

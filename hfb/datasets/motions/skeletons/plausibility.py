@@ -20,7 +20,11 @@ _LOOKED_AT = 2000
 
 
 def impossible_joints(poses: Float[Array, "F 24 3"]) -> Bool[Array, "24"]:
-    """Joints that lie far beyond what a person can do in most frames; the root never does."""
+    """Return the joints that are far beyond a person's range of motion in most frames; the root never is.
+
+    Args:
+        poses: axis-angle [rad].
+    """
     some = poses[:: -(-len(poses) // _LOOKED_AT)]
     beyond = AnatomicalPrior().beyond_limits(torch.from_numpy(some[:, 1:]).double()).numpy() > _IMPOSSIBLE
     found = np.concatenate([[False], beyond.mean(0) > _MOSTLY])
@@ -31,7 +35,10 @@ def impossible_joints(poses: Float[Array, "F 24 3"]) -> Bool[Array, "24"]:
 
 
 def without_impossible_ends(poses: Float[Array, "F 24 3"]) -> tuple[Float[Array, "F 24 3"], tuple[str, ...]]:
-    """(the motion with impossible heads, hands and feet left at rest, the names of these).
+    """Return the motion with impossible heads, hands and feet left at rest, and the names of these.
+
+    Args:
+        poses: axis-angle [rad].
 
     Raises:
         InputError: a limb or the trunk is impossible, so that its joints are in wrong places.

@@ -42,7 +42,11 @@ class Rest:
 
 
 def find_rest(motion: BvhMotion, joints: JointMap) -> Rest:
-    """Read the rest pose off the offsets, and what it does not tell off the motion.
+    """Derive the rest pose from the offsets, and from the motion where the offsets are not enough.
+
+    Args:
+        motion: of the foreign skeleton.
+        joints: numbers of a person's joints in it.
 
     Raises:
         InputError: legs have no length, or what is up cannot be told.

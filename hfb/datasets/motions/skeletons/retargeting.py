@@ -74,9 +74,12 @@ class Retargeted(NamedTuple):
 
 
 def retarget(motion: BvhMotion) -> Retargeted:
-    """The motion of a person with the embedded body's rest joints.
+    """Retarget a motion to a person with the embedded body's rest joints.
 
     Lengths are scaled by the ratio of the legs, so that feet which stand stay.
+
+    Args:
+        motion: of the foreign skeleton.
 
     Raises:
         InputError: a person's joints are not all there, have no length between them, or are turned as no person's;

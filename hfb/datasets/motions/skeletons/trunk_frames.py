@@ -24,12 +24,18 @@ def trunk_offsets(
     at_rest: dict[str, Float[Array, "4"]],
     trusted: bool,
 ) -> tuple[dict[str, Float[Array, "4"]], list[str]]:
-    """(what takes SMPL's axes into each joint's frame, by `pelvis`, `chest`, `head`; what the motion contradicted).
+    """Estimate how pelvis, chest and head are turned within their joints' frames.
 
     Args:
-        rotations, places: of every joint, in a world with y up.
-        at_rest: what the rest pose says. trusted: whether it is an upright person, or of a
-            skeleton that is known.
+        rotations: of every joint, in a world with y up.
+        places: of every joint [m], in a world with y up.
+        joints: numbers of a person's joints.
+        at_rest: offsets by the rest pose.
+        trusted: whether the rest pose is an upright person, or of a known skeleton.
+
+    Returns:
+        what takes SMPL's axes into each joint's frame, by `pelvis`, `chest`, `head`; the parts in which the motion
+        contradicted the rest pose.
     """
     sides = ("left", "right")
     hips, shoulders = ([places[:, joints.limbs[f"{side}_{part}"]] for side in sides] for part in ("hip", "shoulder"))

@@ -23,10 +23,12 @@ _ON_FLOOR, _FLAT, _TRAVEL = 0.25, 0.8, 1.0
 def find_up(
     places: Float[Array, "F N 3"], joints: JointMap, rest_up: Float[Array, "3"], is_pose: bool
 ) -> Float[Array, "3"]:
-    """The coordinate axis of the file's world that points up.
+    """Return the coordinate axis of the file's world that points up.
 
     Args:
-        places: of every joint in the file's world. rest_up: the axis along which the trunk points at rest.
+        places: of every joint in the file's world.
+        joints: numbers of a person's joints.
+        rest_up: the axis along which the trunk points at rest.
         is_pose: whether the rest pose is an upright person.
 
     Raises:

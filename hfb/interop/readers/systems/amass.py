@@ -23,7 +23,13 @@ _Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The motion of a file; None where it is something else."""
+    """Read the motion of a file; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     if not {"poses", "trans"} <= one.keys() or not any(rate in one for rate in _RATES) or "K" in one:
         return None

@@ -16,7 +16,13 @@ SYSTEM = "GVHMR"
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The one person of a result file; None where it is something else."""
+    """Read the one person of a result file; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     body = named(one.get("smpl_params_incam"))
     if "K_fullimg" not in one or not {"body_pose", "global_orient", "transl"} <= body.keys():

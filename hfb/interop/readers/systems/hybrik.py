@@ -21,7 +21,13 @@ _FOCAL_PX, _CROP_PX = 1000.0, 256.0
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The one person of a res.pk; None where it is something else."""
+    """Read the one person of a res.pk; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     if not {"pred_thetas", "transl", "bbox"} <= one.keys():
         return None

@@ -28,7 +28,13 @@ _NAMES = ("joints", "joints3d", "joints_3d", "keypoints3d", "keypoints_3d")
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The one person of a joints file; None where it is something else."""
+    """Read the one person of a joints file; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     given = _given(content, one)
     if given is None or "poses" in one:

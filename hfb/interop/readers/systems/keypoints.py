@@ -84,7 +84,13 @@ class _Detection(NamedTuple):
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a file of keypoints; None where it is something else."""
+    """Read the persons of a file of keypoints; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     name = next((name for name in _NAMES if name in one), None)
     if name is not None and "poses" not in one:

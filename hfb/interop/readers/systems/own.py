@@ -13,7 +13,13 @@ _MOST_FRAMES = 1e6  # as many as a video has (`hfb.io.media.video.video_file`)
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The person of a motion.npz or of a canonical result; None where it is something else."""
+    """Read the person of a motion.npz or of a canonical result; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     if {"frame_index", "system"} <= one.keys():
         return [track_of(one)]

@@ -21,7 +21,13 @@ _Row = tuple[int, dict[str, Any], Any, tuple[int, int]]
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a result file; None where it is something else."""
+    """Read the persons of a result file; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     frames = named_all(content.values(), {"tid", "smpl", "camera"}) if isinstance(content, dict) else None
     if not frames:
         return None

@@ -19,7 +19,13 @@ _FAR = 150.0
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of an output.pkl; None where it is something else."""
+    """Read the persons of an output.pkl; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     return read_people(content, {"pose", "betas", "orig_cam"}, lambda name, one: _person(name, one, size))
 
 

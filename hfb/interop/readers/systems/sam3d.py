@@ -1,11 +1,13 @@
-"""SAM 3D Body: what its estimator returns, saved as a pickle, .npy, .npz or JSON: per person pred_keypoints_3d (70, 3),
-pred_cam_t, focal_length, pred_keypoints_2d. Where focal_length was not saved both kinds of keypoints tell it.
+"""SAM 3D Body: the result of its estimator, saved as a pickle, .npy, .npz or JSON.
 
-- one dictionary, or a flat list of them: the people of one picture, as the system's own call returns them
+A person has pred_keypoints_3d (70, 3), pred_cam_t, focal_length and pred_keypoints_2d; a missing focal_length is
+estimated from both kinds of keypoints. The people are in
+
+- one dictionary, or a flat list of them: the people of one image, as the system's own call returns them
 - a list of lists: the people of each frame, counted from 0
-- a dictionary of lists: by frame numbers, or by pictures' names that end with one
+- a dictionary of lists: by frame numbers, or by images' names that end with one
 
-Its body is MHR, not SMPL: the joints are taken, and hfb's body is laid onto them.
+Its body is MHR, not SMPL: only the joints are used, and hfb's body is fitted to them.
 """
 
 import logging
@@ -42,7 +44,13 @@ class _Seen:
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a saved estimate, numbered as they come; None where it is something else."""
+    """Read the persons of a saved estimate, numbered in order; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     frames = _frames(content)
     if sum(len(people) for *_, people in frames) > MAX_PEOPLE:
         raise InputError(f"it holds people more than {MAX_PEOPLE} times")

@@ -21,7 +21,13 @@ CAMERA_FILE = "camera.npy"
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The one person of a track file; None where it is something else."""
+    """Read the one person of a track file; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     one = named(content)
     if not {"pred_rotmat", "pred_shape", "pred_trans", "frame"} <= one.keys():
         return None

@@ -16,7 +16,13 @@ SYSTEM = "WHAM"
 
 
 def read(content: Any, size: tuple[int, int], beside: dict[str, Any]) -> list[PoseTrack] | None:
-    """The persons of a wham_output.pkl; None where it is something else."""
+    """Read the persons of a wham_output.pkl; None where it is something else.
+
+    Args:
+        content: of the file, unpickled or parsed.
+        size: height and width of the clip's frames [px].
+        beside: contents of companion files by name.
+    """
     return read_people(content, {"pose", "trans", "betas", "frame_ids"}, lambda name, one: _person(name, one, size))
 
 

@@ -15,7 +15,10 @@ _BYTE_LIMIT = 512 << 20
 
 
 def read_bytes(path: Path) -> bytes:
-    """A picture file's content.
+    """Read an image file's content.
+
+    Args:
+        path: of the image.
 
     Raises:
         InputError: it cannot be read, is empty or absurdly large.
@@ -37,7 +40,11 @@ def read_bytes(path: Path) -> bytes:
 
 
 def no_picture(path: Path) -> InputError:
-    """What to say of a file that no decoder takes: what it is, where that can be told."""
+    """Build the error for a file that no decoder reads: it names the file's kind, where that is known.
+
+    Args:
+        path: of the image.
+    """
     try:
         with path.open("rb") as file:
             kind = foreign_kind(file)
@@ -47,11 +54,21 @@ def no_picture(path: Path) -> InputError:
 
 
 def damaged(path: Path, error: Exception) -> InputError:
-    """What to say of a picture that a decoder gave up."""
+    """Build the error for an image that a decoder could not finish.
+
+    Args:
+        path: of the image.
+        error: of the decoder.
+    """
     reason = " ".join(str(error).split())[:120] or type(error).__name__
     return InputError(f"{path}: the picture is truncated or damaged ({reason}); export or copy it again.")
 
 
 def too_large(path: Path, what: str) -> InputError:
-    """What to say of more pixels than `PIXEL_LIMIT`."""
+    """Build the error for more pixels than `PIXEL_LIMIT`.
+
+    Args:
+        path: of the image.
+        what: number of pixels or sides, as text.
+    """
     return InputError(f"{path}: {what} is over the limit of {PIXEL_LIMIT // 1_000_000} megapixels; make it smaller.")

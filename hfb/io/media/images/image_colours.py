@@ -54,7 +54,7 @@ class Colours:
     to_srgb: Float[Array, "3 3"]
 
     def is_srgb(self) -> bool:
-        """Whether converting changes no level of 8 bits."""
+        """Return whether converting changes no level of 8 bits."""
         steps = np.linspace(0, 1, 18)
         some = np.stack([*np.meshgrid(steps, steps, steps)], -1).reshape(-1, 3)
         rows = np.concatenate([np.repeat(steps[:, None], 3, 1), some[some.min(-1) > 0.2]])
@@ -62,7 +62,12 @@ class Colours:
         return float(np.abs(linear_to_srgb((linear @ self.to_srgb.T).clip(0, 1)) - rows).max()) < _SAME
 
     def converted(self, levels: Shaped[Array, "H W 3"], full: int) -> Float[Array, "H W 3"]:
-        """Levels up to `full` as sRGB in [0, 1]; colours that sRGB cannot show go to its edge."""
+        """Convert levels to sRGB in [0, 1]; colours outside its gamut are clipped.
+
+        Args:
+            levels: as stored.
+            full: highest level.
+        """
         grid = np.arange(full + 1) / full
         tables = [curve(grid).astype(np.float32) for curve in self.curves]
         matrix = self.to_srgb.T.astype(np.float32)
@@ -79,7 +84,10 @@ class UnreadableProfile(ValueError):
 
 
 def of_profile(profile: bytes) -> Colours:
-    """Of an ICC profile of RGB or gray that is made of curves and a matrix.
+    """Read an ICC profile of RGB or gray that consists of curves and a matrix.
+
+    Args:
+        profile: ICC profile.
 
     Raises:
         UnreadableProfile: it is something else, or damaged.
@@ -105,7 +113,14 @@ def of_profile(profile: bytes) -> Colours:
 
 
 def of_png(chunks: dict[bytes, bytes]) -> Colours | str | None:
-    """Of a PNG's cICP, or gAMA and cHRM; a name of high dynamic range; None where these say nothing, or sRGB."""
+    """Read a PNG's cICP, or gAMA and cHRM.
+
+    Args:
+        chunks: by `png_chunks`.
+
+    Returns:
+        the colours; the name of a high dynamic range; None where the chunks say nothing, or sRGB.
+    """
     told = chunks.get(b"cICP", b"")
     if len(told) == 4:
         primaries, transfer = told[0], told[1]
@@ -137,13 +152,17 @@ def of_png(chunks: dict[bytes, bytes]) -> Colours | str | None:
 
 
 def adobe_rgb() -> Colours:
-    """What a camera's photograph is in that names it by DCF's interoperability index alone."""
+    """Return the colours of photographs that name them by DCF's interoperability index alone."""
     curve = _power(563 / 256)
     return Colours("Adobe RGB", (curve, curve, curve), _to_srgb(_ADOBE, _D65))
 
 
 def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
-    """A picture of 8 bits, of CMYK too, in sRGB.
+    """Convert an image of 8 bits, also CMYK, to sRGB.
+
+    Args:
+        image: as stored.
+        profile: ICC profile.
 
     Raises:
         UnreadableProfile: it is damaged, or another picture's.
@@ -159,7 +178,11 @@ def converted_by_tables(image: Image.Image, profile: bytes) -> Image.Image:
 
 
 def png_chunks(data: bytes) -> dict[bytes, bytes]:
-    """The small chunks of a PNG before its pixels."""
+    """Return the small chunks of a PNG before its pixels.
+
+    Args:
+        data: content of the file.
+    """
     chunks: dict[bytes, bytes] = {}
     at = 8
     while at + 12 <= len(data) and len(chunks) < 100:

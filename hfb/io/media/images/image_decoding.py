@@ -61,11 +61,12 @@ class _Levels:
 
 
 def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
-    """Read a picture of 8 to 16 bits per channel.
+    """Read an image of 8 to 16 bits per channel.
 
     Gray becomes RGB, an alpha channel is dropped, the camera's EXIF rotation is applied.
 
     Args:
+        path: of the image.
         transfer: the light that the user knows it to store. ``srgb``: what the file says of its colours counts, they
             become sRGB's; else the values stay as they are.
 
@@ -85,7 +86,10 @@ def decode_picture(path: Path, transfer: Transfer = "srgb") -> Picture:
 
 
 def picture_size(path: Path) -> tuple[int, int, int]:
-    """(height, width, bits to store it with) as `decode_picture` would give it; only the file's head is read.
+    """Return (height, width, bits to store it with) as `decode_picture` gives them; only the file's head is read.
+
+    Args:
+        path: of the image.
 
     Raises:
         InputError: missing, or no picture.
@@ -117,10 +121,11 @@ def picture_size(path: Path) -> tuple[int, int, int]:
 
 
 def doubt_depths(seen: Sequence[tuple[Path, int | None]], transfer: Transfer) -> tuple[str, ...]:
-    """What to say where 16-bit pictures of one scene seem to hold fewer bits: such values of machine vision are dark.
+    """Return a remark where 16-bit images of one scene seem to hold fewer bits, as dark ones of machine vision do.
 
     Args:
         seen: files with their `Picture.seems_bits`.
+        transfer: the light that the user states.
 
     Raises:
         InputError: all of them seem so, by 12 bits or fewer, and are not told to be linear light, which may be as dark.

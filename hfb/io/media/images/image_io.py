@@ -29,9 +29,10 @@ _EXIF_DIRECTORY, _EXPOSURE_TAG = 0x8769, 0x829A
 
 
 def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "H W 3"]:
-    """Read a picture of 8 to 16 bits per channel; see `hfb.io.media.images.image_decoding.decode_picture`.
+    """Read an image of 8 to 16 bits per channel; see `hfb.io.media.images.image_decoding.decode_picture`.
 
     Args:
+        path: of the image.
         transfer: the light that the user knows it to store; the values stay as they are unless it is ``srgb``.
 
     Raises:
@@ -41,7 +42,10 @@ def read_picture_srgb(path: Path, transfer: Transfer = "srgb") -> Float[Array, "
 
 
 def stored_png(path: Path) -> bytes:
-    """A PNG file as it is, once it has been seen to hold a picture: it is handed on into pages and other files.
+    """Read a PNG file's bytes after decoding it once as a check; they go into pages and other files.
+
+    Args:
+        path: of the image.
 
     Raises:
         InputError: as `read_picture_srgb`, or it is a picture of another kind.
@@ -54,7 +58,11 @@ def stored_png(path: Path) -> bytes:
 
 
 def recorded_exposure(path: Path) -> tuple[float, str] | None:
-    """(seconds, where it stands) of a photograph that tells its exposure time (EXIF); None without."""
+    """Return a photograph's exposure time [s] by its EXIF, and where it is stated; None without.
+
+    Args:
+        path: of the image.
+    """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -67,17 +75,32 @@ def recorded_exposure(path: Path) -> tuple[float, str] | None:
 
 
 def write_png(path: Path, picture_srgb: Float[Array, "H W 3"], bits: int = 8) -> None:
-    """Write RGB values in [0, 1] (clipped, rounded to nearest) as an 8 or 16 bit PNG, atomically."""
+    """Write an 8 or 16 bit PNG, atomically.
+
+    Args:
+        path: of the image.
+        picture_srgb: in [0, 1]; clipped, rounded to nearest.
+        bits: 8 or 16 per channel.
+    """
     _write_levels(Path(path), picture_srgb[..., ::-1], bits)
 
 
 def write_matte(path: Path, matte: Float[Array, "H W"]) -> None:
-    """Write a matte in [0, 1] as a 16-bit gray PNG (steps of 1/65535), atomically."""
+    """Write a 16-bit gray PNG (steps of 1/65535), atomically.
+
+    Args:
+        path: of the image.
+        matte: in [0, 1].
+    """
     _write_levels(Path(path), matte, 16)
 
 
 def read_matte(path: Path) -> Float[Array, "H W"]:
-    """Read a matte: the mean of the channels of any picture that `read_picture_srgb` takes, its values as they are."""
+    """Read a matte: the mean of the channels of any image that `read_picture_srgb` reads, its values as they are.
+
+    Args:
+        path: of the image.
+    """
     return read_picture_srgb(path, "linear").mean(-1, dtype=np.float32)
 
 

@@ -42,7 +42,11 @@ Directory = TiffImagePlugin.ImageFileDirectory_v2
 
 
 def foreign_kind(file: BufferedIOBase) -> str | None:
-    """The rest of a sentence about a file that hfb does not read; None for a picture, or something unknown."""
+    """Return the rest of a sentence about a file that hfb does not read; None for an image, or something unknown.
+
+    Args:
+        file: opened for reading.
+    """
     file.seek(0)
     head = file.read(32)
     if head.startswith(_RAW_HEADS) or head[6:14] == b"HEAPCCDR" or (head[8:10] == b"CR" and is_tiff(head)):
@@ -66,12 +70,20 @@ def foreign_kind(file: BufferedIOBase) -> str | None:
 
 
 def is_tiff(head: bytes) -> bool:
-    """By the file's first bytes."""
+    """Return whether a file is a TIFF.
+
+    Args:
+        head: the file's first bytes.
+    """
     return head.startswith(_TIFF_HEADS)
 
 
 def directories(file: BufferedIOBase) -> Iterator[Directory]:
-    """The directories of a TIFF, those below its pictures too; ends early where the file is damaged."""
+    """Yield the directories of a TIFF, also nested ones; ends early where the file is damaged.
+
+    Args:
+        file: opened for reading.
+    """
     file.seek(0)
     head = file.read(16)
     head = head if b"+" in head[2:4] else head[:8]  # BigTIFF's is the longer one
@@ -97,7 +109,13 @@ def directories(file: BufferedIOBase) -> Iterator[Directory]:
 
 
 def number(directory: Directory, tag: int, usual: int) -> int:
-    """A tag's largest whole number."""
+    """Return a tag's largest whole number.
+
+    Args:
+        directory: of a TIFF.
+        tag: its number.
+        usual: value where the tag is missing or damaged.
+    """
     try:
         value = directory.get(tag, usual)
         return max(int(one) for one in (value if isinstance(value, tuple) else (value,)))
@@ -106,7 +124,11 @@ def number(directory: Directory, tag: int, usual: int) -> int:
 
 
 def first_directory(file: BufferedIOBase) -> Directory | None:
-    """Of a TIFF."""
+    """Return the first directory of a TIFF.
+
+    Args:
+        file: opened for reading.
+    """
     return next(directories(file), None)
 
 

@@ -26,13 +26,22 @@ _BAND = 64
 
 
 def is_unusual(directory: Directory) -> bool:
-    """Whether a TIFF's first picture has one of these layouts."""
+    """Return whether a TIFF's first image has one of these layouts.
+
+    Args:
+        directory: first one of the TIFF.
+    """
     bits, planar = number(directory, _BITS, 8), number(directory, _PLANAR, 1)
     return 8 < bits < 16 or (bits == 16 and planar == _PLANE_BY_PLANE and number(directory, _SAMPLES, 1) > 1)
 
 
 def read_unusual(path: Path, data: bytes, directory: Directory) -> tuple[Shaped[Array, "H W 3"], int]:
-    """(levels, the highest that their bits hold), as stored: not turned.
+    """Return the levels as stored (not turned), and the highest that their bits hold.
+
+    Args:
+        path: of the file, for errors.
+        data: content of the file.
+        directory: first one of the TIFF.
 
     Raises:
         InputError: another kind of samples, or a mixture of layouts that no camera writes.
@@ -61,7 +70,11 @@ def read_unusual(path: Path, data: bytes, directory: Directory) -> tuple[Shaped[
 
 
 def without_orientation(data: bytes) -> bytes:
-    """The same TIFF with its first picture's rows told to be upright: OpenCV turns TIFFs whatever it is asked for."""
+    """Mark a TIFF's first image as upright: OpenCV turns TIFFs regardless of its flags.
+
+    Args:
+        data: content of the file.
+    """
     order, big = (">" if data[:2] == b"MM" else "<"), b"+" in data[2:4]
     start = struct.unpack_from(f"{order}Q" if big else f"{order}I", data, 8 if big else 4)[0]
     count = struct.unpack_from(f"{order}Q" if big else f"{order}H", data, start)[0]

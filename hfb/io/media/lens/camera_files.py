@@ -53,18 +53,32 @@ class CalibratedCamera:
         return self.fisheye or bool(self.distortion.any())
 
     def to_camera(self, points_m: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-        """World points in camera coordinates [m]; NaN stays NaN."""
+        """Transform world points to camera coordinates [m]; NaN stays NaN.
+
+        Args:
+            points_m: world [m].
+        """
         return points_m @ self.R_camera_world.T + self.t_m
 
     def undistortion(self, left: int, top: int, width: int, height: int) -> Float[Array, "2 h w"]:
-        """For each pixel of a window of the pinhole's picture, where (x, y) in the stored picture its light lies."""
+        """Return, for each pixel of a window of the pinhole's image, its position (x, y) in the stored image [px].
+
+        Args:
+            left: of the window [px].
+            top: of the window [px].
+            width: of the window [px].
+            height: of the window [px].
+        """
         shifted = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         return np.stack(undistortion_maps(self.K, self.distortion, self.fisheye, shifted, (width, height)))
 
     def to_stored_pixels(self, points_m: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-        """Pixels (OpenCV's convention) of world points in the picture as stored, distortion included.
+        """Project world points to pixels (OpenCV's convention) of the stored image, distortion included.
 
         NaN for unknown points and for those that are not in front of the lens.
+
+        Args:
+            points_m: world [m].
         """
         pixels = np.full((len(points_m), 2), np.nan)
         seen = self.to_camera(points_m)[:, 2] > 0.05  # False for NaN too
@@ -76,7 +90,7 @@ class CalibratedCamera:
         return pixels
 
     def pinhole(self) -> PinholeCamera:
-        """The camera of the undistorted picture, in this project's pixel convention."""
+        """Return the camera of the undistorted picture, in this project's pixel convention."""
         K = self.K
         fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5))
         return PinholeCamera(fx, fy, cx, cy, self.height, self.width)
@@ -84,6 +98,9 @@ class CalibratedCamera:
 
 def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
     """Read a Calib*.toml of Pose2Sim or a cameras.json; cameras in the file's order.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: missing, damaged, a distortion model that is not read, or a camera without one of its entries.
@@ -99,18 +116,25 @@ def read_calibration(path: Path) -> tuple[CalibratedCamera, ...]:
 
 
 def camera_of(cameras: tuple[CalibratedCamera, ...], video: str) -> CalibratedCamera | None:
-    """The camera that took a video; see `number_of_camera`."""
+    """Return the camera that took a video; see `number_of_camera`.
+
+    Args:
+        cameras: of one calibration.
+        video: file name of the video.
+    """
     number = number_of_camera([(camera.name, camera.video) for camera in cameras], video)
     return None if number is None else cameras[number]
 
 
 def number_of_camera(cameras: Sequence[tuple[str, str | None]], video: str) -> int | None:
-    """The camera that took a video: the one that names it, else the one whose name its name starts with or holds.
+    """Return the number of the camera that took a video.
 
-    Names are compared without signs: ``cam_01`` took ``cam01_f000-059.mp4``; None where no camera or several fit.
+    It is the one that names the video, else the one whose name the video's name starts with or contains. Names are
+    compared without signs: ``cam_01`` took ``cam01_f000-059.mp4``. None where no camera or several match.
 
     Args:
         cameras: their names, and the videos that they name.
+        video: file name of the video.
     """
     named = [number for number, (_, taken) in enumerate(cameras) if taken == video]
     if named:

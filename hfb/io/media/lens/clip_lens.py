@@ -38,11 +38,13 @@ _HARMLESS_SKEW_PX = 0.05
 
 
 def clip_lens(camera: ClipCamera, video: str, height: int, width: int) -> Lens | None:
-    """The calibrated lens of a clip; None where clip.toml names no calibration file.
+    """Return the calibrated lens of a clip; None where clip.toml names no calibration file.
 
     Args:
+        camera: entries of clip.toml.
         video: the footage's file name: a calibration of several cameras is searched by it where no name is given.
-        height, width: of the footage's frames [px].
+        height: of the footage's frames [px].
+        width: of the footage's frames [px].
 
     Raises:
         InputError: missing, damaged, no such camera in it, of a distortion model that is not read, or of pictures of

@@ -26,18 +26,26 @@ class Lens:
     fisheye: bool = False
 
     def pinhole(self) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-        """The matrix of an undistorted picture in this project's convention: the first pixel's centre at (0.5, 0.5)."""
+        """Return the matrix of an undistorted image in this project's convention: first pixel centre at (0.5, 0.5)."""
         fx, fy, cx, cy = self.K
         return (fx, 0.0, cx + 0.5), (0.0, fy, cy + 0.5), (0.0, 0.0, 1.0)
 
     def bends(self, height: int, width: int) -> bool:
-        """Whether a picture of this size changes at all when it is undistorted."""
+        """Return whether an image of this size changes at all when it is undistorted.
+
+        Args:
+            height: of the image [px].
+            width: of the image [px].
+        """
         return _maps(self, height, width)[0] is not None
 
     def undistorted(self, picture: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-        """The picture as a pinhole camera of the same matrix would have taken it; its border repeats outside.
+        """Resample an image as a pinhole camera of the same matrix takes it; its border repeats outside.
 
         A lens that moves no pixel by more than a twentieth of one leaves the picture as it is.
+
+        Args:
+            picture: as stored.
         """
         x, y = _maps(self, *picture.shape[:2])
         if x is None or y is None:
@@ -52,10 +60,14 @@ def undistortion_maps(
     new_K: Float[Array, "3 3"],
     size: tuple[int, int],
 ) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
-    """For each pixel of a pinhole's picture, where (x, y) in the stored picture its light lies.
+    """Return, for each pixel of a pinhole's image, its position (x, y) in the stored image [px].
 
     Args:
-        K, distortion: of the stored picture, in OpenCV's convention. new_K: of the pinhole. size: (width, height).
+        K: of the stored image, in OpenCV's convention.
+        distortion: of the stored image, in OpenCV's convention.
+        fisheye: use OpenCV's fisheye model.
+        new_K: of the pinhole.
+        size: (width, height).
     """
     initialize = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
     x, y = initialize(K, distortion, np.eye(3), new_K, size, cv2.CV_32FC1)

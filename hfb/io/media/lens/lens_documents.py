@@ -18,7 +18,10 @@ _ALIAS = re.compile(r"(?:^|[\s,\[{:-])[&*][\w-]", re.MULTILINE)
 
 
 def read_document(path: Path) -> dict[str, Any]:
-    """The content of a calibration file; empty where it is not a table of entries.
+    """Read a calibration file; empty where it is not a table of entries.
+
+    Args:
+        path: of the file.
 
     Raises:
         InputError: missing, too large, damaged, or nested without end.

@@ -129,15 +129,21 @@ _BY_NAME = {False: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), True: ("k1"
 
 
 def plain(word: str) -> str:
-    """A word without case, spaces and signs: ``Plumb_Bob`` is ``plumbbob``."""
+    """Return a word without case, spaces and signs: ``Plumb_Bob`` is ``plumbbob``.
+
+    Args:
+        word: of a file.
+    """
     return re.sub(r"[^a-z0-9]", "", word.lower())
 
 
 def is_fisheye(entries: Mapping[str, Any], coefficients: Float[Array, "n"], where: str) -> bool:
-    """Whether coefficients are those of OpenCV's fisheye model; else they are of its standard model.
+    """Return whether coefficients are those of OpenCV's fisheye model; else they are of its standard model.
 
     Args:
-        entries: of one camera in its file. where: begins an error.
+        entries: of one camera in its file.
+        coefficients: of distortion.
+        where: begins an error.
 
     Raises:
         InputError: they are of a model that is neither; the text names it.
@@ -164,7 +170,12 @@ def _unread(where: str, model: str) -> InputError:
 
 
 def checked_coefficients(values: Float[Array, "n"], fisheye: bool, where: str) -> Float[Array, "m"]:
-    """The coefficients as OpenCV takes them.
+    """Check coefficients and return them as OpenCV expects them.
+
+    Args:
+        values: of a file.
+        fisheye: whether the model is OpenCV's fisheye.
+        where: begins an error.
 
     Raises:
         InputError: not as many as the model has, or not finite.
@@ -183,7 +194,12 @@ def checked_coefficients(values: Float[Array, "n"], fisheye: bool, where: str) -
 
 
 def named_coefficients(part: Mapping[str, Any], fisheye: bool, where: str) -> list[Any]:
-    """Coefficients that are stored by their names, in OpenCV's order.
+    """Return coefficients that are stored by their names, in OpenCV's order.
+
+    Args:
+        part: coefficients by name.
+        fisheye: whether the model is OpenCV's fisheye.
+        where: begins an error.
 
     Raises:
         InputError: it has one that the model does not have.

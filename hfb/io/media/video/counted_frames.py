@@ -29,9 +29,13 @@ _resting: deque[_Resting] = deque(maxlen=1)
 def read_on(
     path: Path, start: int, stop: int, count: int, from_start: Callable[[], Numbered]
 ) -> Iterator[av.VideoFrame]:
-    """Frames `start` to `stop` (exclusive) of the `count` that a file has; ends early where the file does.
+    """Yield frames `start` to `stop` (exclusive) of the `count` that a file has; ends early where the file does.
 
     Args:
+        path: of the video.
+        start: first frame.
+        stop: frame after the last one.
+        count: frames of the whole file.
         from_start: opens the file; (number, frame) of every frame, in order.
     """
     file = _version(path)

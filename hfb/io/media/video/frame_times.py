@@ -11,7 +11,11 @@ _NOISE_S, _ONE_TICK = 1e-9, 1.001
 
 
 def nominal_interval(times_s: Float[Array, "T"]) -> float:
-    """The usual interval [s]: the mean of those that are within a quarter of their median; 1/30 s for one frame."""
+    """Return the usual interval [s]: the mean of those within a quarter of their median; 1/30 s for one frame.
+
+    Args:
+        times_s: time stamps, ascending.
+    """
     if len(times_s) < 2:
         return 1 / ASSUMED_FPS
     steps = np.diff(times_s)
@@ -21,12 +25,14 @@ def nominal_interval(times_s: Float[Array, "T"]) -> float:
 
 
 def even_times(times_s: Float[Array, "t"], fps: float, tick_s: float) -> Float[Array, "t"]:
-    """Ascending time stamps, made even where they are those of a constant rate that the clock is too coarse for.
+    """Return time stamps of a constant rate made even where the clock is too coarse for that rate.
 
     Matroska and ASF count milliseconds: 60 frames per second are 17, 16, 17 ms apart.
 
     Args:
-        fps: as the file states it. tick_s: the clock's resolution.
+        times_s: time stamps, ascending.
+        fps: as the file states it.
+        tick_s: the clock's resolution.
     """
     even = times_s[:1] + np.arange(len(times_s)) / fps
     apart = float(np.abs(times_s - even).max(initial=0.0))
@@ -34,7 +40,11 @@ def even_times(times_s: Float[Array, "t"], fps: float, tick_s: float) -> Float[A
 
 
 def is_pulled_down(times_s: Float[Array, "t"]) -> bool:
-    """Whether frames are shown for two and three fields in turn, as film is on television: it was taken evenly."""
+    """Return whether frames are shown for two and three fields in turn, as film is on television: it was taken evenly.
+
+    Args:
+        times_s: time stamps, ascending.
+    """
     steps = np.diff(times_s)
     if len(steps) < _FEWEST_PULLED_DOWN or steps.min() <= 0:
         return False
@@ -45,7 +55,12 @@ def is_pulled_down(times_s: Float[Array, "t"]) -> bool:
 
 
 def irregular(times_s: Float[Array, "T"], interval_s: float) -> list[str]:
-    """One sentence where some intervals are not the usual one."""
+    """Return a sentence where some intervals are not the usual one.
+
+    Args:
+        times_s: time stamps, ascending.
+        interval_s: the usual one.
+    """
     odd = int((np.abs(np.diff(times_s) - interval_s) > _JITTER * interval_s).sum())
     if not odd:
         return []

@@ -18,7 +18,11 @@ _MOST_COMPARED = 300
 
 
 def stated_interlaced(stream: av.VideoStream) -> bool:
-    """Whether the container says so of frames whose decoder cannot know; where it can, the frames' own flags count."""
+    """Return whether the container says so for a codec without flags in its frames; else the frames' own flags count.
+
+    Args:
+        stream: before decoding.
+    """
     codec = stream.codec_context
     return codec.field_order in _INTERLACED_ORDERS and codec.name not in _FLAGGED_BY_DECODER
 
@@ -27,8 +31,10 @@ class Scan:
     """Watches frames go by in the order in which they are shown."""
 
     def __init__(self, path: Path, stated: bool) -> None:
-        """
+        """Prepare the checks of a video.
+
         Args:
+            path: of the video, for errors.
             stated: see `stated_interlaced`.
         """
         self._path, self._stated = path, stated
@@ -38,7 +44,14 @@ class Scan:
         self._repeated = 0
 
     def see(self, frame: av.VideoFrame) -> None:
-        """Raises InputError where the frame, or the container, says that it holds two fields."""
+        """Check one frame.
+
+        Args:
+            frame: the next one in the order of display.
+
+        Raises:
+            InputError: the frame, or the container, says that it holds two fields.
+        """
         if frame.interlaced_frame or self._stated:
             raise InputError(
                 f"{self._path}: is interlaced, each frame shows two instants; make each field a frame with "
@@ -49,7 +62,7 @@ class Scan:
             self._compare(frame)
 
     def remark(self) -> str | None:
-        """One sentence where frames that no flag calls interlaced are combed wherever something moves."""
+        """Return a sentence where frames that no flag calls interlaced are combed wherever something moves."""
         combed, other = sorted((self._looks["tff"], self._looks["bff"]), reverse=True)
         seen = combed + other + self._looks["progressive"]
         if combed < max(_FEWEST_COMBED, _LEAST_SHARE * seen) or combed < _ONE_ORDER * other:

@@ -19,18 +19,25 @@ _WIDE = {9: "BT.2020", 11: "DCI-P3", 12: "Display P3"}  # ITU-T H.273, colour pr
 
 
 def stated_colours(stream: av.VideoStream) -> Stated:
-    """The container's own statement (`colr` of MP4, `Colour` of Matroska), which decoders do not give to the frames.
+    """Return the container's own statement (`colr` of MP4, `Colour` of Matroska), which decoders do not pass on.
 
-    To be asked before the first frame is decoded, which overwrites it.
+    Call it before the first frame is decoded, which overwrites it.
+
+    Args:
+        stream: of the video.
     """
     codec = stream.codec_context
     return int(codec.colorspace), int(codec.color_range), int(codec.color_trc), int(codec.color_primaries)
 
 
 def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, int | None]:
-    """(matrix, range) to decode a frame with; None where the frame tells it, or has no such thing.
+    """Return the (matrix, range) to decode a frame with; None where the frame states it, or has no such thing.
 
     Untagged video is BT.709 to players above 576 lines and BT.601 below; swscale by itself takes all for BT.601.
+
+    Args:
+        frame: decoded.
+        stated: the container's statement, by `stated_colours`.
     """
     matrix = color_range = None
     if is_yuv(frame) and int(frame.colorspace) in _UNTAGGED:
@@ -42,12 +49,25 @@ def source_colours(frame: av.VideoFrame, stated: Stated) -> tuple[int | None, in
 
 
 def is_yuv(frame: av.VideoFrame) -> bool:
-    """Whether its planes are luma and chroma."""
+    """Return whether a frame's planes are luma and chroma.
+
+    Args:
+        frame: decoded.
+    """
     return not frame.format.is_rgb and len(frame.format.components) >= 3 and frame.format.name != "pal8"
 
 
 def refuse_hdr(frame: av.VideoFrame, stated: Stated, name: str) -> None:
-    """Raises InputError for high dynamic range, whether the frames or only the container say so."""
+    """Refuse high dynamic range, whether the frames or only the container state it.
+
+    Args:
+        frame: decoded.
+        stated: the container's statement, by `stated_colours`.
+        name: of the video.
+
+    Raises:
+        InputError: the video is of high dynamic range.
+    """
     transfers = {int(frame.color_trc), stated[2]}
     kinds = [kind for code, kind in _HDR.items() if code in transfers]
     if not kinds and "DOVI_METADATA" in frame.side_data:
@@ -57,7 +77,13 @@ def refuse_hdr(frame: av.VideoFrame, stated: Stated, name: str) -> None:
 
 
 def colour_remarks(frame: av.VideoFrame, stated: Stated, name: str) -> Iterator[str]:
-    """What a user should know of how the colours are taken."""
+    """Yield remarks on how the colours are interpreted.
+
+    Args:
+        frame: decoded.
+        stated: the container's statement, by `stated_colours`.
+        name: of the video.
+    """
     tags = int(frame.colorspace), stated[0]
     if is_yuv(frame) and all(tag in _UNTAGGED for tag in tags) and frame.height > _MOST_LINES_OF_SD:
         yield f"{name} does not say how its colours are stored: decoded as BT.709, as players do above 576 lines"

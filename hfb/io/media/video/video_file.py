@@ -19,7 +19,10 @@ _NO_VIDEO = Disposition.attached_pic | Disposition.timed_thumbnails | Dispositio
 
 
 def open_video(path: Path) -> av.container.InputContainer:
-    """A container whose frames may be decoded; to be closed.
+    """Open a container whose frames may be decoded; the caller closes it.
+
+    Args:
+        path: of the video.
 
     Raises:
         InputError: it holds no video stream, or frames of an absurd size.
@@ -52,7 +55,11 @@ def open_video(path: Path) -> av.container.InputContainer:
 
 
 def video_stream(container: av.container.InputContainer) -> av.VideoStream:
-    """The stream that players show: no cover or thumbnail, more than one frame, marked as the default, the largest."""
+    """Return the stream that players show: no cover or thumbnail, more than one frame, the default, the largest.
+
+    Args:
+        container: opened.
+    """
 
     def rank(stream: av.VideoStream) -> tuple[bool, bool, bool, int]:
         codec = stream.codec_context
@@ -67,6 +74,15 @@ def _videos(container: av.container.InputContainer) -> list[av.VideoStream]:
 
 
 def check_size(path: Path, width: int, height: int) -> None:
-    """Raises InputError where a frame is too large."""
+    """Check that a frame is not too large.
+
+    Args:
+        path: of the video.
+        width: of the frame [px].
+        height: of the frame [px].
+
+    Raises:
+        InputError: it has more pixels than `PIXEL_LIMIT`.
+    """
     if width * height > PIXEL_LIMIT:
         raise InputError(f"{path}: {width} x {height} pixels are over the limit; make the video smaller.")

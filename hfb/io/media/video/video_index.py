@@ -66,7 +66,7 @@ class VideoIndex:
     remarks: tuple[str, ...] = ()
 
     def by_number(self, why: str) -> "VideoIndex":
-        """The same frames numbered, at the stated rate; they are never read from the middle then.
+        """Return the frames numbered at the stated rate; they are never read from the middle then.
 
         Args:
             why: what is wrong with the file's time stamps, as the first words of a sentence.
@@ -79,19 +79,33 @@ class VideoIndex:
         return replace(self, stamps=numbers, keys=numbers[:0], times_s=numbers / fps, counted=counted)
 
     def recounted(self, on_progress: OnProgress | None = None, scan: Scan | None = None) -> "VideoIndex | None":
-        """Where frames do not come by their time stamps: by number, if as many decode as there are packets."""
+        """Return an index by number for frames that do not match their time stamps, if every packet decodes.
+
+        Args:
+            on_progress: called with (frames done, of how many).
+            scan: checks every frame.
+        """
         if self.counted:
             return None
         index = self.by_number(_OTHERS_STAMPS.format(self.path.name))
         return index if index.look_through(0, len(self.stamps), on_progress, scan) == len(self.stamps) else None
 
     def frames(self, start: int, stop: int) -> Iterator[Float[Array, "H W 3"]]:
-        """Frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does."""
+        """Yield frames `start` to `stop` as stored in [0, 1], as players show them; ends early where the file does.
+
+        Args:
+            start: first frame.
+            stop: frame after the last one.
+        """
         for frame in self._decoded(start, stop):
             yield self._picture(frame)
 
     def chosen(self, numbers: Sequence[int]) -> Iterator[Float[Array, "H W 3"]]:
-        """Some frames, given in ascending order, as `frames` has them: what lies between is decoded or jumped over."""
+        """Yield some frames as `frames` does; those between are decoded or skipped.
+
+        Args:
+            numbers: of the frames, ascending.
+        """
         worth_a_jump = 3 * len(self.stamps) / max(len(self.keys), 1)
         breaks = np.flatnonzero(np.diff(numbers) > worth_a_jump) + 1
         for group in np.split(np.asarray(numbers), breaks):
@@ -106,9 +120,12 @@ class VideoIndex:
     def look_through(
         self, start: int, stop: int, on_progress: OnProgress | None = None, scan: Scan | None = None
     ) -> int:
-        """Decode a range without keeping anything; the number of the first frame that does not come.
+        """Decode a range without keeping anything; return the number of the first frame that cannot be decoded.
 
         Args:
+            start: first frame.
+            stop: frame after the last one.
+            on_progress: called with (frames done, of how many).
             scan: sees every frame.
         """
         reached = start
@@ -177,7 +194,10 @@ class VideoIndex:
 
 
 def index_video(path: Path) -> VideoIndex:
-    """Read the numbers of all packets; nothing is decoded but one frame.
+    """Read the numbers of all packets; only one frame is decoded.
+
+    Args:
+        path: of the video.
 
     Raises:
         InputError: no video, no frame, high dynamic range, or an absurd size.

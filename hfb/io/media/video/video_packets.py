@@ -43,7 +43,12 @@ class Packets:
 
 
 def read_packets(container: av.container.InputContainer, stream: av.VideoStream) -> Packets:
-    """Go through the file once; at most a little over `FRAME_LIMIT` packets."""
+    """Read all packets once; at most a little over `FRAME_LIMIT`.
+
+    Args:
+        container: opened.
+        stream: of the video.
+    """
     stamps: list[int | None] = []
     keys: list[int] = []
     hidden, broken, sound_s = 0, False, 0.0
@@ -72,9 +77,10 @@ def read_packets(container: av.container.InputContainer, stream: av.VideoStream)
 
 
 def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, str]:
-    """(frames per second, where that is from), for frames whose time stamps are of no use.
+    """Return (frames per second, their source) for frames whose time stamps cannot be used.
 
     Args:
+        stream: of the video.
         times_s: such stamps as there are, ascending [s].
     """
     # A bare stream has no stamps and no header: its "average" is FFmpeg's own assumption, the codec may know better.
@@ -89,9 +95,12 @@ def rate_of(stream: av.VideoStream, times_s: Float[Array, "t"]) -> tuple[float, 
 def loss_of(
     container: av.container.InputContainer, stream: av.VideoStream, packets: Packets, times_s: Float[Array, "t"]
 ) -> str | None:
-    """What is missing at the end by what the file states: the rest of a sentence; None where nothing is.
+    """Return what is missing at the end by the file's own statement, as the rest of a sentence; None if nothing is.
 
     Args:
+        container: opened.
+        stream: of the video.
+        packets: by `read_packets`.
         times_s: the packets' time stamps, ascending [s].
     """
     stated_s = _stated_s(container, stream)

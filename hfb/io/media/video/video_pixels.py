@@ -23,10 +23,12 @@ _LEVELS = np.arange(256, dtype=np.float32) / np.float32(255)
 
 
 def upright(frame: av.VideoFrame, path: Path, aspect: float, stated: Stated = NOT_STATED) -> Shaped[Array, "H W 3"]:
-    """RGB levels, uint8, or uint16 where the video has more than 8 bits, turned and stretched as players show them.
+    """Return RGB levels, uint8, or uint16 for more than 8 bits, turned and stretched as players show them.
 
     Args:
-        path: the video's, for the message. aspect: see `pixel_aspect`.
+        frame: decoded.
+        path: the video's, for the message.
+        aspect: see `pixel_aspect`.
         stated: the colours that the container states; see `hfb.io.media.video.video_colours.stated_colours`.
 
     Raises:
@@ -72,19 +74,30 @@ def _as_shown(pixels: Shaped[Array, "h w 3"], frame: av.VideoFrame) -> Shaped[Ar
 
 
 def zero_to_one(levels: Shaped[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-    """Levels of 8 or 16 bits as numbers in [0, 1]."""
+    """Convert levels of 8 or 16 bits to numbers in [0, 1].
+
+    Args:
+        levels: uint8 or uint16.
+    """
     return _LEVELS[levels] if levels.dtype == np.uint8 else levels.astype(np.float32) / np.float32(65535)
 
 
 def is_deep(frame: av.VideoFrame) -> bool:
-    """Whether 8 bits are too few for it."""
+    """Return whether 8 bits are too few for a frame.
+
+    Args:
+        frame: decoded.
+    """
     return any(component.bits > 8 for component in frame.format.components)
 
 
 def pixel_aspect(stream: av.VideoStream) -> float:
-    """Width / height of a stored pixel, before the container's rotation; HDV and anamorphic video have no squares.
+    """Return width / height of a stored pixel before rotation by the container; HDV and anamorphic ones are not 1.
 
     1 where the file does not say, says what no camera does, or is within a hundredth of it: encoders round.
+
+    Args:
+        stream: of the video.
     """
     aspect = float(stream.sample_aspect_ratio or 1)
     believed = 1 / _MOST_STRETCH <= aspect <= _MOST_STRETCH and abs(aspect - 1) > _AS_GOOD_AS_SQUARE
@@ -92,13 +105,24 @@ def pixel_aspect(stream: av.VideoStream) -> float:
 
 
 def square_size(height: int, width: int, aspect: float) -> tuple[int, int]:
-    """(height, width) [px] in square pixels: the longer side of a pixel is drawn out, so that none is lost."""
+    """Return (height, width) [px] in square pixels: a pixel's longer side is stretched, so that none is lost.
+
+    Args:
+        height: as stored [px].
+        width: as stored [px].
+        aspect: width / height of a stored pixel.
+    """
     return (height, round(width * aspect)) if aspect >= 1 else (round(height / aspect), width)
 
 
 def stretched(picture: Shaped[Array, "h w 3"], height: int, width: int) -> Shaped[Array, "H W 3"]:
-    """A picture of uint8, uint16 or float32 in another size, sharp.
+    """Resize an image of uint8, uint16 or float32, sharply.
 
     Lanczos keeps what it shows in place to 0.015 px; OpenCV's cubic kernel (a = -0.75) is up to 0.05 px off.
+
+    Args:
+        picture: to resize.
+        height: [px].
+        width: [px].
     """
     return cv2.resize(picture, (width, height), interpolation=cv2.INTER_LANCZOS4)

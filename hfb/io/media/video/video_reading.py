@@ -20,7 +20,12 @@ PLATE_BYTES = 256 << 20
 
 
 def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator[Float[Array, "H W 3"]]:
-    """Frames `start` to `stop` of a video, one after another, as sRGB in [0, 1], upright, in square pixels.
+    """Yield frames `start` to `stop` of a video as sRGB in [0, 1], upright, in square pixels.
+
+    Args:
+        path: of the video.
+        start: first frame.
+        stop: frame after the last one; None for all.
 
     Raises:
         InputError: missing, no video, nothing decodable, or `start` is past the end (before the first frame);
@@ -31,7 +36,11 @@ def read_frames(path: Path, start: int = 0, stop: int | None = None) -> Iterator
 
 
 def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array, "H W 3"]:
-    """One long exposure: the mean of the frames' linear light (not of their sRGB values)."""
+    """Return one long exposure: the mean of the frames' linear light (not of their sRGB values).
+
+    Args:
+        frames_srgb: in [0, 1].
+    """
     total, count = None, 0
     for frame in frames_srgb:
         linear = srgb_to_linear(frame)
@@ -43,10 +52,15 @@ def average_frames(frames_srgb: Iterable[Float[Array, "H W 3"]]) -> Float[Array,
 
 
 def median_plate(path: Path, frames: Sequence[int], memory_bytes: int = PLATE_BYTES) -> Float[Array, "H W 3"]:
-    """The background without the person: each pixel's median over the given frames [sRGB].
+    """Return the background without the person: each pixel's median over the given frames [sRGB].
 
     The median of an odd number of frames is the same in sRGB and in linear light. The picture is done in
     bands of rows, one pass through the video each, so that no more than `memory_bytes` are held.
+
+    Args:
+        path: of the video.
+        frames: their numbers.
+        memory_bytes: most memory that frames take at once.
 
     Raises:
         InputError: no frame is given, or one lies past the video's end.

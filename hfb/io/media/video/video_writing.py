@@ -28,11 +28,14 @@ class VideoWriter:
     def __init__(
         self, path: Path, fps: float | None, comment: str = "", to_look_at: bool = False, small: bool = False
     ) -> None:
-        """
+        """Prepare the file; it is created with the first image.
+
         Args:
+            path: of the file.
             fps: pictures per second; None where every picture says when it is to be shown.
             comment: kept in the file.
-            to_look_at: a third of the work, for what nobody measures. small: the same, and a third of the bytes.
+            to_look_at: a third of the work, for what nobody measures.
+            small: the same, and a third of the bytes.
         """
         self._path = path
         self._fps = None if fps is None else Fraction(fps).limit_denominator(60_000)
@@ -52,9 +55,10 @@ class VideoWriter:
         return self
 
     def write(self, picture_srgb: Float[Array, "H W 3"], time_s: float | None = None) -> None:
-        """Append one picture in [0, 1]; height and width must be even, as H.264 needs them.
+        """Append one image.
 
         Args:
+            picture_srgb: in [0, 1]; height and width must be even, as H.264 needs them.
             time_s: when it is shown, to a microsecond, later than the one before; where the video has no rate.
         """
         assert (time_s is None) == (self._fps is not None), "a picture has a time where the video has no rate"

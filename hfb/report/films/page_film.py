@@ -1,6 +1,6 @@
-"""The slow-motion film of a result's page: small enough to be part of it, cut to where the person is.
+"""The slow-motion film of a result's page, cropped to the person and small enough to be embedded.
 
-Blurred | the body at one instant, at most 640 px wide and 20 seconds long, whatever the clip.
+Two panels, the blurred frame and the body at one instant: at most 640 px wide and 20 s long for any clip.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import numpy as np
 
 from hfb.geometry.camera import PinholeCamera
 from hfb.motion.sampled import SampledMotion
-from hfb.report.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
+from hfb.report.films.slow_motion import Shot, film_instants, film_slow_factor, paired_pictures
 from hfb.typing import Array, Float
 
 _PANEL_PX = (340, 316)  # height and width that a panel of two may have, captions and margins left out
@@ -20,24 +20,40 @@ _LONGEST_S = 20.0
 
 
 def page_slow_factor(motion: SampledMotion) -> float:
-    """How many times slower the film is: as the large one, unless it would last too long; a long clip runs faster."""
+    """Return how many times slower than real time the page's film is, so that it lasts at most 20 s.
+
+    Args:
+        motion: fitted motion; only ``times_s`` and ``frame_index`` count.
+    """
     lasts = float(motion.times_s[-1] - motion.times_s[0])
     return min(film_slow_factor(motion), _LONGEST_S / max(lasts, 1e-9))
 
 
 def page_picture_count(motion: SampledMotion) -> int:
-    """How many pictures the film has."""
+    """Return the number of images of the page's film.
+
+    Args:
+        motion: fitted motion.
+    """
     return len(film_instants(motion, page_slow_factor(motion)))
 
 
 def page_pictures(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
-    """Its pictures, `hfb.report.slow_motion.FILM_FPS` per second."""
+    """Yield the images of the page's film, sRGB in [0, 1], `hfb.report.films.slow_motion.FILM_FPS` per second.
+
+    Args:
+        shot: motion, body, plate and frames.
+    """
     slow = page_slow_factor(shot.motion)
     yield from paired_pictures(around_person(shot), film_instants(shot.motion, slow), slow, _PANEL_PX)
 
 
 def around_person(shot: Shot) -> Shot:
-    """The same shot, cut to a box that holds the person at every instant."""
+    """Return the shot cropped to a box that holds the person at every instant.
+
+    Args:
+        shot: the shot; its camera's principal point moves with the crop.
+    """
     left, top, right, bottom = _box(shot.motion, shot.camera)
     frame = shot.frame_linear
     return replace(

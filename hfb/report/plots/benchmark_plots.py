@@ -12,17 +12,29 @@ from hfb.evaluation.cells import by_method, is_start, known_joints, start_cases,
 from hfb.evaluation.intervals import mean_ci95
 from hfb.evaluation.table_text import blur_label
 from hfb.io.atomic import write_bytes_atomic
-from hfb.report.plot_style import FAINT_GRAY, GRAY, png, sheet, styles
-from hfb.report.reliability_plot import reliability
+from hfb.report.plots.plot_style import FAINT_GRAY, GRAY, png, sheet, styles
+from hfb.report.plots.reliability_plot import reliability
 from hfb.typing import Array, Float
 
 _POINTS_SHOWN = 0.98
 """Share of the cases that the vertical axis of the error plot must hold; the others are counted in a corner."""
 
 _CHAINS = (
-    "spine1", "spine2", "spine3", "neck", "head", "collar", "shoulder", "elbow", "wrist", "hand",
-    "hip", "knee", "ankle", "foot",
-)  # fmt: skip
+    "spine1",
+    "spine2",
+    "spine3",
+    "neck",
+    "head",
+    "collar",
+    "shoulder",
+    "elbow",
+    "wrist",
+    "hand",
+    "hip",
+    "knee",
+    "ankle",
+    "foot",
+)
 """Joints along the body, from the pelvis (whose error is zero by definition) outwards, left and right as one."""
 
 
@@ -32,6 +44,7 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
     Args:
         rows: a mapping (or a row of a pandas table) per case and method, as `summarize` takes them.
         summary: what `summarize` made of the same rows.
+        folder: where the PNG files go.
 
     Returns:
         the files: error_by_blur.png, iou_by_blur.png, ratio_by_blur.png, error_by_joint.png, reliability.png, as far as
@@ -54,20 +67,31 @@ def write_plots(rows: Any, summary: Mapping[str, Any], folder: Path) -> list[Pat
 
 
 def error_by_blur(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
-    """MPJPE against blur rate: a line per method with its 95 % band, a faint point per case, the start in gray."""
+    """Plot MPJPE against blur rate: a line per method with its 95 % band, a faint point per case, the start in gray.
+
+    Args:
+        methods: method -> its rows of cases.parquet.
+        summary: content of summary.json.
+    """
     return _against_blur(methods, summary, "mpjpe_mm", "MPJPE [mm]")
 
 
 def iou_by_blur(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
-    """IoU of silhouettes against blur rate, drawn as the errors are."""
+    """Plot the IoU of silhouettes against blur rate, in the layout of `error_by_blur`.
+
+    Args:
+        methods: method -> its rows of cases.parquet.
+        summary: content of summary.json.
+    """
     return _against_blur(methods, summary, "iou", "silhouette IoU")
 
 
 def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = None) -> bytes | None:
-    """Mean MPJPE over the start's, per interval of blur rates and over all, with 95 % intervals.
+    """Plot the ratio of MPJPE to the start's, per interval of blur rates and overall, with 95 % intervals.
 
     Args:
-        paper: the paper's ratios per interval and, if it says that, over all; drawn in gray where given.
+        summary: content of summary.json.
+        paper: the paper's ratios per interval and, if it states one, overall; drawn in gray.
     """
     cells = {name: [*both["bins"], both["all"]] for name, both in _contenders(summary, "ratio").items()}
     if not cells:
@@ -108,10 +132,12 @@ def ratio_by_blur(summary: Mapping[str, Any], paper: Sequence[float] | None = No
 def error_by_joint(
     methods: Mapping[str, DataFrame], summary: Mapping[str, Any], merge_sides: bool = True
 ) -> bytes | None:
-    """Mean error of every joint, a bar per method with its 95 % interval.
+    """Plot the mean error of every joint, a bar per method with its 95 % interval.
 
     Args:
-        merge_sides: left and right as one; else all joints of the SMPL layout but the pelvis, on which all are centred.
+        methods: method -> its rows of cases.parquet.
+        summary: content of summary.json.
+        merge_sides: whether left and right share a bar; else all joints of the SMPL layout but the pelvis.
     """
     groups = _joint_groups(merge_sides)
     errors = {name: _per_group(cases, list(groups.values())) for name, cases in methods.items()}

@@ -1,4 +1,4 @@
-"""The parts of a result's page on how fast limbs were, and on how to take the next pictures."""
+"""Limb speeds and advice on how to take further images, as parts of a result's page."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.report.charts import speed_chart
-from hfb.report.limb_speed import SHUTTER_SPEEDS, LimbSpeed, exposure_s, limb_speeds, shutter_for
+from hfb.report.pages.charts import speed_chart
+from hfb.report.pages.limb_speed import SHUTTER_SPEEDS, LimbSpeed, exposure_s, limb_speeds, shutter_for
 
 _WORTH_SAYING_PX = 1.5
 _FROZEN_PX, _NEARLY_PX = 1.0, 2.0
@@ -17,7 +17,11 @@ _UNSURE_DIRECTION = 0.9
 
 
 def speeds_table(motion: SampledMotion) -> dict[str, Any] | None:
-    """Return ``head`` and ``rows`` of top speeds, and the curves as ``chart``; None where nothing moves in time."""
+    """Return ``head`` and ``rows`` of top speeds, and the curves as ``chart``; None where no frame has two instants.
+
+    Args:
+        motion: fitted motion.
+    """
     speeds = limb_speeds(motion)
     if not speeds:
         return None
@@ -25,16 +29,25 @@ def speeds_table(motion: SampledMotion) -> dict[str, Any] | None:
     head = ["", "top speed", "80 % interval", "at", *(["frame"] if several else []), "mean", "smear"]
     rows = [
         [
-            one.limb, f"{one.peak_m_s:.1f} m/s", interval_text(one), f"{1000 * one.peak_s:.0f} ms",
-            *([str(one.frame)] if several else []), f"{one.mean_m_s:.1f} m/s", f"{one.smear_px:.0f} px",
+            one.limb,
+            f"{one.peak_m_s:.1f} m/s",
+            interval_text(one),
+            f"{1000 * one.peak_s:.0f} ms",
+            *([str(one.frame)] if several else []),
+            f"{one.mean_m_s:.1f} m/s",
+            f"{one.smear_px:.0f} px",
         ]
         for one in speeds
-    ]  # fmt: skip
+    ]
     return {"head": head, "rows": rows, "chart": speed_chart(motion)}
 
 
 def interval_text(speed: LimbSpeed) -> str:
-    """The interval in few characters."""
+    """Format the 80 % interval of a limb's speed.
+
+    Args:
+        speed: one limb.
+    """
     if speed.interval_m_s is None:
         return "not known"
     low, high = speed.interval_m_s
@@ -42,15 +55,21 @@ def interval_text(speed: LimbSpeed) -> str:
 
 
 def advice(motion: SampledMotion, facts: Mapping[str, Any]) -> list[str]:
-    """Return how the next pictures could tell more."""
+    """Return sentences on how further images could tell more.
+
+    Args:
+        motion: fitted motion.
+        facts: content of result.json.
+    """
     return [*shutter_advice(limb_speeds(motion), exposure_s(motion)), *_other_advice(motion, facts)]
 
 
 def shutter_advice(speeds: Sequence[LimbSpeed], open_s: float) -> list[str]:
-    """What smeared most, and which of a camera's exposures would have frozen it.
+    """Name the limb with the longest motion blur and the exposure that would have frozen it.
 
     Args:
-        open_s: how long the shutter was open.
+        speeds: of all limbs.
+        open_s: exposure time.
     """
     if not speeds:
         return []
@@ -70,7 +89,11 @@ def shutter_advice(speeds: Sequence[LimbSpeed], open_s: float) -> list[str]:
 
 
 def shutter_text(seconds: float) -> str:
-    """An exposure as cameras write it."""
+    """Format an exposure time as cameras do, such as 1/250 s.
+
+    Args:
+        seconds: exposure time.
+    """
     return f"{seconds:.2g} s" if seconds >= 0.4 else f"1/{1 / max(seconds, 1e-9):.0f} s"
 
 

@@ -1,4 +1,4 @@
-"""The bar below a film's picture: when the shutter was open, and where the film stands."""
+"""The time line below a film's image: open shutters and the current instant."""
 
 import cv2
 import numpy as np
@@ -15,10 +15,13 @@ _SHOWN_FRAMES = 6
 def draw_time_line(
     motion: SampledMotion, time_s: float, width: int, slow: float | None = None
 ) -> Float[Array, "30 X 3"]:
-    """A bar of a given width: open shutters as boxes, a mark at the instant, and in words which sub-frame it is.
+    """Draw open shutters as boxes, the current instant as a mark, and the sub-frame's number as text.
 
     Args:
-        slow: how many times slower the film is, where it says so.
+        motion: fitted motion; its times and frame indices count.
+        time_s: the current instant.
+        width: width of the bar [px].
+        slow: slow-motion factor to state; None to leave it out.
     """
     bar = np.full((_HEIGHT_PX, width, 3), 255, np.uint8)
     starts = np.flatnonzero(np.diff(motion.frame_index, prepend=-1))

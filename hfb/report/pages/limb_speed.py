@@ -1,8 +1,8 @@
-"""How fast each limb moved while the shutter was open, how sure that is, and how far it smeared over the picture.
+"""Top speed of each limb during the exposure, its interval, and the length of its motion blur.
 
-A speed's interval is measured, not derived: over synthetic cases of known truth the error of a limb's top speed goes
-with the radius that the fit gives its joint, over the time of the exposure. `hfb train limb-speeds` finds the
-factors at which 80 % of the true speeds lie inside.
+The interval is calibrated, not derived: on synthetic cases with known truth the error of a limb's top speed scales
+with the joint's radius over the exposure's length. `hfb train limb-speeds` fits the factors that contain 80 % of the
+true speeds.
 """
 
 import json
@@ -12,12 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import page_file
+from hfb.report.pages.page import page_file
 from hfb.typing import Array, Float
 
 LIMB_ENDS: Mapping[str, int] = {
-    "left wrist": 20, "right wrist": 21, "left ankle": 7, "right ankle": 8, "head": 15, "whole body": 0,
-}  # fmt: skip
+    "left wrist": 20,
+    "right wrist": 21,
+    "left ankle": 7,
+    "right ankle": 8,
+    "head": 15,
+    "whole body": 0,
+}
 """The joint that stands for each limb; the pelvis for the whole body."""
 
 SHUTTER_SPEEDS = (30, 60, 125, 250, 500, 1000, 2000, 4000, 8000)
@@ -31,11 +36,14 @@ class LimbSpeed:
     """The fastest moment of a limb.
 
     Attributes:
-        peak_m_s: its speed then, in camera coordinates. interval_m_s: 80 % of true speeds lie in it; None where the fit
-            does not say how sure it is.
-        peak_s, frame: when and in which frame. mean_m_s: over all exposures.
-        smear_px: how far its picture travels in the exposure in which it travels furthest; smear_frame: which that is.
-        peak_px_s: its picture's highest speed.
+        peak_m_s: its highest speed, in camera coordinates.
+        interval_m_s: contains 80 % of true speeds; None where the fit gives no joint radius.
+        peak_s: when.
+        frame: in which frame.
+        mean_m_s: mean speed over all exposures.
+        smear_px: longest path in the image during one exposure.
+        smear_frame: the frame of that exposure.
+        peak_px_s: highest speed in the image.
     """
 
     limb: str
@@ -50,7 +58,11 @@ class LimbSpeed:
 
 
 def limb_speeds(motion: SampledMotion) -> list[LimbSpeed]:
-    """Of every limb; none where no frame has two instants."""
+    """Return the speed of every limb; empty where no frame has two instants.
+
+    Args:
+        motion: fitted motion.
+    """
     times, speeds, frames = instant_speeds(motion)
     return [_speed_of(motion, limb, times, speeds[:, at], frames) for at, limb in enumerate(LIMB_ENDS) if len(times)]
 
@@ -58,7 +70,11 @@ def limb_speeds(motion: SampledMotion) -> list[LimbSpeed]:
 def instant_speeds(
     motion: SampledMotion,
 ) -> tuple[Float[Array, "M"], Float[Array, "M 6"], Float[Array, "M"]]:
-    """(times [s], speeds [m/s] of `LIMB_ENDS`, frames): between neighbouring sub-frames of one exposure."""
+    """Return (times [s], speeds [m/s] of `LIMB_ENDS`, frames) between neighbouring sub-frames of one exposure.
+
+    Args:
+        motion: fitted motion.
+    """
     rows = np.flatnonzero((np.diff(motion.frame_index) == 0) & (np.diff(motion.times_s) > 0))
     ends = motion.joints[:, list(LIMB_ENDS.values())]
     steps = motion.times_s[rows + 1] - motion.times_s[rows]
@@ -68,12 +84,21 @@ def instant_speeds(
 
 
 def shutter_for(peak_px_s: float, allowed_px: float) -> int | None:
-    """The longest of a camera's exposures, as 1/n s, that keeps a smear within some pixels; None where none does."""
+    """Return n of the longest common exposure 1/n s that limits motion blur; None where none is short enough.
+
+    Args:
+        peak_px_s: highest speed in the image.
+        allowed_px: longest acceptable motion blur.
+    """
     return next((speed for speed in SHUTTER_SPEEDS if peak_px_s <= allowed_px * speed * _ROUNDING), None)
 
 
 def exposure_s(motion: SampledMotion) -> float:
-    """How long the shutter was open, of the usual frame."""
+    """Return the median exposure of the motion's frames [s].
+
+    Args:
+        motion: fitted motion.
+    """
     spans = [float(np.ptp(motion.times_s[motion.rows_of(frame)])) for frame in np.unique(motion.frame_index).tolist()]
     return float(np.median(spans))
 
@@ -115,7 +140,13 @@ def _interval(motion: SampledMotion, joint: int, frame: int, peak_m_s: float) ->
 
 
 def sureness_m_s(motion: SampledMotion, joint: int, rows: Array) -> float:
-    """The joint's radius over the exposure's length [m/s]; of all joints for the pelvis, whose own radius is zero."""
+    """Return the joint's radius over the exposure's length [m/s]; for the pelvis the mean over all joints.
+
+    Args:
+        motion: fitted motion; NaN is returned where it has no radii.
+        joint: index in the SMPL layout.
+        rows: rows of one exposure.
+    """
     if motion.joint_radius_mm is None:
         return float("nan")
     radii = motion.joint_radius_mm[rows][:, joint] if joint else motion.joint_radius_mm[rows]

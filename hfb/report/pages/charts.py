@@ -1,4 +1,4 @@
-"""The curves of a result's page: losses on the way, limbs' speeds, how well each frame is explained."""
+"""Line charts of a result's page: losses over iterations, limb speeds over time, scores per frame."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hfb.motion.sampled import SampledMotion
-from hfb.report.limb_speed import LIMB_ENDS, instant_speeds
-from hfb.report.plot_style import GRAY, png, sheet
+from hfb.report.pages.limb_speed import LIMB_ENDS, instant_speeds
+from hfb.report.plots.plot_style import GRAY, png, sheet
 from hfb.typing import Array
 
 _INCHES = (7.0, 3.6)
@@ -17,11 +17,11 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#
 
 
 def loss_chart(terms: Mapping[str, Sequence[float | None]], stages: Sequence[int]) -> bytes:
-    """Every term of the objective, and their weighted sum, over the iterations; PNG.
+    """Plot every term of the objective and the weighted sum over the iterations, as PNG.
 
     Args:
         terms: unweighted, by name; ``total`` is the weighted sum.
-        stages: iterations of every stage; where one ends pictures become larger, and the sum starts anew.
+        stages: iterations of every stage; where one ends, the image resolution rises and the sum starts anew.
     """
     figure, axes = sheet(inches=_INCHES)
     others = [name for name in terms if name != "total"]
@@ -37,7 +37,11 @@ def loss_chart(terms: Mapping[str, Sequence[float | None]], stages: Sequence[int
 
 
 def window_chart(totals: Sequence[Sequence[float]]) -> bytes:
-    """The weighted sums of all windows of a clip over the iterations: the median and most of them; PNG."""
+    """Plot the median and the 10th to 90th percentile of all windows' weighted sums over the iterations, as PNG.
+
+    Args:
+        totals: per window, a value per iteration.
+    """
     longest = max(len(one) for one in totals)
     table = np.full((len(totals), longest), np.nan)
     for row, one in zip(table, totals, strict=True):
@@ -54,7 +58,11 @@ def window_chart(totals: Sequence[Sequence[float]]) -> bytes:
 
 
 def speed_chart(motion: SampledMotion) -> bytes:
-    """Speeds of the limbs over time, broken where the shutter was closed; of a long clip each exposure's mean; PNG."""
+    """Plot limb speeds over time, interrupted while the shutter is closed, as PNG; of a long clip each exposure's mean.
+
+    Args:
+        motion: fitted motion.
+    """
     times, speeds, frames = instant_speeds(motion)
     short = float(times[-1]) < 1
     if len(np.unique(frames)) > _SINGLE_FRAMES:
@@ -75,7 +83,12 @@ def speed_chart(motion: SampledMotion) -> bytes:
 
 
 def frames_chart(values: Mapping[int, float], label: str) -> bytes:
-    """One figure of every frame of a clip; PNG."""
+    """Plot one score of every frame of a clip, as PNG.
+
+    Args:
+        values: frame number -> score.
+        label: name of the score.
+    """
     figure, axes = sheet(inches=_INCHES)
     numbers = np.array(sorted(values))
     axes.plot(numbers, [values[int(number)] for number in numbers], color=_COLOURS[0], linewidth=1.2, label=label)

@@ -1,4 +1,4 @@
-"""A batch of clips as pages of a hundred clips: what became of each, a picture of it, and where its own page is."""
+"""A batch's summary pages, a hundred clips each: state, thumbnail and a link to each clip's own page."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -10,7 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.page import page, picture_uri, small_picture
+from hfb.report.pages.page import page, picture_uri, small_picture
 
 CLIPS_PER_PAGE = 100
 _THUMBNAIL_PX = (480, 110)  # the largest width and height
@@ -19,23 +19,29 @@ _LONGEST_REASON = 600
 _MOST_WARNINGS = 10
 _CLASSES = {"done": "good", "set aside": "bad"}
 _FIGURES = (
-    ("frames", "frames", "d"), ("sub-frames", "sub_frames", "d"), ("gaps", "gaps", ""), ("IoU", "matte_iou", ".3f"),
-    ("PSNR [dB]", "psnr_db", ".1f"), ("MPJPE [mm]", "mpjpe_mm", ".1f"), ("seconds", "seconds", ".0f"),
-)  # fmt: skip
+    ("frames", "frames", "d"),
+    ("sub-frames", "sub_frames", "d"),
+    ("gaps", "gaps", ""),
+    ("IoU", "matte_iou", ".3f"),
+    ("PSNR [dB]", "psnr_db", ".1f"),
+    ("MPJPE [mm]", "mpjpe_mm", ".1f"),
+    ("seconds", "seconds", ".0f"),
+)
 _MOST_GAPS = 20
 
 
 @dataclass(frozen=True)
 class BatchClip:
-    """What became of one clip.
+    """State and result of one clip.
 
     Attributes:
-        status: ``done``, ``set aside`` or anything else that says what it waits for.
+        status: ``done``, ``set aside`` or what the clip waits for.
         reason: of a clip that is not done.
-        figures: the content of its result.json, as far as there is one (`hfb.report.result_facts`).
-        thumbnail: the file of its small picture (`strip_thumbnail`).
-        report: its own page, from the folder of this one. link: its page in MLflow.
-        people: of a clip of several people, what became of each.
+        figures: the content of its result.json, as far as there is one (`hfb.report.pages.result_facts`).
+        thumbnail: file of `strip_thumbnail`.
+        link: its page in MLflow.
+        report: its own page, relative to this page's folder.
+        people: of a clip of several people, the result of each.
     """
 
     name: str
@@ -49,18 +55,18 @@ class BatchClip:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the clip's own result warns of; of several people each has theirs."""
+        """The warnings in the clip's own result; each of several people has their own."""
         return tuple(one["message"] for one in self.figures.get("warnings") or ()) if self.status == "done" else ()
 
     @property
     def is_warned_of(self) -> bool:
-        """Whether the result, or that of somebody in the clip, has a warning."""
+        """Whether the clip's result, or that of a person in it, has a warning."""
         return bool(self.warnings) or any(one.warnings for one in self.people)
 
 
 @dataclass(frozen=True)
 class BatchCounts:
-    """How many clips there are of each kind."""
+    """Number of clips in each state."""
 
     clips: int
     done: int
@@ -69,28 +75,39 @@ class BatchCounts:
 
     @property
     def waiting(self) -> int:
-        """Neither done nor set aside."""
+        """Number of clips that are neither done nor set aside."""
         return self.clips - self.done - self.set_aside
 
 
 def page_name(number: int) -> str:
-    """The file of a page, counted from 0."""
+    """Return the file name of a page.
+
+    Args:
+        number: the page's number, from 0.
+    """
     return f"summary-{number + 1}.html" if number else "summary.html"
 
 
 def page_count(clips: int) -> int:
-    """How many pages so many clips have."""
+    """Return the number of pages.
+
+    Args:
+        clips: number of clips.
+    """
     return max(1, -(-clips // CLIPS_PER_PAGE))
 
 
 def batch_page(
     title: str, clips: Sequence[BatchClip], number: int, counts: BatchCounts, troubles: Iterable[tuple[int, BatchClip]]
 ) -> str:
-    """One page.
+    """Render one page.
 
     Args:
-        clips: those of this page alone. number: of the page, from 0.
-        troubles: (place among all clips, clip) of those that were set aside; the first page lists them.
+        title: title of the batch.
+        clips: those of this page alone.
+        number: the page's number, from 0.
+        counts: of the whole batch.
+        troubles: (index among all clips, clip) of those set aside; the first page lists them.
     """
     first = number == 0
     listed = list(troubles) if first else []
@@ -109,7 +126,10 @@ def batch_page(
 
 
 def strip_thumbnail(strip: Path) -> bytes:
-    """The first row of a result's strip as a small JPEG.
+    """Return the first row of a result's strip as a small JPEG.
+
+    Args:
+        strip: the result's strip.png.
 
     Raises:
         InputError: it is damaged, or no picture.

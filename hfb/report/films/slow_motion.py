@@ -1,8 +1,7 @@
-"""The de-blurred video: what happened while the shutter was open, slowed down.
+"""Slow-motion films of the motion during the exposures, and the body overlaid on the blurred frames.
 
-Side by side are the blurred picture, the body over the plate as it stood at one instant, and the blur that the fitted
-motion makes; between exposures the motion runs on, and the caption says so. The overlay shows the body over the blurred
-picture.
+The slow-motion film shows three panels: the blurred frame, the body over the plate at one instant, and the blur that
+the fitted motion produces. Between exposures the interpolated motion is shown and captioned as such.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,9 +22,9 @@ from hfb.motion.sampled import SampledMotion
 from hfb.photometry import linear_to_srgb
 from hfb.rendering.formation import compose
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.report.shading import shade_bodies, time_colours
-from hfb.report.strip import captioned
-from hfb.report.time_line import draw_time_line
+from hfb.report.films.time_line import draw_time_line
+from hfb.report.images.shading import shade_bodies, time_colours
+from hfb.report.images.strip import captioned
 from hfb.typing import Array, Float, Tensor
 
 FILM_FPS = 30
@@ -38,11 +37,15 @@ _MOST_INSTANTS = 20_000_000
 
 @dataclass(frozen=True)
 class Shot:
-    """What a film is made of.
+    """Everything a film is rendered from.
 
     Attributes:
-        frame_linear: the blurred picture of a frame, by the motion's own number for it, in the light of the fit.
-        plate_linear: the background, in the same light; ``light`` says which that is. camera: of both.
+        motion: fitted motion in the camera's coordinates.
+        texture: in the light of the fit.
+        camera: of frames and plate.
+        plate_linear: the background in the light of the fit.
+        frame_linear: returns a blurred frame by its number in ``motion.frame_index``, in the light of the fit.
+        light: ``linear`` or ``srgb``: what frames, plate and texture are.
     """
 
     motion: SampledMotion
@@ -56,16 +59,21 @@ class Shot:
 
 
 def film_slow_factor(motion: SampledMotion) -> float:
-    """How many times slower the film is: at most one sub-frame per picture, and two seconds at least."""
+    """Return the slow-motion factor: at most one sub-frame per image, and a film of at least two seconds.
+
+    Args:
+        motion: fitted motion; only its times count.
+    """
     lasts = float(motion.times_s[-1] - motion.times_s[0])
     return max(1.0, subframe_rate_hz(motion) / FILM_FPS, _SHORT_S / max(lasts, 1e-9))
 
 
 def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Array, "F"]:
-    """When the pictures of a slow-motion film are [s]: at an even pace; stretches without the person are cut out.
+    """Return the instants [s] of a slow-motion film, evenly spaced; stretches without the person are cut out.
 
     Args:
-        slow: how many times slower it is; `film_slow_factor` where nothing is said.
+        motion: fitted motion.
+        slow: how many times slower than real time; None for `film_slow_factor`.
 
     Raises:
         InputError: so many that no film could show them.
@@ -80,7 +88,11 @@ def film_instants(motion: SampledMotion, slow: float | None = None) -> Float[Arr
 
 
 def slow_motion(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
-    """Pictures for `FILM_FPS` per second; the last is held for half a second."""
+    """Yield the images of the slow-motion film, sRGB in [0, 1], `FILM_FPS` per second; the last is held for 0.5 s.
+
+    Args:
+        shot: motion, body, plate and frames.
+    """
     instants = film_instants(shot.motion)
     for number, picture in enumerate(_side_by_side(shot, keys_at(shot.motion, instants)), 1):
         yield picture
@@ -89,13 +101,22 @@ def slow_motion(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
 
 
 def exact_sub_frames(shot: Shot) -> Iterator[tuple[float, Float[Array, "Y X 3"]]]:
-    """(when [s], the picture) of every sub-frame, at the times they really had."""
+    """Yield (time [s], image) of every sub-frame at its exact time.
+
+    Args:
+        shot: motion, body, plate and frames.
+    """
     keys = exact_keys(shot.motion)
     yield from zip(keys.times_s.tolist(), _side_by_side(shot, keys), strict=True)
 
 
 def picture_count(motion: SampledMotion, film: Film) -> int:
-    """How many pictures a film has."""
+    """Return the number of images of a film.
+
+    Args:
+        motion: fitted motion.
+        film: which film.
+    """
     if film == "exact":
         return len(exact_keys(motion).times_s)
     if film == "overlay":
@@ -104,12 +125,20 @@ def picture_count(motion: SampledMotion, film: Film) -> int:
 
 
 def overlay_rate(motion: SampledMotion) -> float:
-    """Pictures per second of the overlay: those of the recording, or of the slow-motion film where that is short."""
+    """Return the overlay's images per second: the recording's rate, or `FILM_FPS` for a short motion.
+
+    Args:
+        motion: fitted motion.
+    """
     return float(FILM_FPS) if _is_short(motion) else 1 / float(np.median(np.diff(_opened(motion))))
 
 
 def overlay(shot: Shot) -> Iterator[Float[Array, "Y X 3"]]:
-    """The body over the blurred pictures: in the middle of each exposure, or of a short motion at every instant."""
+    """Yield images of the body over the blurred frames: one per exposure, or every instant of a short motion.
+
+    Args:
+        shot: motion, body, plate and frames.
+    """
     motion, view, instants = shot.motion, _View(shot), _overlay_instants(shot.motion)
     keys = keys_at(motion, instants)
     for row, time_s in enumerate(instants.tolist()):
@@ -147,11 +176,13 @@ def _side_by_side(shot: Shot, keys: MotionKeys) -> Iterator[Float[Array, "Y X 3"
 def paired_pictures(
     shot: Shot, instants: Float[Array, "F"], slow: float, panel_px: tuple[int, int]
 ) -> Iterator[Float[Array, "Y X 3"]]:
-    """Blurred | one instant, over a time line.
+    """Yield images of two panels, the blurred frame and the body at one instant, over a time line.
 
     Args:
-        instants: when [s]. slow: how many times slower that is, to be written.
-        panel_px: the height and the width that a panel has at most.
+        shot: motion, body, plate and frames.
+        instants: when [s].
+        slow: the slow-motion factor that the time line states.
+        panel_px: largest height and width of a panel.
     """
     keys = keys_at(shot.motion, instants)
     view = _View(shot, (panel_px[0], panel_px[0]), panel_px[1])
@@ -188,14 +219,17 @@ def _filled_up(picture: Float[Array, "Y X 3"]) -> Float[Array, "Y2 X2 3"]:
 
 
 class _View:
-    """A shot at the size of the film; holds the pictures of the frame that was asked for last."""
+    """A shot at the film's resolution; caches the images of the last frame."""
 
     def __init__(
         self, shot: Shot, heights_px: tuple[int, int] = _PANEL_HEIGHT_PX, width_px: int = _PANEL_WIDTH_PX
     ) -> None:
-        """
+        """Resize plate and camera to the panel's size.
+
         Args:
-            heights_px: the least and the largest height of a panel, as far as ``width_px`` allows.
+            shot: motion, body, plate and frames.
+            heights_px: least and largest height of a panel, as far as ``width_px`` allows.
+            width_px: largest width of a panel.
         """
         self._shot = shot
         height, width = shot.plate_linear.shape[:2]
@@ -210,26 +244,49 @@ class _View:
         self._held: dict[str, tuple[int, Float[Array, "H W 3"]]] = {}
 
     def frame_at(self, time_s: float) -> int:
-        """The number of the frame whose shutter opened last."""
+        """Return the number of the frame whose shutter opened last.
+
+        Args:
+            time_s: instant since the first shutter opened.
+        """
         return int(self._numbers[max(0, int(np.searchsorted(self._opened, time_s + 1e-9, side="right")) - 1)])
 
     def seen(self, frame: int) -> Float[Array, "H W 3"]:
-        """The blurred picture."""
+        """Return the blurred frame, sRGB in [0, 1].
+
+        Args:
+            frame: its number in the motion.
+        """
         return self._kept("seen", frame, lambda: self._srgb(self._resized(self._shot.frame_linear(frame))))
 
     def reblurred(self, frame: int) -> Float[Array, "H W 3"]:
-        """The mean over the frame's sub-frames, over the plate."""
+        """Return the mean over the frame's sub-frames, composed over the plate; sRGB in [0, 1].
+
+        Args:
+            frame: its number in the motion.
+        """
         return self._kept("reblurred", frame, lambda: self._reblur(frame))
 
     def instant(self, keys: MotionKeys, row: int) -> Float[Array, "H W 3"]:
-        """The textured body over the plate."""
+        """Return the textured body over the plate; sRGB in [0, 1].
+
+        Args:
+            keys: interpolated motion.
+            row: which of its instants.
+        """
         shot = self._shot
         with torch.no_grad():
             body = shot.rasterizer.render(self._posed(keys, row).vertices, shot.texture, self._camera, shot.body.mesh)
         return self._srgb(compose(body[0], self._plate))
 
     def with_clay(self, frame: int, keys: MotionKeys, row: int) -> Float[Array, "H W 3"]:
-        """The shaded body over the blurred picture; its colour tells when in the exposure it is."""
+        """Return the shaded body over the blurred frame; its colour encodes the time within the exposure.
+
+        Args:
+            frame: number of the blurred frame.
+            keys: interpolated motion.
+            row: which of its instants.
+        """
         shot, seen = self._shot, self.seen(frame)
         rows = shot.motion.rows_of(frame)
         nearest = int(np.abs(shot.motion.times_s[rows] - keys.times_s[row]).argmin())

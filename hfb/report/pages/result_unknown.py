@@ -1,4 +1,4 @@
-"""The parts of a result's page on what the pictures could not tell, and on the motions that explain them too."""
+"""Uncertainties of a result, and alternative motions, as parts of its page."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,20 +12,32 @@ from hfb.body.model import Body
 from hfb.body.skeleton import JOINT_NAMES
 from hfb.fitting.alternatives import LIMB_NAMES, Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.viewer import ViewedMotion
+from hfb.report.pages.viewer import ViewedMotion
 from hfb.typing import Array
 
 _SHOWN = 12
 _LEAST_SURE, _MOST_SURE = 4, 3
-_SCORES = (("loss", "weighted loss", ".3f"), ("excess", "worse by", ".3f"), ("image", "image", ".2e"),
-           ("matte", "matte", ".4f"), ("joints", "joints", ".4f"), ("path", "path", ".4f"),
-           ("motion", "motion", ".3f"))  # fmt: skip
+_SCORES = (
+    ("loss", "weighted loss", ".3f"),
+    ("excess", "worse by", ".3f"),
+    ("image", "image", ".2e"),
+    ("matte", "matte", ".4f"),
+    ("joints", "joints", ".4f"),
+    ("path", "path", ".4f"),
+    ("motion", "motion", ".3f"),
+)
 _ARROW = (("limbs_backwards", "prior against it", ".2f"), ("network_backwards", "network against it", ".2f"))
 """What tells the direction of a single frame; several frames' own continuity is in their loss."""
 
 
 def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[str, Any]) -> list[str]:
-    """Return what to doubt."""
+    """Return sentences on what the frames do not determine.
+
+    Args:
+        motion: fitted motion.
+        body: the body model; None where it is not available.
+        facts: content of result.json.
+    """
     said = []
     if isinstance(facts.get("unknown"), str):
         said = [str(facts["unknown"]), *_condition(facts, "directions")]
@@ -34,7 +46,11 @@ def unknown_sentences(motion: SampledMotion, body: Body | None, facts: Mapping[s
 
 
 def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]] | None:
-    """Return ``head`` and ``rows`` of the motions that were weighed, the likeliest first; None where none were."""
+    """Return ``head`` and ``rows`` of the motions that were weighed, the likeliest first; None where none were.
+
+    Args:
+        alternatives: content of alternatives.npz; None without a search of directions.
+    """
     if alternatives is None:
         return None
     asked = _SCORES + _ARROW if alternatives.reversed_limbs.shape[1] == 1 else _SCORES
@@ -51,7 +67,12 @@ def alternatives_table(alternatives: Alternatives | None) -> dict[str, list[Any]
 
 
 def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> list[ViewedMotion]:
-    """The others, the likeliest first, for the viewer."""
+    """Return the motions that were not chosen, the likeliest first, for the viewer.
+
+    Args:
+        motion: the result; gives times and camera.
+        alternatives: content of alternatives.npz.
+    """
     chosen = alternatives.reversed_limbs[alternatives.chosen]
     return [
         ViewedMotion(
@@ -70,13 +91,22 @@ def alternative_motions(motion: SampledMotion, alternatives: Alternatives) -> li
 
 
 def by_probability(alternatives: Alternatives) -> list[int]:
-    """Numbers of the motions, the result first, then the likeliest."""
+    """Return the numbers of the motions: the result first, then by falling probability.
+
+    Args:
+        alternatives: content of alternatives.npz.
+    """
     order = np.argsort(-alternatives.probability, kind="stable").tolist()
     return sorted(order, key=lambda number: number != alternatives.chosen)
 
 
 def reversed_text(reversed_limbs: Array, chosen: Array) -> str:
-    """Which limbs of which frames run the other way than in the result."""
+    """Describe which limbs of which frames move in the direction opposite to the result's.
+
+    Args:
+        reversed_limbs: (T, 5), whether a limb is reversed against the motion as fitted.
+        chosen: the same of the result.
+    """
     different = reversed_limbs != chosen
     if not different.any():
         return "the result"

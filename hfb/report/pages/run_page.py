@@ -1,5 +1,6 @@
-"""Recorded runs beside each other as one HTML file that needs nothing else: where they differ, what each found, and the
-same instant of all of them under one slider.
+"""A comparison of recorded runs as one self-contained HTML file.
+
+It lists the differences in options and scores, and shows the motions of all runs with one time slider.
 """
 
 from collections.abc import Sequence
@@ -7,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from hfb.report.page import page
+from hfb.report.pages.page import page
 
 RUN_CLASSES = ("one", "two", "three", "four")
 
@@ -17,8 +18,8 @@ class PageTable:
     """A table of some runs.
 
     Attributes:
-        rows: name, a value per run, and where they are numbers what else is to be said, such as a difference.
-        empty: what to say when there are no rows.
+        rows: name, a value per run, and for numbers what follows them, such as a difference.
+        empty: text of a table without rows.
     """
 
     title: str
@@ -28,10 +29,11 @@ class PageTable:
 
 @dataclass(frozen=True)
 class RunLook:
-    """What there is to see of a run.
+    """Viewer and image of a run.
 
     Attributes:
-        viewer: see `hfb.report.viewer`. picture: its own picture of what it found, PNG or JPEG.
+        viewer: see `hfb.report.pages.viewer`.
+        picture: the run's own image of its result, PNG or JPEG.
     """
 
     name: str
@@ -46,12 +48,14 @@ def run_page(
     overlay: bytes | None,
     scripts: Sequence[str] = (),
 ) -> str:
-    """The page.
+    """Render the page.
 
     Args:
-        sentences: how far the runs are from each other.
-        looks: one per run. overlay: a picture of all motions over each other.
-        scripts: what the viewers need.
+        sentences: how far the runs' motions are apart.
+        tables: options, environment and scores.
+        looks: one per run.
+        overlay: an image of all motions, PNG.
+        scripts: those of the viewers.
     """
     names = [look.name for look in looks]
     viewers = [look.viewer for look in looks if look.viewer is not None]

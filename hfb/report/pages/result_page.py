@@ -1,4 +1,4 @@
-"""report.html: one result on one page that opens anywhere, from the pictures to the command that repeats it."""
+"""report.html: one result as one self-contained page."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,20 +8,24 @@ from typing import Any
 from hfb.body.model import Body
 from hfb.fitting.alternatives import Alternatives
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import checked_picture, page
-from hfb.report.result_curves import curve_charts
-from hfb.report.result_speeds import advice, speeds_table
-from hfb.report.result_unknown import alternative_motions, alternatives_table, unknown_sentences
-from hfb.report.viewer import ViewedMotion, viewer, viewer_scripts
+from hfb.report.pages.page import checked_picture, page
+from hfb.report.pages.result_curves import curve_charts
+from hfb.report.pages.result_speeds import advice, speeds_table
+from hfb.report.pages.result_unknown import alternative_motions, alternatives_table, unknown_sentences
+from hfb.report.pages.viewer import ViewedMotion, viewer, viewer_scripts
 
 _STRIP_WIDTH_PX, _KEPT_BYTES = 2600, 1 << 20
 _MOST_ROWS, _LONGEST_WORDS = 5000, 2000
 _FIGURES = (
-    ("IoU with the matte", "matte_iou", ".3f", ""), ("picture explained", "psnr_db", ".1f", " dB PSNR"),
-    ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"), ("IoU with the truth", "iou", ".3f", ""),
-    ("frames", "frames", "d", ""), ("sub-frames", "sub_frames", "d", ""),
-    ("fit", "fit_seconds", ".1f", " s"), ("whole run", "seconds", ".0f", " s"),
-)  # fmt: skip
+    ("IoU with the matte", "matte_iou", ".3f", ""),
+    ("picture explained", "psnr_db", ".1f", " dB PSNR"),
+    ("error (MPJPE)", "mpjpe_mm", ".1f", " mm"),
+    ("IoU with the truth", "iou", ".3f", ""),
+    ("frames", "frames", "d", ""),
+    ("sub-frames", "sub_frames", "d", ""),
+    ("fit", "fit_seconds", ".1f", " s"),
+    ("whole run", "seconds", ".0f", " s"),
+)
 _PLACES = frozenset(
     {"config", "inputs", "directions", "unknown", "mlflow_link", "mlflow_run_id", "out", "strip", "report", "code"}
 )
@@ -29,14 +33,16 @@ _PLACES = frozenset(
 
 @dataclass(frozen=True)
 class ResultContents:
-    """What a result's page is made of; whatever is not there is left out of it, or said to be missing.
+    """Contents of a result's page; missing parts are left out of the page or marked as missing.
 
     Attributes:
         facts: the content of result.json.
-        motion, body: body None where a user's model is not at hand: a skeleton is shown then.
-        strip: the file of the paper's strip of pictures.
+        motion: fitted motion.
+        body: None where a user's model is not available; the page then shows a skeleton.
+        strip: file of the image strip.
         curves: the content of curves.json.
-        film: an H.264 film that browsers play, at most 640 px wide, with what it shows.
+        film: an H.264 film at most 640 px wide.
+        film_caption: what the film shows.
         environment: versions and machine by name.
         repeat: the command that repeats the run; None where it was not recorded.
     """
@@ -56,7 +62,11 @@ class ResultContents:
 
 
 def result_page(contents: ResultContents) -> str:
-    """The page; everything that comes from names, options and files is escaped."""
+    """Render the page; everything that comes from names, options and files is escaped.
+
+    Args:
+        contents: all parts.
+    """
     motions = [ViewedMotion("as fitted", contents.motion)]
     if contents.alternatives is not None:
         motions += alternative_motions(contents.motion, contents.alternatives)

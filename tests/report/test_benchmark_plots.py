@@ -8,7 +8,7 @@ from PIL import Image
 
 from hfb.evaluation.cells import by_method
 from hfb.evaluation.tables import summarize
-from hfb.report.plots import error_by_joint, ratio_by_blur, write_plots
+from hfb.report.plots.benchmark_plots import error_by_joint, ratio_by_blur, write_plots
 
 BINS = [(0.05, 0.2), (0.2, 0.4), (0.4, 1.1)]
 BLUE, VERMILLION, GRAY = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0x66, 0x66, 0x66)
@@ -22,12 +22,21 @@ def _rows(cases: int = 24, methods=None, **changes) -> list[dict]:
         rate, initial = rng.uniform(0.05, 1.1), rng.uniform(60, 160)
         for method, share in (METHODS if methods is None else methods).items():
             error = None if share is None else share * initial
-            rows.append({
-                "case": case, "method": method, "blur_rate": rate, "failed": None, "initial_mpjpe_mm": initial,
-                "mpjpe_mm": error, "initial_iou": 0.5, "iou": 0.9 - 0.3 * (share or 0.5), "seconds": 1.0,
-                "joint_errors_mm": None if error is None else [error * (1 + joint) / 12 for joint in range(24)],
-                **changes,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "case": case,
+                    "method": method,
+                    "blur_rate": rate,
+                    "failed": None,
+                    "initial_mpjpe_mm": initial,
+                    "mpjpe_mm": error,
+                    "initial_iou": 0.5,
+                    "iou": 0.9 - 0.3 * (share or 0.5),
+                    "seconds": 1.0,
+                    "joint_errors_mm": None if error is None else [error * (1 + joint) / 12 for joint in range(24)],
+                    **changes,
+                }
+            )
     return rows
 
 

@@ -1,4 +1,4 @@
-"""result.json as pages and other commands read it back: the entries they use have their types, or it is refused."""
+"""Read result.json back: entries that pages and commands use are checked for their types."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,7 +63,10 @@ class _Facts(_Figures):
 
 
 def read_facts(path: Path) -> dict[str, Any]:
-    """The content of a result.json.
+    """Read and validate a result.json.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: it is missing, damaged, or an entry that hfb uses is something else than hfb writes.

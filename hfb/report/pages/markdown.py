@@ -1,6 +1,6 @@
-"""Our own tables in markdown as part of a page: table.md and the page cannot disagree.
+"""Convert the tables of a benchmark from Markdown to HTML.
 
-Markup inside the text stays text: names of methods and folders come from users.
+HTML inside the text is escaped: names of methods and folders come from users.
 """
 
 from functools import cache
@@ -10,7 +10,11 @@ from markupsafe import Markup
 
 
 def markdown(text: str) -> Markup:
-    """GitHub's markdown without links and pictures; a title (``# ...``) at its beginning is left to the page."""
+    """Render GitHub's Markdown without links and images; a leading ``# title`` is dropped, since the page has its own.
+
+    Args:
+        text: Markdown.
+    """
     lines = text.lstrip().split("\n", 1)
     body = lines[1] if lines[0].startswith("# ") and len(lines) > 1 else text
     reader = _reader()

@@ -1,4 +1,4 @@
-"""The reliability plot: how often joints lay within their radius, and directions were right, against what was said."""
+"""The reliability plot: stated probabilities against observed frequencies, of joint radii and of directions."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,16 +8,20 @@ from pandas import DataFrame
 
 from hfb.evaluation.intervals import mean_ci95
 from hfb.evaluation.reliability import LEVELS, WITHIN, direction_groups
-from hfb.report.plot_style import GRAY, png, sheet, styles
+from hfb.report.plots.plot_style import GRAY, png, sheet, styles
 
 _SMALLEST_MARK, _MARK_PER_CASE = 12.0, 5.0
 
 
 def reliability(methods: Mapping[str, DataFrame], summary: Mapping[str, Any]) -> bytes | None:
-    """Two panels, said across and happened upwards, the diagonal being honest; None where no method says anything.
+    """Plot stated against observed frequencies in two panels; None where no method states any.
 
     Left: the share of joints within the radius for each probability, with its 95 % interval over the cases. Right:
-    directions, a mark per group of what was said, its area growing with the cases in it.
+    directions, a mark per group of stated probabilities, its area growing with the number of cases.
+
+    Args:
+        methods: method -> its rows of cases.parquet.
+        summary: content of summary.json.
     """
     sure = {name: cases for name, cases in methods.items() if cases["radius_mm"].notna().any()}
     directed = {name: cases for name, cases in methods.items() if direction_groups(cases)}

@@ -1,4 +1,4 @@
-"""A claim beside the truth: what a method says happened within the exposure, and what did."""
+"""An image that compares a method's sub-frames with the true ones."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ import torch
 from hfb.evaluation.prediction import Prediction
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
-from hfb.report.strip import captioned
+from hfb.report.images.strip import captioned
 from hfb.typing import Array, Float
 
 _CELL_PX = 144
@@ -17,11 +17,12 @@ _SHOWN = 3
 def draw_comparison(
     observation: Observation, prediction: Prediction, sharp: Float[Array, "T Q H W 4"] | None
 ) -> Float[Array, "Y X 3"]:
-    """Per frame: input and claimed sub-frames above, re-blurred picture and true sub-frames below; sRGB in [0, 1].
+    """Draw per frame the input and predicted sub-frames, and below them the re-blurred image and the true ones.
 
     Args:
-        prediction: one with pictures.
-        sharp: the true sub-frames, premultiplied linear colour and silhouette; the lower row lacks them without.
+        observation: blurred frames, plate, mattes and camera.
+        prediction: one with ``pictures``.
+        sharp: true sub-frames, premultiplied linear colour and silhouette; None leaves them out.
 
     Raises:
         ValueError: the prediction has no pictures.

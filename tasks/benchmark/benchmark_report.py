@@ -32,7 +32,7 @@ class BesideHandle(FileHandle):
 def write_beside(experiment: Experiment, results: ResultsHandle, folder: Path) -> BesideHandle:
     """Set the paper's numbers beside ours."""
     from hfb.evaluation.experiments import beside_paper, papers_ratios
-    from hfb.report.plots import ratio_by_blur
+    from hfb.report.plots.benchmark_plots import ratio_by_blur
 
     summary = results.content()
     write_bytes_atomic(folder / BESIDE, beside_paper(experiment, summary).encode())
@@ -56,7 +56,7 @@ def draw_benchmark_page(
     methods: dict[str, Any],
     folder: Path,
 ) -> FileHandle:
-    """Everything that a benchmark leaves, in one file; see `hfb.report.benchmark_page`.
+    """Everything that a benchmark leaves, in one file; see `hfb.report.pages.benchmark_page`.
 
     Args:
         judged: the answers.
@@ -67,7 +67,7 @@ def draw_benchmark_page(
         methods: every method's options.
         folder: where the page goes.
     """
-    from hfb.report.benchmark_page import Answer, benchmark_page
+    from hfb.report.pages.benchmark_page import Answer, benchmark_page
 
     answers = [
         Answer(json.loads(one.path.read_bytes()), one.look.path if one.look is not None else None) for one in judged

@@ -1,4 +1,4 @@
-"""The picture strip: how a blurred picture is explained, at one glance.
+"""The image strip: how the fit explains each blurred frame.
 
 input | matte | sub-frames | re-blurred | residual | the bodies from the side; one row per frame.
 """
@@ -16,7 +16,7 @@ from hfb.motion.sampled import SampledMotion
 from hfb.rendering.formation import compose
 from hfb.rendering.observation import Observation
 from hfb.rendering.rasterizer import Rasterizer
-from hfb.report.shading import shade_bodies, side_view, time_colours
+from hfb.report.images.shading import shade_bodies, side_view, time_colours
 from hfb.typing import Array, Float, Tensor
 
 _CELL_HEIGHT_PX, _LARGEST_WIDTH_PX = 256, 384
@@ -30,11 +30,13 @@ _GHOST_OPACITIES = (0.55, 0.75, 1.0)  # first, middle, last instant
 
 @dataclass(frozen=True)
 class StripRow:
-    """One frame's pictures, all of one size, sRGB in [0, 1].
+    """Images of one frame, all of one size, sRGB in [0, 1].
 
     Attributes:
-        input_srgb, matte: what was seen.
-        subframes, labels: bodies over the background at some instants, and what to write above each.
+        input_srgb: the blurred frame.
+        matte: the person's share of each pixel.
+        subframes: bodies over the background at some instants.
+        labels: captions of ``subframes``.
         reblurred_srgb: the mean over all sub-frames, composed with the background.
         residual: re-blurred minus input, in [-1, 1].
         novel_views: first, middle and last body from the side, later ones over earlier ones.
@@ -57,12 +59,15 @@ def draw_strip(
     rasterizer: Rasterizer,
     note: str = "",
 ) -> Float[Array, "Y X 3"]:
-    """The whole strip as one sRGB picture in [0, 1], cut to the region around the mattes.
+    """Draw the whole strip, sRGB in [0, 1], cropped to the region around the mattes.
 
     Args:
+        observation: blurred frames, plate, mattes and camera.
         motion: the fitted motion, in camera coordinates of the observation.
         texture: in the observation's light.
-        note: a sentence that is written below, such as what the picture cannot tell.
+        body: the model that the motion's betas belong to.
+        rasterizer: renders the sub-frames.
+        note: a sentence written below, such as what the image cannot tell; empty for none.
     """
     left, top, width, height = observation.region()
     scale = min(_CELL_HEIGHT_PX / height, _LARGEST_WIDTH_PX / width)
@@ -73,7 +78,11 @@ def draw_strip(
 
 
 def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
-    """Rows of captioned cells on white paper."""
+    """Lay rows of captioned cells out on white.
+
+    Args:
+        rows: one per frame, all of the same size.
+    """
     lines = []
     for number, row in enumerate(rows, 1):
         gray = np.repeat(row.matte[..., None], 3, -1)
@@ -86,7 +95,12 @@ def lay_out(rows: Sequence[StripRow]) -> Float[Array, "Y X 3"]:
 
 
 def captioned(picture: Float[Array, "H W 3"], caption: str) -> Float[Array, "Y X 3"]:
-    """A picture under its caption, with a margin to its right and below."""
+    """Put a caption above an image, with a margin to its right and below.
+
+    Args:
+        picture: sRGB in [0, 1].
+        caption: text; narrow images get smaller letters.
+    """
     height, width = picture.shape[:2]
     band = np.full((_CAPTION_PX, width + _GAP_PX, 3), 255, dtype=np.uint8)  # OpenCV 5 writes on 8 bits only
     size = 0.45

@@ -1,4 +1,4 @@
-"""Bodies drawn to be looked at: clay under one light, its colour telling the time."""
+"""Lambert-shaded renderings of bodies whose colour encodes time."""
 
 from dataclasses import replace
 
@@ -16,7 +16,11 @@ _RAMP_TEXELS = 64
 
 
 def time_colours(count: int) -> Float[Tensor, "S 3"]:
-    """Display colours from blue (first instant) over violet to orange (last)."""
+    """Return display colours from blue (first instant) over violet to orange (last).
+
+    Args:
+        count: number of instants.
+    """
     first, middle, last = torch.tensor(_TIME_COLOURS)
     share = torch.linspace(-1, 1, count)[:, None]
     return middle + (-share).clamp_min(0) * (first - middle) + share.clamp_min(0) * (last - middle)
@@ -29,14 +33,17 @@ def shade_bodies(
     mesh: Mesh,
     rasterizer: Rasterizer,
 ) -> Float[Tensor, "S H W 4"]:
-    """Lambert-shaded pictures of bodies, one each: premultiplied display colours and coverage.
+    """Render each body Lambert-shaded: premultiplied display colours and coverage.
 
-    The rasteriser knows only textures, so the shade becomes one: each vertex's texture coordinate is its
-    brightness, the texture a ramp from the darkest to the brightest tone. That shades smoothly between vertices.
+    The rasterizer only knows textures, so shading becomes one: a vertex's texture coordinate is its brightness, and the
+    texture is a ramp from dark to bright. Brightness is thus interpolated between vertices.
 
     Args:
         vertices: camera coordinates [m].
-        colours: of each body in full light, sRGB.
+        colours: sRGB of each body in full light.
+        camera: also gives the image's size.
+        mesh: faces of all bodies.
+        rasterizer: renders the ramp texture.
     """
     light = torch.tensor(_LIGHT_DIRECTION, dtype=vertices.dtype)
     brightness = (vertex_normals(vertices, mesh) @ light).clamp(0, 1)
@@ -54,10 +61,15 @@ def shade_bodies(
 def side_view(
     vertices: Float[Tensor, "S V 3"], height: int, width: int
 ) -> tuple[Float[Tensor, "S V 3"], PinholeCamera]:
-    """The same bodies seen from the left edge of the picture, together filling a picture of this size.
+    """Return the bodies seen from the image's left edge, and a camera in which they fill an image of this size.
 
-    The scene turns by a quarter about the vertical through the bodies' middle: what was depth is then width.
-    A long lens from ten body sizes away keeps proportions true.
+    The scene is turned by 90 degrees about the vertical through the bodies' centre, so depth becomes width. The camera
+    is ten body sizes away, which makes perspective negligible.
+
+    Args:
+        vertices: camera coordinates [m].
+        height: of the image [px].
+        width: of the image [px].
     """
     low, high = vertices.amin((0, 1)), vertices.amax((0, 1))
     x, y, z = (vertices - (low + high) / 2).unbind(-1)

@@ -1,6 +1,6 @@
-"""Motions of several runs in one picture: skeletons from the camera and from the side, and how far apart they are.
+"""Motions of several runs in one image: skeletons from the camera and from the side, and their distances over time.
 
-Drawn from motions alone, so it serves one picture and a long clip alike.
+Drawn from motions alone, so one image and a long clip work alike.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ import numpy as np
 from hfb.body.skeleton import BONES
 from hfb.evaluation.motion_difference import MotionDifference
 from hfb.motion.sampled import SampledMotion
-from hfb.report.plot_style import FAINT_GRAY, GRAY
-from hfb.report.strip import captioned
+from hfb.report.images.strip import captioned
+from hfb.report.plots.plot_style import FAINT_GRAY, GRAY
 from hfb.typing import Array, Float, Int
 
 RUN_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -28,10 +28,10 @@ _LONGEST_PX = 4000
 def draw_motions(
     motions: Sequence[tuple[str, SampledMotion]], differences: Sequence[MotionDifference]
 ) -> Float[Array, "Y X 3"]:
-    """All skeletons at the first, middle and last shared instant, and joint distances over time; sRGB in [0, 1].
+    """Draw all skeletons at the first, middle and last shared instant, and joint distances over time; sRGB in [0, 1].
 
     Args:
-        motions: what each is called, and itself.
+        motions: name and motion of each run.
         differences: of every motion but the first from the first, each with at least one shared instant.
 
     Raises:
@@ -59,15 +59,22 @@ def draw_motions(
             axes.set_axis_off()
     _distances(figure.add_subplot(grid[2, :]), differences, colours[1:])
     figure.legend(
-        handles=_legend([name for name, _ in motions], colours), loc="outside upper center",
-        ncols=min(3, len(motions)), frameon=False, fontsize=10,
-    )  # fmt: skip
+        handles=_legend([name for name, _ in motions], colours),
+        loc="outside upper center",
+        ncols=min(3, len(motions)),
+        frameon=False,
+        fontsize=10,
+    )
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].astype(np.float32) / np.float32(255)
 
 
 def stack_pictures(pictures: list[tuple[str, Float[Array, "_h _w 3"]]]) -> Float[Array, "Y X 3"]:
-    """Captioned pictures one below the other on white paper, none longer than a screen can scroll; sRGB in [0, 1]."""
+    """Stack captioned images vertically on white; sRGB in [0, 1].
+
+    Args:
+        pictures: (caption, image); longer ones than a screen can scroll are scaled down.
+    """
     cells = [captioned(_bounded(picture), caption) for caption, picture in pictures]
     width = max((cell.shape[1] for cell in cells), default=8)
     padded = [np.pad(cell, ((0, 0), (0, width - cell.shape[1]), (0, 0)), constant_values=1) for cell in cells]
@@ -75,7 +82,11 @@ def stack_pictures(pictures: list[tuple[str, Float[Array, "_h _w 3"]]]) -> Float
 
 
 def png_bytes(picture: Float[Array, "Y X 3"]) -> bytes:
-    """The picture as a PNG file."""
+    """Encode an image as PNG.
+
+    Args:
+        picture: sRGB in [0, 1].
+    """
     done, data = cv2.imencode(".png", np.round(picture[..., ::-1].clip(0, 1) * 255).astype(np.uint8))
     if not done:
         raise OSError("the picture could not be encoded")

@@ -1,4 +1,4 @@
-"""A benchmark as one page that opens anywhere: what came out, beside the paper where asked, plots, and every case."""
+"""A benchmark as one self-contained page: figures, comparison with the paper, plots and every case."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from hfb.evaluation.cells import is_start
 from hfb.evaluation.table_page import is_oracle
 from hfb.evaluation.table_text import UNKNOWN, interval, number
 from hfb.io.media.images.image_io import read_picture_srgb
-from hfb.report.markdown import markdown
-from hfb.report.page import page, small_picture
+from hfb.report.pages.markdown import markdown
+from hfb.report.pages.page import page, small_picture
 
 _PLOT_PX, _LOOK_PX = 860, 640
 _MOST_LOOKS = 360
@@ -31,7 +31,12 @@ _PLOTS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """A method's answer to a case: its row (as in cases.parquet); the picture of what was seen, claimed and true."""
+    """A method's result on a case.
+
+    Attributes:
+        row: as in cases.parquet.
+        look: image of the input and of predicted and true sub-frames.
+    """
 
     row: Mapping[str, Any]
     look: Path | None = None
@@ -46,13 +51,16 @@ def benchmark_page(
     made_from: Mapping[str, str],
     beside_paper: str | None = None,
 ) -> str:
-    """The page.
+    """Render the page.
 
     Args:
-        summary: the content of summary.json. tables: the content of table.md.
-        gallery: answers from good to bad.
-        made_from: what decides the figures, in words.
-        beside_paper: the content of beside_paper.md.
+        summary: the content of summary.json.
+        tables: the content of table.md.
+        plots: files; those without a caption here are left out.
+        gallery: image file of results from good to bad.
+        answers: one per case and method.
+        made_from: the options that decide the figures, by name.
+        beside_paper: the content of beside_paper.md; None without an experiment.
     """
     title = f"{summary['set']}: {summary['start']['all']['n']} cases, {len(summary['methods'])} methods"
     if beside_paper is not None:

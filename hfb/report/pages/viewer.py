@@ -1,7 +1,7 @@
-"""A motion to be turned and looked at in a page: the skinned body in WebGL2, a skeleton where there is none.
+"""Interactive 3D viewer of a motion in a page: skinned body in WebGL2, or a skeleton without a body model.
 
-A page holds the rest pose once and, per sub-frame, rotations (16 bits), a place and how sure each joint is: some 200
-bytes, so that a clip of minutes stays small. Rotations are off by 3e-5 at most, joints by less than half a millimetre.
+A page holds the rest pose once and per sub-frame the rotations (16 bits), translation and joint radii, about 200 bytes:
+a clip of minutes stays small. Rotations are off by 3e-5 at most, joints by less than 0.5 mm.
 """
 
 import base64
@@ -21,7 +21,7 @@ from hfb.geometry.rotations import axis_angle_to_quaternion
 from hfb.interop.writers.keys import rest_joints
 from hfb.interop.writers.skin import Skin, skin_of
 from hfb.motion.sampled import SampledMotion
-from hfb.report.page import data_uri, page_file, render
+from hfb.report.pages.page import data_uri, page_file, render
 from hfb.typing import Array, Shaped
 
 _SCRIPTS = ("viewer_motion.js", "viewer_surface.js", "viewer_skeleton.js", "viewer.js")
@@ -33,7 +33,7 @@ _RADIUS_STEP_MM = 0.1
 
 @dataclass(frozen=True)
 class ViewedMotion:
-    """A motion under the name by which it is chosen."""
+    """A motion and its name in the viewer's menu."""
 
     name: str
     motion: SampledMotion
@@ -46,19 +46,23 @@ def viewer(
     label: str = "",
     group: str | None = None,
 ) -> Markup:
-    """The viewer; the page needs `viewer_scripts` too.
+    """Return the viewer's markup; the page needs `viewer_scripts` too.
 
     Args:
-        motions: of one person, the first is shown; a menu chooses among several.
-        body: the model that they were fitted with; without one there is a skeleton only.
-        label: written into the picture.
-        group: viewers of one group share the time and the side from which they look.
+        motions: of one person; the first is shown, a menu offers the others.
+        body: the model they were fitted with; None for a skeleton.
+        texture_png: the body's texture, a PNG file.
+        label: text drawn into the view.
+        group: viewers of one group share time and viewpoint.
     """
     first = motions[0].motion
     content: dict[str, Any] = {
-        "names": list(JOINT_NAMES), "parents": list(PARENTS), "label": label, "group": group,
+        "names": list(JOINT_NAMES),
+        "parents": list(PARENTS),
+        "label": label,
+        "group": group,
         "motions": [_packed(one) for one in motions],
-    }  # fmt: skip
+    }
     if body is not None:
         betas = torch.from_numpy(first.betas).to(body.template.dtype)
         content["skin"] = _packed_skin(skin_of(body, betas))
@@ -69,7 +73,7 @@ def viewer(
 
 
 def viewer_scripts() -> tuple[str, ...]:
-    """What makes every viewer of a page work; see `hfb.report.page.page`."""
+    """Return the scripts that all viewers of a page need; see `hfb.report.pages.page.page`."""
     return tuple(page_file(name) for name in _SCRIPTS)
 
 

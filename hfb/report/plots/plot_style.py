@@ -1,6 +1,6 @@
-"""How every plot of a benchmark looks: paper, colours per method, and the finished picture.
+"""Style of a benchmark's plots: figure size, colours per method, PNG output.
 
-Figures are objects of their own: no pyplot, no global state, the same bytes for the same numbers.
+Figures are separate objects without pyplot or global state: the same numbers give the same bytes.
 """
 
 import io
@@ -22,7 +22,11 @@ Style = dict[str, Any]
 
 
 def styles(summary: Mapping[str, Any]) -> dict[str, Style]:
-    """A colour and a marker per method, the same in every plot of a benchmark; beyond the colours, dashes."""
+    """Return a colour, marker and line style per method, the same in every plot of a benchmark.
+
+    Args:
+        summary: content of summary.json.
+    """
     free = [colour for colour in _COLOURS if colour not in _FIXED.values()]
     styles: dict[str, Style] = {}
     others = 0
@@ -37,14 +41,19 @@ def styles(summary: Mapping[str, Any]) -> dict[str, Style]:
 
 
 class Sheet(NamedTuple):
-    """An empty figure and its axes; several side by side are a list."""
+    """An empty figure and its axes; ``axes`` is a list where there are several panels."""
 
     figure: Any
     axes: Any
 
 
 def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> Sheet:
-    """Return an empty figure with its axes."""
+    """Return an empty figure with its axes.
+
+    Args:
+        panels: number of axes side by side.
+        inches: width and height.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -61,7 +70,13 @@ def sheet(panels: int = 1, inches: tuple[float, float] = _SIZE_INCHES) -> Sheet:
 
 
 def png(figure: Any, *every: Any, columns: int = 6) -> bytes:
-    """The finished picture, the first axes' legend above all of them."""
+    """Render a figure as PNG with the first axes' legend above all panels.
+
+    Args:
+        figure: a matplotlib figure.
+        *every: its axes.
+        columns: most columns of the legend.
+    """
     handles, labels = every[0].get_legend_handles_labels()
     named = len(labels)
     figure.legend(

@@ -1,8 +1,7 @@
-"""HTML pages from the templates of this package: one style, and whatever is not `Markup` is escaped.
+"""HTML pages from the templates of this package, with one style sheet; whatever is not `Markup` is escaped.
 
-A page is one file that needs nothing else. Its content security policy allows pictures and films that are part of it,
-its own style, and the scripts that it was made with, told by their sha256: nothing can be loaded from elsewhere, and
-markup that slipped in could not run.
+A page is one self-contained file. Its content security policy allows embedded images and films, its own style, and the
+scripts it was made with, by sha256: nothing is loaded from elsewhere, and injected markup cannot run.
 """
 
 import base64
@@ -21,50 +20,72 @@ from hfb.io.media.images.image_io import read_picture_srgb
 from hfb.typing import Array, Float
 
 _KINDS = (
-    (b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"<svg", "image/svg+xml"), (b"<?xml", "image/svg+xml"),
-)  # fmt: skip
+    (b"\x89PNG", "image/png"),
+    (b"\xff\xd8", "image/jpeg"),
+    (b"<svg", "image/svg+xml"),
+    (b"<?xml", "image/svg+xml"),
+)
 _SHOWN_BY_BROWSERS = (b"\x89PNG", b"\xff\xd8")
 _JPEG_QUALITY = 85
 
 
 def page(template: str, title: str, *, scripts: Sequence[str] = (), **values: object) -> str:
-    """Return the whole document.
+    """Render a whole HTML document.
 
     Args:
         template: a file of ``templates/`` that extends ``base.html``.
         title: text of the title and of the first heading.
-        scripts: run in this order when everything is there; nothing else in the page ever runs.
+        scripts: run in this order after loading; no other script in the page ever runs.
         **values: what the template names; text is escaped, None is nothing.
+        **values: the template's variables; text is escaped, None is empty.
     """
     assert not any("</script" in script.lower() for script in scripts), "a script cannot hold its own end"
     hashes = ["sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     document = render(
-        template, title=title, style=Markup(page_file("page.css")), scripts=[Markup(one) for one in scripts],
-        hashes=hashes, **values,
-    )  # fmt: skip
+        template,
+        title=title,
+        style=Markup(page_file("page.css")),
+        scripts=[Markup(one) for one in scripts],
+        hashes=hashes,
+        **values,
+    )
     return document.encode("utf-8", "backslashreplace").decode()  # a file's name may have bytes that are no text
 
 
 def render(template: str, **values: object) -> Markup:
-    """Return a template of ``templates/`` filled in; text among the values is escaped."""
+    """Render a template of ``templates/``; text among the values is escaped.
+
+    Args:
+        template: name of the file.
+        **values: the template's variables.
+    """
     return Markup(_environment().get_template(template).render(values))
 
 
 def picture_uri(content: bytes) -> str:
-    """Return a PNG, JPEG or SVG picture as an address that holds it."""
+    """Return an image as a data URI.
+
+    Args:
+        content: a PNG, JPEG or SVG file.
+    """
     return data_uri(content, next(name for start, name in _KINDS if content.startswith(start)))
 
 
 def data_uri(content: bytes, kind: str) -> str:
-    """Return a file as an address that holds it."""
+    """Return a file as a data URI.
+
+    Args:
+        content: the file.
+        kind: its media type.
+    """
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 def small_picture(source: Path | Float[Array, "H W 3"], width_px: int) -> bytes:
-    """Return a picture, or the file of one, as a JPEG that is at most so wide.
+    """Return an image as a JPEG of limited width.
 
     Args:
-        source: sRGB in [0, 1] where it is no file.
+        source: an image file, or sRGB in [0, 1].
         width_px: the largest width.
     """
     pixels = read_picture_srgb(source) if isinstance(source, Path) else source
@@ -79,12 +100,12 @@ def small_picture(source: Path | Float[Array, "H W 3"], width_px: int) -> bytes:
 
 
 def checked_picture(file: Path, width_px: int, kept_bytes: int) -> bytes:
-    """Return a picture from anywhere as a file that browsers show: as it is where it is small, else reduced.
+    """Return an image file of unknown origin in a form that browsers show: unchanged if small, else reduced.
 
-    It is decoded in any case: what is no picture, or one of far too many pixels, must not reach a reader's browser.
+    It is always decoded, so that no damaged file or decompression bomb reaches the reader's browser.
 
     Args:
-        file: the picture.
+        file: the image.
         width_px: the largest width of one that is reduced, see `small_picture`.
         kept_bytes: a file of at most this size stays as it is.
 
@@ -98,19 +119,27 @@ def checked_picture(file: Path, width_px: int, kept_bytes: int) -> bytes:
 
 @cache
 def page_file(name: str) -> str:
-    """Return a style sheet or script that comes with the package."""
+    """Return the text of a style sheet, script or table that comes with the package.
+
+    Args:
+        name: file name in ``data/``.
+    """
     return _file("data", name)
 
 
 @cache
 def _environment() -> Environment:
     made = Environment(
-        loader=FunctionLoader(lambda name: _file("templates", name)), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True, finalize=lambda value: "" if value is None else value,
-    )  # fmt: skip
+        loader=FunctionLoader(lambda name: _file("templates", name)),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: "" if value is None else value,
+    )
     made.filters |= {"picture_uri": picture_uri, "film_uri": lambda content: data_uri(content, "video/mp4")}
     return made
 
 
 def _file(folder: str, name: str) -> str:
-    return (files("hfb.report") / folder / name).read_text(encoding="utf-8")
+    return (files("hfb.report.pages") / folder / name).read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ from hfb.fitting.alternatives import what_is_unknown
 from hfb.io.media.images.image_io import write_png
 from hfb.motion.motion_file import load_motion
 from hfb.rendering.backends import make_rasterizer
-from hfb.report.strip import draw_strip
+from hfb.report.images.strip import draw_strip
 from hfb.tasks.core.handles import ClipHandle, FileHandle, FitHandle
 from hfb.tasks.core.scene import load_chosen_body, load_observation, load_texture
 from hfb.tasks.task import task

@@ -1,4 +1,4 @@
-"""The part of a result's page on how the fit went: curves.json as charts.
+"""Charts of curves.json for a result's page.
 
 ``losses``: term -> a value per iteration, of a fit of one problem. ``windows``: per window of a clip its ``frames`` and
 ``total``, the weighted sum per iteration. ``frames``: figure -> [frame, value] pairs.
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hfb.errors import InputError
 from hfb.io.json_file import read_json
-from hfb.report.charts import frames_chart, loss_chart, window_chart
+from hfb.report.pages.charts import frames_chart, loss_chart, window_chart
 
 _LABELS = {"matte_iou": "IoU with the matte", "psnr_db": "PSNR of the re-blurred frame [dB]", "mpjpe_mm": "error [mm]"}
 
@@ -40,7 +40,10 @@ class _Curves(_Stored):
 
 
 def read_curves(path: Path) -> dict[str, Any]:
-    """The content of a curves.json.
+    """Read and validate a curves.json.
+
+    Args:
+        path: the file.
 
     Raises:
         InputError: it is missing, damaged, or holds something else than curves.
@@ -59,7 +62,12 @@ def read_curves(path: Path) -> dict[str, Any]:
 
 
 def curve_charts(curves: Mapping[str, Any], facts: Mapping[str, Any]) -> list[tuple[bytes, str]]:
-    """Return charts of the losses, and of how well each frame is explained, each with its caption."""
+    """Return charts of the losses and of the scores per frame, each with its caption.
+
+    Args:
+        curves: content of curves.json.
+        facts: content of result.json; its configuration gives the stages.
+    """
     shown = []
     if curves.get("losses"):
         caption = (

@@ -13,7 +13,7 @@ from urllib.request import urlopen
 import pytest
 
 from hfb.errors import InputError
-from hfb.tasks.batch.metrics import VARIABLE, serve_metrics
+from hfb.tasks.batch.prometheus_metrics import VARIABLE, serve_metrics
 from hfb.tasks.telemetry import progress
 from hfb.tasks.workers.workers import run_local, workers
 from tests.small_clips import run_clip, small_clip
@@ -76,9 +76,10 @@ def test_gpus(port: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     program = tmp_path / "nvidia-smi"
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     for told, found in (
-        ("echo '0, 25, 100'; echo '1, 0, 3'", {"0": (0.25, 100.0), "1": (0.0, 3.0)}), ("exit 9", {}),
+        ("echo '0, 25, 100'; echo '1, 0, 3'", {"0": (0.25, 100.0), "1": (0.0, 3.0)}),
+        ("exit 9", {}),
         ("echo '0, [N/A], 3'", {}),
-    ):  # fmt: skip
+    ):
         program.write_text(f"#!/bin/sh\n{told}\n")
         program.chmod(0o755)
         with serve_metrics():
