@@ -22,7 +22,7 @@ class RealWindow:
     Attributes:
         first: number of its first frame in the video.
         average: K, frames per exposure.
-        place: the folder of the video, by the shortest name that no other one has.
+        place: the folder of the video, by the shortest name that no other one has; marked where no joints are measured.
         video: the video's name in results.
         remarks: what a reader of the results should know about the recording.
     """
@@ -73,8 +73,10 @@ def real_windows(spec: RealSpec) -> tuple[list[RealWindow], dict[str, str]]:
         recording, remarks = replace(one.inspection.recording, shift=shift), one.remarks
         if shift:
             remarks = [*remarks, f"{joints.name if joints else ''} lay {shift:+d} frames off the pictures: corrected"]
-        place = places[footage.path.parent]
-        video = one.name if spec.set == "b-aist" else f"{place}/{footage.path.name}"
+        # An estimator's answers to sharp frames favour whoever starts from it: no reader may overlook that.
+        mark = "" if joints else " (pseudo truth)"
+        place = places[footage.path.parent] + mark
+        video = one.name if spec.set == "b-aist" else f"{places[footage.path.parent]}/{footage.path.name}{mark}"
         for average in dict.fromkeys(spec.average):
             try:
                 starts = _starts(recording, footage, average * spec.frames)

@@ -218,6 +218,15 @@ def test_several_folders_and_exposures(tmp_path: Path) -> None:
     assert "has 6 frames and a case needs 9" in refused[short]
 
 
+def test_a_recording_without_measured_joints_is_marked(tmp_path: Path) -> None:
+    write_recording(tmp_path / "gym", count=12)
+    (tmp_path / "gym" / "walk.trc").unlink()
+    spec = RealSpec(set="real", videos=tmp_path / "gym", average=5)
+    assert {(window.place, window.video) for window in real_windows(spec)[0]} == {
+        ("gym (pseudo truth)", "gym/cam01_walk.mp4 (pseudo truth)")
+    }
+
+
 def test_an_empty_folder_among_several_is_told(tmp_path: Path) -> None:
     write_recording(tmp_path / "gym", count=12)
     (tmp_path / "empty").mkdir()
